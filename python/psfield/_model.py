@@ -592,7 +592,7 @@ class PsfModel:
 
     @property
     def positions(self) -> NDArray[np.float64]:
-        """Positions of the samples or nodes: ``[sample, 2]``, x and y.
+        """Positions of the samples (or of a model's coefficients): ``[sample, 2]``, x and y.
 
         Examples
         --------

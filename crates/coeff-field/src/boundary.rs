@@ -117,11 +117,11 @@ impl Boundary {
         self.foot(self.nearest_side(p), p)
     }
 
-    /// The piece of the hull nearest to `p`, or `None` inside the hull and on uneven sides, where
-    /// the weights are not linear.
+    /// The piece of the hull nearest to `p`. Returns `None` if `p` lies inside the hull, or if the
+    /// nearest side is uneven and the weights are therefore not linear.
     ///
-    /// The positions with one piece form a half strip or a wedge, which is convex. So all positions
-    /// between two positions with equal pieces have that piece.
+    /// All positions whose nearest piece is a given one form a half strip or a wedge, which is
+    /// convex. So if two positions have the same piece, all positions between them have it too.
     pub(crate) fn piece(&self, p: Point) -> Option<BoundaryPiece> {
         let index = self.nearest_side(p);
         let side = &self.sides[index];
@@ -167,8 +167,9 @@ impl Boundary {
         }
     }
 
-    /// The distance of `p` from dents, on a scale from 0 to 1. Near a side with dents it is 0 down
-    /// to the depth of the dents. It is 1 from [`CLEAR`] times that depth on.
+    /// The distance of `p` from dents, on a scale from 0 to 1. Along a side with dents, it is 0
+    /// from the hull to the depth of the dents. Farther inside it grows, to 1 at [`CLEAR`] times
+    /// that depth.
     pub(crate) fn clearance(&self, p: Point) -> f64 {
         let uneven = self.sides.iter().filter(|side| side.depth > 0.0);
         uneven.fold(1.0, |least: f64, side| {

@@ -35,14 +35,15 @@ use crate::triangles::{Node, Peeled, Triangles, area_shares, point_of, sample_of
 /// * Error: returns an error. Positions outside the hull still count as inside up to a distance of
 ///   1e-9 times the samples' extent (or of 1e-9 pixels, if that is more).
 ///
-/// Samples that dent the hull by less than 0.001 of their spacing count as lying on it. Inside such
-/// a dent the formula of extend applies under every policy. There `c` is not on the hull, but on
-/// the straight line between the two boundary samples on either side of the position. So the
-/// boundary follows the samples and not the long thin triangles between them.
+/// A sample just inside the hull leaves a dent. If the depth of the dent is at most 0.001 of its
+/// width, the sample counts as lying on the hull. Inside such a dent the formula of extend applies
+/// under every policy. There `c` is not on the hull, but on the straight line between the two
+/// boundary samples on either side of the position. So the boundary follows the samples and not the
+/// long thin triangles between them.
 ///
 /// # One, two, or collinear samples
-/// Linear interpolation along the line: a position has the value at its foot on the line. Positions
-/// off the line are outside.
+/// Linear interpolation along the line: a position has the value at the nearest point of the line.
+/// Positions off the line are outside.
 ///
 /// ```
 /// use coeff_field::{Delaunay, InterpolatedField};
@@ -59,8 +60,8 @@ use crate::triangles::{Node, Peeled, Triangles, area_shares, point_of, sample_of
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Delaunay;
 
-/// Allowed rounding of a share below 0 or above 1, and of the sum of shares. A larger error comes
-/// from cancellation of the areas.
+/// A weight may lie below 0 or above 1 by at most this, and the sum of the weights may differ from
+/// 1 by at most this. A larger error comes from cancellation of the areas.
 const NEGATIVE: f64 = 1e-9;
 /// Tolerance of `sum w_i x_i = x`, relative to the mean distance of the neighbours.
 const POSITION_TOLERANCE: f64 = 1e-6;

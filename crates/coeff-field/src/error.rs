@@ -9,7 +9,7 @@ use thiserror::Error;
 pub enum CoeffFieldError {
     /// A sample whose coordinates are too large for double precision geometry.
     #[error(
-        "sample {sample} (0-based) at {position} is too far away: coordinates may be at most {limit:e} pixels"
+        "sample {sample} (0-based) at {position} is too far away: coordinates may have magnitudes up to {limit:e} pixels"
     )]
     SampleRange {
         /// Index of the sample.
@@ -20,7 +20,7 @@ pub enum CoeffFieldError {
         limit: f64,
     },
     /// A requested position whose coordinates are too large for double precision geometry.
-    #[error("position {position} is too far away: coordinates may be at most {limit:e} pixels")]
+    #[error("position {position} is too far away: coordinates may have magnitudes up to {limit:e} pixels")]
     QueryRange {
         /// The requested position.
         position: Position,

@@ -139,8 +139,8 @@ impl InterpolatedField {
     /// Prepares `method` for the samples and stores their values.
     ///
     /// # Errors
-    /// [`CoeffFieldError`] when the method does not suit the samples' positions, or when the values
-    /// at its nodes overflow.
+    /// [`CoeffFieldError`] when the method does not suit the samples' positions, when the values at
+    /// its nodes overflow, or when the method returns a wrong number of node values.
     pub fn new(
         samples: &SampleCoefficients,
         method: &dyn FieldInterpolation,
@@ -155,7 +155,7 @@ impl InterpolatedField {
         };
         for (what, expected, got) in [
             (
-                "nodes, one row of values each",
+                "rows of node values, one for each node",
                 weights.node_count(),
                 nodes.nrows(),
             ),

@@ -11,8 +11,8 @@ use crate::error::CoeffFieldError;
 /// Coordinates in pixels. Each is 0 or has a magnitude between `SMALLEST` and `LARGEST`.
 pub(crate) type Point = [f64; 2];
 
-/// Coordinates must not be larger. Products of four of them, as in the test of a circumcircle, then
-/// do not overflow.
+/// Largest allowed magnitude of a coordinate. Products of four such coordinates, as in the test of
+/// a circumcircle, do not overflow.
 const LARGEST: f64 = 1e50;
 /// Smaller coordinates count as 0, so that products of four coordinates do not underflow.
 const SMALLEST: f64 = 1e-40;
@@ -181,8 +181,8 @@ pub(crate) struct Hull {
 }
 
 /// A part of the plane: the hull itself, or a region outside the hull. For all positions in such a
-/// region, the nearest points of the hull lie on the same edge, or are the same corner. Each part is
-/// convex, and in it the nearest point of the hull is linear in the position.
+/// region, the nearest points of the hull lie on the same edge, or are the same corner. Each part
+/// is convex, and in it the nearest point of the hull is linear in the position.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum HullPiece {
     /// The hull itself.
@@ -334,8 +334,8 @@ impl Row {
     }
 }
 
-/// Returns the last column in `start..end` for which `holds` is true, provided that it is also true
-/// for all columns before. Otherwise returns some column for which it is true. It must be true for
+/// Returns the last column in `start..end` for which `holds` is true. If `holds` is not true for
+/// all columns before that one, returns some column for which it is true. `holds` must be true for
 /// `start`. The search doubles its steps, then bisects.
 pub(crate) fn last_where(start: usize, end: usize, mut holds: impl FnMut(usize) -> bool) -> usize {
     let (mut low, mut high, mut step) = (start, end, 1);

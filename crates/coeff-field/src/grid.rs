@@ -41,8 +41,10 @@ impl RegularGrid {
     /// Finds the columns and rows of samples.
     ///
     /// # Errors
-    /// [`CoeffFieldError::NotRegular`] with the first node that has no sample,
+    /// [`CoeffFieldError::NotRegular`] with the first node that has no sample.
     /// [`CoeffFieldError::SharedNode`] with the first node that has two.
+    /// [`CoeffFieldError::SampleRange`] for coordinates above 1e50 pixels in magnitude.
+    /// [`CoeffFieldError::CoincidentSamples`] for samples less than about 1e-40 pixels apart.
     pub fn detect(positions: &SamplePositions) -> Result<Self, CoeffFieldError> {
         let points = Points::new(positions)?;
         let tolerance = SAME_LINE * points.scale.extent;
@@ -177,7 +179,8 @@ impl Axis {
 
     /// Returns the upper bound, excluded, of a range of integers that starts at the integer `v`.
     /// Over this range the fraction of [`Self::locate`] is linear. If the bound is not above `v`,
-    /// the range contains only `v`. With `clamped`, coordinates are first clamped to the lines.
+    /// the range contains only `v`. With `clamped`, coordinates beyond the lines are first moved to
+    /// the nearest line.
     pub(crate) fn linear_until(&self, v: f64, clamped: bool) -> f64 {
         let (last, low) = (self.lines.len() - 1, self.lines[0]);
         if last == 0 {

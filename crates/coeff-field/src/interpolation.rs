@@ -83,8 +83,8 @@ pub trait FieldInterpolation: Debug + Send + Sync {
     ) -> Result<LeaveOneOut, CoeffFieldError> {
         self.prepare(samples.positions(), outside)?;
         let without = |sample, policy| rebuilt_without(self, samples, sample, policy);
-        // The strict policy is tried first, because it distinguishes interpolation from
-        // extrapolation.
+        // The policy `Error` is tried first, because it tells whether the other samples cover the
+        // position.
         let predict = |sample| match without(sample, OutsidePolicy::Error) {
             Err(Unpredictable::OutsideSamples) if outside != OutsidePolicy::Error => {
                 Ok((false, without(sample, outside)?))
@@ -481,8 +481,8 @@ pub(crate) fn hull_leave_one_out(
         if points.len() == 1 {
             return Err(Unpredictable::NoOthers);
         }
-        // Without one sample, the hull of the others still covers its position, unless the sample
-        // is a corner of the hull.
+        // The hull of the other samples covers this sample's position, unless the sample is a
+        // corner of the hull of all samples.
         let (covered, at) = if hull.is_corner(sample) {
             let others = points.subset((0..points.len()).filter(|&s| s != sample));
             let hull = Hull::new(&others, outside).map_err(Unpredictable::NotPrepared)?;

@@ -36,9 +36,10 @@
 //! # Accuracy
 //! Weights are finite. They sum to 1 within 1e-12 of the sum of their magnitudes, except in a
 //! [`Polynomial`]. All methods reproduce constants. The geometry uses coordinates relative to the
-//! requested position, so neither large offsets nor tight clusters lose digits. Coordinates may
-//! have magnitudes up to 1e50 pixels. The values at a position have identical bits in every thread,
-//! and for any region or range of components that is evaluated.
+//! requested position, so weights stay precise at large coordinates and in tight clusters of
+//! samples. ([`NaturalNeighbour`] states an exception.) Coordinates may have magnitudes up to 1e50
+//! pixels. The values at a position have identical bits in every thread, and for any region or
+//! range of components that is evaluated.
 //!
 //! # Rows of pixels
 //! [`FieldWeights::weights_along_row`] cuts a row into runs along which every weight is linear. The

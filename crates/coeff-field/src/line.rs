@@ -10,15 +10,16 @@ use crate::interpolation::{
 };
 
 /// Largest distance of collinear points from their line, relative to its length. Triangles between
-/// such points would be slivers whose orientation is only rounding.
+/// such points would be slivers whose orientation depends on rounding errors.
 const OFF_LINE: f64 = 1e-9;
 
 /// Weights of one sample, of two samples, or of any number of samples on one line.
 ///
-/// A position has the value at its foot on the line, interpolated linearly between the two samples
-/// around the foot. Beyond the ends, the value is constant (nearest), or continues the straight
-/// line through the last two samples' values (extend). A single sample's value applies everywhere.
-/// Under the policy error, only positions on the line and between its ends are covered.
+/// A position has the value at its foot, the nearest point of the line. This value is interpolated
+/// linearly between the two samples around the foot. Beyond the ends, the value is constant
+/// (nearest), or continues the straight line through the last two samples' values (extend). A
+/// single sample's value applies everywhere. Under the policy error, only positions on the line and
+/// between its ends are covered.
 #[derive(Debug)]
 pub(crate) struct LineWeights {
     points: Arc<Points>,
@@ -150,8 +151,8 @@ impl LineWeights {
         }
     }
 
-    /// The columns of a row that meet a sample exactly. Such a column has the sample's value,
-    /// whatever its distance from the line.
+    /// The columns of a row that meet a sample exactly. Such a column has the sample's value, even
+    /// if the sample lies slightly off the line.
     fn hits(&self, row: Row) -> Vec<usize> {
         let points = self.order.iter().map(|&sample| self.points.points[sample]);
         let in_row = points.filter(|p| p[1] == row.y());

@@ -1,5 +1,5 @@
-//! Interpolation from the samples around a position, which a search tree finds: nearest sample, and
-//! inverse distances.
+//! Interpolation by the nearest sample, and by inverse distances. A search tree finds the samples
+//! around a position.
 
 use std::num::NonZeroUsize;
 
@@ -125,7 +125,8 @@ impl FieldWeights for NearestWeights {
     }
 }
 
-/// The squared ratio of the radius to the distance of the k-th neighbour.
+/// The squared ratio of the radius `R` to the distance `d_(k)` in the formula of
+/// [`InverseDistance`].
 const RADIUS_SQUARED: f64 = 2.0;
 
 /// Inverse distance weights (Shepard's method) of the samples around a position.

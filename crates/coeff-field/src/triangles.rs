@@ -45,7 +45,7 @@ pub(crate) fn triangulate(points: &Points) -> (Triangles, Vec<u32>) {
 }
 
 /// A triangle is flat if its height is below this fraction of its longest side. Its barycentric
-/// coordinates would be only rounding.
+/// coordinates would consist mostly of rounding errors.
 const FLAT_HEIGHT: f64 = 1e-10;
 
 pub(crate) fn sample_of(node: &Node) -> usize {
@@ -186,8 +186,8 @@ impl HintGenerator<f64> for GridHints {
     }
 }
 
-/// The direct neighbours suffice if the mean square of their offsets across their main direction is
-/// at least this fraction of the mean square along it.
+/// The direct neighbours of a vertex suffice for its gradient if the weighted mean square of their
+/// offsets across their main direction is at least this fraction of the mean square along it.
 const SPREAD: f64 = 1e-2;
 /// Below this ratio of the two mean squares, the offsets do not determine the slope across the main
 /// direction, which then counts as 0.

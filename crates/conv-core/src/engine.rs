@@ -103,7 +103,7 @@ impl<T: ConvReal> Engine<T> {
     #[cfg(feature = "gpu")]
     #[allow(
         clippy::result_large_err,
-        reason = "the plan is as large in the result without an error"
+        reason = "a success holds the plan, too, and is as large"
     )]
     pub fn on_gpu(
         plan: Plan<T>,
@@ -286,8 +286,8 @@ impl<T: ConvReal> Engine<T> {
     }
 
     /// The rows that a band of blocks covers (`own` is true) or reaches (`own` is false). Blocks
-    /// cover the pixels to which PSFs belong: the light or the image. They reach rows of the other
-    /// of the two.
+    /// cover the side that PSFs belong to: the light or the image. They reach rows of the other
+    /// side.
     fn rows_of(&self, band: Range<usize>, own: bool) -> Range<usize> {
         let (plan, last) = (self.plan(), band.end - 1);
         if own {

@@ -94,7 +94,7 @@ pub enum ConvError {
     #[error(transparent)]
     Gpu(#[from] GpuError),
     /// The result is not a valid image.
-    #[error("the result is not a valid image: are fluxes beyond the range of the working precision?")]
+    #[error("the result is not a valid image: is it empty, or are fluxes beyond the range of the precision?")]
     Result(#[source] DataError),
 }
 
@@ -130,7 +130,7 @@ pub enum GpuError {
         precision: &'static str,
     },
     /// The plan's transforms are too large.
-    #[error("{adapter} supports transforms of at most {most} values, but the plan needs {size}: use the CPU")]
+    #[error("{adapter} supports transforms of length {most} at most, but the plan needs {size}: use the CPU")]
     TransformSize {
         /// The adapter.
         adapter: String,

@@ -24,9 +24,9 @@
 //! positions. Outside the given array, light is taken as zero.
 //!
 //! Point sources are added to the image of extended light. [`StarPainter`] and [`StarPlan`] draw
-//! each source with the PSF of its own position, shifted to that position by [`StampInterpolator`].
-//! The painter draws stars one by one from all components. The plan draws many at once within a
-//! tolerance.
+//! each source at its sub-pixel position, from stamps interpolated as by [`StampInterpolator`]. The
+//! anchor selects the PSF, as for extended light. The painter draws stars one by one from all
+//! components. The plan draws many at once within a tolerance.
 //!
 //! # Normalisation
 //! The image holds the light's flux times the flux of the PSFs. The model decides the flux of the

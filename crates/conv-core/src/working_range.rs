@@ -13,11 +13,12 @@ pub(crate) struct Rescaling<T> {
     pub(crate) back: T,
 }
 
-/// Light is not scaled if its largest absolute value is between 2^-80 and 2^80. Sums over a frame
-/// and products with kernels then neither overflow nor lose significant bits. f32 holds 2^-126 to
-/// 2^128, so a factor of at least 2^46 is left at both ends.
+/// In f32, light is not scaled if its largest absolute value is between 2^-80 and 2^80. Sums over a
+/// frame and products with kernels then neither overflow nor lose significant bits. f32 holds
+/// 2^-126 to 2^128, so a factor of at least 2^46 is left at both ends.
 const EXPONENTS_OF_F32: i32 = 80;
-/// The limit for f64, which holds 2^-1022 to 2^1024: 2^-900 and 2^900.
+/// In f64, light is not scaled if its largest absolute value is between 2^-900 and 2^900. f64 holds
+/// 2^-1022 to 2^1024.
 const EXPONENTS_OF_F64: i32 = 900;
 
 impl<T: ConvReal> Rescaling<T> {

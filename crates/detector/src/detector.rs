@@ -109,7 +109,7 @@ pub struct BadPixelParams {
     /// Probability that a pixel never holds charge, 0 to 1.
     pub dead_fraction: f64,
     /// Probability that a pixel is hot, 0 to 1: its dark current is higher by `hot_dark_e_per_s`.
-    /// The sum with `dead_fraction` is at most 1.
+    /// The sum with `dead_fraction` is at most 1. Needs `hot_dark_e_per_s`.
     pub hot_fraction: f64,
     /// Dark current of a hot pixel in electrons per second, in addition to `dark_e_per_s`. Needs
     /// `exposure_s`.

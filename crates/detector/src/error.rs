@@ -54,7 +54,7 @@ pub enum DetectorError {
     },
     /// The sky is negative or not finite in a corner of the frame.
     #[error(
-        "the sky is {lowest_e} electrons at pixel {index:?} ([y, x]): raise sky_e or lower sky_gradient_e_per_px"
+        "the sky is {lowest_e} electrons at pixel {index:?} ([y, x]): raise sky_e or choose a weaker sky_gradient_e_per_px"
     )]
     NegativeSky {
         /// Electrons in that corner.
@@ -74,7 +74,7 @@ pub enum DetectorError {
     },
     /// A result that is too large for the type of the image.
     #[error(
-        "the result at pixel {index:?} ([y, x]) is {value}, which exceeds the range of {precision}: use double precision"
+        "the result at pixel {index:?} ([y, x]) is {value}, beyond the range of {precision}: use smaller values or double precision"
     )]
     TooLarge {
         /// The pixel.

@@ -88,7 +88,8 @@ impl PhotonNoise {
     ///
     /// # Errors
     /// [`DetectorError::NonFinite`] for NaN and infinities. [`DetectorError::Rows`] for rows that
-    /// are not in the image. Otherwise the errors of [`apply`](Self::apply).
+    /// are not in the image. [`DetectorError::Data`] if `rows_in_all` or the number of columns is
+    /// 0. Otherwise the errors of [`apply`](Self::apply).
     pub fn apply_to_rows<T: Real>(
         &self,
         rows_in_all: usize,
@@ -199,8 +200,9 @@ impl<'a> Exposer<'a> {
     /// Exposes a whole image, in parallel.
     ///
     /// # Errors
-    /// The errors of [`Detector::expose`]. [`DetectorError::Rows`] or [`DetectorError::RowWidth`]
-    /// for an image whose shape differs from the frame.
+    /// The errors of [`Detector::expose`], without [`DetectorError::NegativeSky`].
+    /// [`DetectorError::Rows`] or [`DetectorError::RowWidth`] for an image whose shape differs from
+    /// the frame.
     pub fn expose<T: Real>(&self, light: &Image<T>) -> Result<Exposure<T>, DetectorError> {
         if light.shape().ny() != self.frame.ny() {
             return Err(DetectorError::Rows {
@@ -219,9 +221,10 @@ impl<'a> Exposer<'a> {
     /// Exposes rows `[y, x]` in parallel. The first of these rows is row `first_row` of the frame.
     ///
     /// # Errors
-    /// The errors of [`Detector::expose`]. [`DetectorError::NonFinite`] also for NaN and infinities
-    /// in the rows. [`DetectorError::Rows`] and [`DetectorError::RowWidth`] for rows that do not
-    /// fit the frame. If several pixels are invalid, the error names the first.
+    /// The errors of [`Detector::expose`], without [`DetectorError::NegativeSky`].
+    /// [`DetectorError::NonFinite`] also for NaN and infinities in the rows.
+    /// [`DetectorError::Rows`] and [`DetectorError::RowWidth`] for rows that do not fit the frame.
+    /// If several pixels are invalid, the error names the first.
     pub fn expose_rows<T: Real>(
         &self,
         first_row: usize,

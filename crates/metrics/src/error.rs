@@ -56,7 +56,7 @@ pub enum MetricsError {
     },
     /// The iteration did not converge.
     #[error(
-        "no convergence after {iterations} iterations: a further step would still change the model by a fraction of {change:.1e}"
+        "no convergence after {iterations} iterations: a step still changes the model by a fraction of {change:.1e}"
     )]
     NotConverged {
         /// Number of iterations.
@@ -164,7 +164,8 @@ pub enum MetricsError {
     /// Values so large that a result, or the sum of their squares, exceeds double precision.
     #[error("the values reach {largest}: results computed from them exceed the range of double precision")]
     Overflow {
-        /// Largest value of the window. For a comparison: largest absolute value or error.
+        /// Largest value of the window. For a comparison or a summary: largest absolute value or
+        /// error.
         largest: f64,
     },
     /// A quantile that is not between 0 and 1.
@@ -174,7 +175,7 @@ pub enum MetricsError {
         got: f64,
     },
     /// An error in one plane of a cube.
-    #[error("plane {plane}: {source}")]
+    #[error("plane {plane} (0-based): {source}")]
     Plane {
         /// Index of the plane.
         plane: usize,

@@ -15,11 +15,11 @@ use thiserror::Error;
 #[non_exhaustive]
 pub enum BasisError {
     /// The singular value decomposition did not converge.
-    #[error("the singular value decomposition of {samples} samples of {pixels} pixels did not converge")]
+    #[error("the singular value decomposition of a matrix of {samples} x {pixels} values did not converge")]
     NoConvergence {
-        /// Number of training stamps.
+        /// Rows of the matrix. In a fit: number of training stamps.
         samples: usize,
-        /// Pixels per stamp.
+        /// Columns of the matrix. In a fit: pixels per stamp.
         pixels: usize,
     },
     /// The requested rank exceeds the number of components.
@@ -312,8 +312,8 @@ mod tests {
         ));
     }
 
-    /// Each variant of the decomposition is correct if its squares add up: its vectors are
-    /// orthonormal and match its values.
+    /// `decompose` accepts a result if the squares of its values add up. This test shows that its
+    /// vectors are then orthonormal and match its values.
     #[test]
     fn repeated_rows_have_few_singular_values() {
         for (rows, columns) in [

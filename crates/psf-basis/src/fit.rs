@@ -103,7 +103,7 @@ impl BasisFit {
 /// little memory.
 const BLOCK: usize = 64;
 
-/// Converts checked stamps `[stamp, y, x]` to `[stamp, pixel]`.
+/// Returns stamps `[stamp, y, x]`, which must be in row-major order, as `[stamp, pixel]`.
 fn rows_of(stamps: ArrayView3<'_, f64>) -> ArrayView2<'_, f64> {
     let (count, ny, nx) = stamps.dim();
     stamps.into_shape_with_order((count, ny * nx)).expect("row-major")
@@ -195,8 +195,8 @@ named!(Centring, "centring", "mean or none", "mean" => Mean, "none" => None);
 /// `X - mean = U S V^T`, `B_k = U_k`. Of all bases of `K` components this one has the smallest sum
 /// of squared residuals over all samples (Eckart and Young 1936).
 ///
-/// A thin SVD in f64. The value of largest magnitude in each component is positive, which fixes the
-/// signs. The result does not depend on the number of threads.
+/// The decomposition is a thin SVD in f64. The value of largest magnitude in each component is
+/// positive, which fixes the signs. The result does not depend on the number of threads.
 ///
 /// ```
 /// use ndarray::Array3;
@@ -246,7 +246,8 @@ impl Svd {
     /// the coefficients and errors from the samples only.
     ///
     /// # Errors
-    /// [`BasisError`] when shapes differ, the rank is not available or the decomposition fails.
+    /// [`BasisError`] when shapes differ, the rank is not available, the noise level is not valid
+    /// or the decomposition fails.
     pub fn fit_augmented(
         &self,
         samples: &PsfSamples,
@@ -331,7 +332,8 @@ const PYTHAGORAS_ROUNDING: f64 = 1e-12;
 
 /// The largest relative truncation error over the samples with 0, 1, ... components.
 ///
-/// The squares of the omitted coefficients are added from the smallest on, so nothing cancels.
+/// The squares of the omitted coefficients are added, from the last component to the first, so
+/// nothing cancels.
 fn max_errors_by_rank(
     samples: &PsfSamples,
     centred: ArrayView2<'_, f64>,

@@ -16,13 +16,13 @@
 //! * **Noise**: white noise of standard deviation sigma, in `P` samples of `L` pixels, has singular
 //!   values up to `sigma (sqrt L + sqrt P)`, the noise edge. The noise is given or estimated
 //!   ([`PixelNoise`]). Noise alone stays below a threshold near the edge in 99 % of cases. Neither
-//!   the elbow nor `auto` keeps modes below the threshold. If the noise level differs from sample
-//!   to sample, as between bright and faint stars, the edge is computed for this uneven noise. The
-//!   threshold is then 2 % above the edge.
+//!   the elbow nor `auto` keeps components below the threshold. If the noise level differs from
+//!   sample to sample, as between bright and faint stars, the edge is computed for this uneven
+//!   noise. The threshold is then 2 % above the edge.
 //!
 //! # Normalisation
 //! Stamps are used as they are. If the samples have unit flux and are mean-centred, every component
-//! has zero flux, so that any truncation preserves the flux. So scale samples first
+//! has zero flux, so that any truncation preserves the flux. Therefore scale samples first
 //! ([`psf_types::PsfSamples::into_unit_flux`]).
 
 mod decomposition;

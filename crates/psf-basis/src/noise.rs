@@ -28,7 +28,7 @@ pub(crate) struct NoiseFloor {
     pub(crate) edge: f64,
     /// In 99 % of cases the largest singular value of pure even noise is below this value
     /// (Johnstone 2001, theorem 1.1, with the 0.99 quantile of the Tracy-Widom law of order 1). For
-    /// uneven noise, it is the edge increased by [`FINITE`].
+    /// uneven noise, it is the edge times `1 +` [`FINITE`].
     pub(crate) threshold: f64,
 }
 
@@ -82,7 +82,7 @@ pub(crate) fn estimate(singular_values: &[f64], rows: usize, columns: usize) -> 
     let count = rows.min(columns).min(singular_values.len());
     let (small, large) = (rows.min(columns), rows.max(columns));
     let law = MarchenkoPastur::new(small as f64 / large as f64);
-    // The number of signal modes and the noise level depend on each other. A few iterations
+    // The number of signal components and the noise level depend on each other. A few iterations
     // suffice.
     let mut signal = 0;
     let mut floor = None;
@@ -172,8 +172,9 @@ const MAX_WORK: f64 = 1e9;
 const FINITE: f64 = 0.02;
 
 /// The noise floor of samples whose pixels have white noise of a different level in each sample, or
-/// `None` if there is no such noise. `rows` are the centred samples `[sample, pixel]`, with these
-/// singular vectors and values.
+/// `None` if there is no such noise. `rows` are the samples `[sample, pixel]`, less the mean if it
+/// was subtracted, with these singular vectors and values. `freedom` is the number of samples, less
+/// one if the mean was subtracted.
 ///
 /// Samples divided by their noise have even noise, which is then tested by the Marchenko-Pastur
 /// law. The noise levels are estimated from the residuals of the divided samples after a few
@@ -384,8 +385,8 @@ mod tests {
 
     #[test]
     fn one_noisy_sample_stands_out_alone() {
-        // A single row of much larger variance. Its own norm is sigma sqrt(L), and the others widen
-        // it a little.
+        // A single row of much larger variance. Its own norm is sigma sqrt(L), and the others
+        // raise the edge a little above it.
         let mut variances = vec![1.0; 100];
         variances[7] = 1e4;
         let floor = floor_of(&variances, 400);

@@ -111,8 +111,8 @@ pub struct Spectrum {
     pub singular_values: Vec<f64>,
     /// `c_k = sum_{i<=k} s_i / sum_i s_i`, from `c_1` on. All are 1 if every singular value is 0.
     pub cumulative_weights: Vec<f64>,
-    /// The number of components at the elbow of the cumulative weights, without noise modes. The
-    /// crate's page defines the elbow.
+    /// The number of components at the elbow of the cumulative weights, without components below
+    /// the noise. The crate's page defines the elbow.
     pub elbow: usize,
     /// The number of components above rounding, and above the noise if there is any.
     pub significant: usize,
@@ -191,7 +191,7 @@ const FLOOR: f64 = 1e-8;
 /// * Without a cliff, the elbow is the point of the curve furthest above its chord from (0, 0) to
 ///   (m, 1): "Kneedle", Satopaa, Albrecht, Irwin and Raghavan 2011 (ICDCS workshops, section II),
 ///   without smoothing. The curve is concave, so this is the number of singular values above their
-///   mean.
+///   mean, at least 1.
 ///
 /// `singular_values` are in descending order. The result is 0 if all are 0 or there are none.
 pub(crate) fn elbow(singular_values: &[f64]) -> usize {

@@ -32,7 +32,7 @@ fn assert_undefined<T>(result: Result<T, IoError>, index: [usize; 2], count: usi
     let error = result.map(drop).unwrap_err();
     let (hdu, index) = (0, index.to_vec());
     assert_eq!(error.place(), Some(&Place::Pixel { hdu, index }));
-    let first = format!("In total, {count} pixel(s) are NaN, infinite or BLANK");
+    let first = format!("Among the pixels read, {count} pixel(s) are NaN, infinite or BLANK");
     assert_error(Err::<(), _>(error), IoErrorKind::Data, &first);
 }
 
@@ -504,7 +504,7 @@ fn planes_of_a_cube_are_images() {
     }
     assert_request(
         ImageReader::open_plane(&path, None, 3),
-        "there is no plane 3: the image has 3 planes, counted from 0",
+        "there is no plane 3: the image has 3 plane(s), counted from 0",
     );
 }
 

@@ -227,7 +227,7 @@ fn one_of_several_tables_must_be_chosen() {
     let path = scratch.put("a.fits", &fits(&[objects("CHIP1", 1.0), objects("CHIP2", 9.0)]));
     let result = read_catalog_with(&path, &CatalogOptions::new());
     assert_eq!(result.as_ref().unwrap_err().setting(), Some("table"));
-    assert_setting(result, "\"CHIP2\" (1 rows): choose one");
+    assert_setting(result, "\"CHIP2\" (rows: 1): choose one");
     let of =
         |choice: &str| read_catalog_with(&path, &CatalogOptions::new().with_table(choice.parse().unwrap()));
     assert_eq!(of("chip2").unwrap().stars()[0].position().x(), 9.0);

@@ -140,7 +140,7 @@ fn undefined_pixels_in_tiles_are_refused() {
     let quantised = scratch.put("quantised.fits.gz", include_bytes!("data/quantised_nan.fits.gz"));
     for (path, expected) in [(exact, 1), (quantised, 41)] {
         let first =
-            format!(", pixel [3, 4] (0-based, x last): the value is NaN. In total, {expected} pixel(s) ");
+            format!(", pixel [3, 4] (0-based, x last): the value is NaN. Among the pixels read, {expected} ");
         assert_error(pixels(&path), IoErrorKind::Data, &first);
     }
 }

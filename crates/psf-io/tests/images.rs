@@ -230,7 +230,7 @@ fn undefined_pixels_are_counted_and_located() {
         assert_error(
             pixels(&path),
             IoErrorKind::Data,
-            "the value is inf. In total, 2 pixel(s) are NaN",
+            "the value is inf. Among the pixels read, 2 pixel(s) are NaN",
         );
     }
     let blank = image(
@@ -244,7 +244,7 @@ fn undefined_pixels_are_counted_and_located() {
     assert_error(
         pixels(&blank),
         IoErrorKind::Data,
-        "pixel [0, 1] (0-based, x last): the value is NaN. In total, 1 pixel(s)",
+        "pixel [0, 1] (0-based, x last): the value is NaN. Among the pixels read, 1 pixel(s)",
     );
 }
 

@@ -151,7 +151,7 @@ fn errors_name_the_card() {
         (with_value(&good, "JPSFY02", "9999.0"), "JPSFY02"),
         (
             with_value(&good, "IPSFX03", "101"),
-            "IPSFX02 and IPSFX03 are both 101",
+            "the positions in IPSFX02 and IPSFX03 are both 101",
         ),
         (
             with_value(&good, "NXPSFs", "2"),

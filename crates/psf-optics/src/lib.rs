@@ -33,12 +33,12 @@
 //!
 //! # Sampling
 //!
-//! The pupil is cut into cells of `lambda / (M step)`, where `step` is the stamp's pixel size and
-//! `M` the width of the computed focal plane in stamp pixels. In the autocorrelation of the pupil,
-//! a lag of `k` cells then is the spatial frequency `k / M` cycles per stamp pixel. A transform of
-//! `M` points gives values exactly at the stamp's pixels, for any ratio of pixel size to
-//! `lambda / D`. An undersampled stamp is correct too, because the frequencies of the OTF above the
-//! stamp's Nyquist limit are folded (aliased), not cut off.
+//! The pupil is cut into cells of `lambda / (M step)`, where `step` is the stamp's pixel size in
+//! radians and `M` the width of the computed focal plane in stamp pixels. In the autocorrelation of
+//! the pupil, a lag of `k` cells then is the spatial frequency `k / M` cycles per stamp pixel. A
+//! transform of `M` points gives values exactly at the stamp's pixels, for any ratio of pixel size
+//! to `lambda / D`. An undersampled stamp is correct too, because the frequencies of the OTF above
+//! the stamp's Nyquist limit are folded (aliased), not cut off.
 //!
 //! A shift multiplies the OTF by a phase, so shifts and oversampling need no interpolation. Every
 //! `s`-th pixel of a stamp oversampled `s` times equals the native stamp to rounding, if the

@@ -4,10 +4,10 @@ use serde::{Deserialize, Serialize};
 
 use crate::FieldTerm;
 
-/// The full description of a telescope, with the keys of the TOML file. Nothing is checked here:
-/// [`Telescope::new`] checks descriptions from files and from code.
+/// The full description of a telescope, with the keys of the TOML file. The values are not checked
+/// here: [`Telescope::new`] checks descriptions from files and from code.
 ///
-/// Unknown keys are errors. Keys without a default are required.
+/// In a file, unknown keys are errors. Keys without a default are required.
 ///
 /// | key | unit, range | default |
 /// |---|---|---|
@@ -17,7 +17,7 @@ use crate::FieldTerm;
 /// | `frame.nx`, `frame.ny` | pixels, 1 and above | |
 /// | `stamp.nx`, `stamp.ny` | stamp pixels, 1 and above | |
 /// | `stamp.oversampling` | stamp pixels per frame pixel, 1 to 64 | 1 |
-/// | `stamp.padding` | width of the computed focal plane / the stamp's larger side, 1 to 16 | 2 |
+/// | `stamp.padding` | least width of the computed focal plane / the stamp's larger side, 1 to 16 | 2 |
 /// | `aperture.diameter_m` | m, above 0 | |
 /// | `aperture.obscuration` | linear ratio of the central obscuration, `0 <= r < 1` | 0 |
 /// | `aperture.spider` | [`SpiderParams`] | none |
@@ -75,9 +75,9 @@ pub struct StampParams {
     /// Stamp pixels per frame pixel.
     #[serde(default = "one")]
     pub oversampling: usize,
-    /// Width of the computed focal plane divided by the stamp's larger side. Light beyond this
-    /// width reappears on the opposite side, so the padding bounds the error of the far wings and
-    /// of the flux (see the crate's page).
+    /// The least width of the computed focal plane, divided by the stamp's larger side. Light
+    /// beyond the computed width reappears on the opposite side, so the padding bounds the error of
+    /// the far wings and of the flux (see the crate's page).
     #[serde(default = "two")]
     pub padding: f64,
 }
@@ -104,7 +104,7 @@ pub struct SpiderParams {
     pub vanes: usize,
     /// Width of a vane in m, above 0 and below the diameter.
     pub width_m: f64,
-    /// Direction of the first vane in degrees from the x axis towards the y axis.
+    /// Direction of the first vane in degrees from the x axis towards the y axis, 0 by default.
     #[serde(default)]
     pub angle_deg: f64,
 }
@@ -154,8 +154,8 @@ pub struct SeeingParams {
     /// outer scale makes the actual FWHM smaller.)
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub fwhm_arcsec: Option<f64>,
-    /// The wavelength in nm at which `r0_m` or `fwhm_arcsec` is given. r0 is proportional to the
-    /// wavelength to the power 6/5.
+    /// The wavelength in nm at which `r0_m` or `fwhm_arcsec` is given, 500 by default. r0 is
+    /// proportional to the wavelength to the power 6/5.
     #[serde(default = "reference_wavelength")]
     pub at_wavelength_nm: f64,
     /// The outer scale in m of von Karman turbulence. If it is absent, the turbulence is
@@ -168,12 +168,12 @@ pub struct SeeingParams {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct DetectorParams {
-    /// If true, values are integrated over a frame pixel (a top hat). If false, they are the
-    /// intensity at the pixel's centre times the area of a frame pixel.
+    /// If true (the default), values are integrated over a frame pixel (a top hat). If false, they
+    /// are the intensity at the pixel's centre times the area of a frame pixel.
     #[serde(default = "yes")]
     pub pixel_integration: bool,
     /// Standard deviation along each axis, in frame pixels, of a Gaussian blur (charge diffusion,
-    /// jitter).
+    /// jitter). The default 0 means no blur.
     #[serde(default)]
     pub blur_sigma_px: f64,
 }

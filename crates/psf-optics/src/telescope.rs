@@ -51,8 +51,9 @@ pub struct Telescope {
     grid: StampGrid,
     wavefront: Wavefront,
     focal_plane: FocalPlane,
-    /// Transfer function of the pixel and the Gaussian blur along an axis, at all lags from 0. It
-    /// does not depend on the position.
+    /// Transfer function of the pixel and the Gaussian blur along an axis. Value `k` is for a lag of
+    /// `k` pupil cells, which is a spatial frequency (see the crate's page). It is equal everywhere
+    /// in the field.
     detector: Vec<f64>,
 }
 
@@ -69,7 +70,9 @@ impl Telescope {
     /// plans and the transfer functions.
     ///
     /// # Errors
-    /// [`OpticsError`], which names the key and the allowed values.
+    /// [`OpticsError::Setting`], which names the key and the allowed values,
+    /// [`OpticsError::Unusable`] for values that cannot be used together, or [`OpticsError::Data`]
+    /// for a frame or a stamp grid that is not possible.
     pub fn new(params: TelescopeParams) -> Result<Self, OpticsError> {
         let (nm, arcsec) = (params.wavelength_nm, params.pixel_scale_arcsec);
         let wavelength_m = 1e-9 * require("wavelength_nm", "a number of nm above 0", nm, nm > 0.0)?;

@@ -216,7 +216,7 @@ impl SamplingMethod for UniformSampling {
 /// Draws every sample again at random sub-pixel shifts, so that a basis learns to represent shifted
 /// PSFs too.
 ///
-/// Shifts are uniform over `-max_shift_px <= dx, dy <= max_shift_px`. Each sample has its own
+/// Shifts are uniform over `-max_shift_px <= dx, dy < max_shift_px`. Each sample has its own
 /// ChaCha stream, given by the seed and the sample's index. The result therefore depends neither on
 /// threads nor on the other samples.
 #[derive(Debug, Clone, Copy, PartialEq)]

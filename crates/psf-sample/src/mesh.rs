@@ -4,8 +4,8 @@ use std::collections::{BTreeSet, HashSet};
 
 use psf_types::{FrameShape, Position};
 
-/// A point of the lattice: a regular grid of points, fine enough for all samples that the mesh may
-/// ever have. Nodes are ordered by y, then x.
+/// A point of the lattice. The lattice is a regular grid of points, fine enough for all samples
+/// that the mesh may ever have. Nodes are ordered by y, then x.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub(crate) struct Node {
     pub(crate) y: u64,
@@ -181,8 +181,8 @@ impl Mesh {
         nodes.iter().map(|&node| self.position(node)).collect()
     }
 
-    /// The axes of `wanted` along which the cell can be halved. If `wanted` has one axis, and its
-    /// halves would be too long, adds the other axis if the cell can be halved along it.
+    /// The axes of `wanted` along which the cell can be halved. If there is only one such axis and
+    /// the cell's halves would be too long, adds the other axis if it can be halved too.
     pub(crate) fn allowed(&self, cell: Cell, wanted: Halving) -> Halving {
         let size =
             |i: usize, ends: (u64, u64)| self.axes[i].coordinate(ends.1) - self.axes[i].coordinate(ends.0);

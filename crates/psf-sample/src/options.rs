@@ -1,4 +1,4 @@
-//! Every setting of a sampling, with its default.
+//! The settings of a sampling that the command line and the Python package offer, with defaults.
 
 use std::sync::Arc;
 
@@ -33,8 +33,8 @@ psf_types::named!(
     "l2" => L2
 );
 
-/// Every setting of a sampling. The command line and the Python package take their defaults from
-/// here.
+/// The settings of a sampling that the command line and the Python package offer. Both take their
+/// defaults from here. [`AdaptiveSampling`] has further settings.
 ///
 /// ```
 /// use psf_sample::SamplingOptions;

@@ -156,8 +156,8 @@ impl SampleError {
 /// criterion does not hold everywhere.
 #[derive(Debug, Error)]
 #[error(
-    "the criterion does not hold with the {cap} samples allowed: the next refinement would have {wanted} samples. {unmet} of {cells} cells \
-     exceed the threshold {threshold}, the largest variation is {worst:.3e}. Raise the cap or the threshold, or use the {count} samples as they are",
+    "the criterion does not hold with the {cap} samples allowed: the next refinement would have {wanted} samples. The threshold {threshold} \
+     is exceeded in {unmet} of {cells} cells, the largest variation is {worst:.3e}. Raise the cap or the threshold, or use the {count} samples as they are",
     unmet = sampling.report.unmet_cells,
     cells = sampling.report.cells,
     threshold = sampling.report.threshold.unwrap_or(f64::NAN),

@@ -13,7 +13,7 @@ use crate::error::check;
 /// In each cell of the mesh, values are clipped at 3 sigma about their median until nothing
 /// changes. The background is the mode, `2.5 median - 1.5 mean`. In crowded cells, where mean and
 /// median differ by more than 0.3 sigma, the background is the median. The noise is the standard
-/// deviation of the remaining values. A median filter over the mesh then replaces the values of
+/// deviation of the remaining values. A median filter over the mesh then removes the effect of
 /// cells that a bright object fills. Bicubic splines interpolate both maps between the centres of
 /// the cells, and beyond the outermost centres they are constant.
 ///
@@ -70,7 +70,8 @@ impl BackgroundMesh {
     /// Estimates the background of `pixels` `[y, x]`.
     ///
     /// # Errors
-    /// [`StarError::NoNoise`] when more than half of the cells have no noise.
+    /// [`StarError::NoNoise`] when more than half of the cells have no noise after the median
+    /// filter.
     pub fn estimate(&self, pixels: ArrayView2<'_, f64>) -> Result<Background, StarError> {
         let (ny, nx) = pixels.dim();
         let (rows, columns) = ((ny / self.cell).max(1), (nx / self.cell).max(1));

@@ -5,8 +5,9 @@ use psf_types::maths::ConvexHull;
 use psf_types::{FrameShape, Position};
 use serde::Serialize;
 
-/// The coverage of the field by samples: for each cell, the number of samples and the distance to
-/// the nearest one. Also the convex hull of the samples.
+/// The coverage of the field by samples. For each cell of the field, it holds the number of
+/// samples. It also holds the distance from the cell's centre to the nearest sample, and whether
+/// the centre is inside the convex hull of the samples.
 ///
 /// Cells are as square as the frame allows, with 16 along its longer side. Outside the hull a PSF
 /// model extrapolates.

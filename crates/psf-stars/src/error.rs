@@ -52,9 +52,9 @@ pub(crate) fn at_least(least: f64, value: f64) -> bool {
     value.is_finite() && value >= least
 }
 
-/// Defines methods that change one setting, inside an `impl`. The table lists the method, its
-/// argument and the field (`: Some` if the field is an option), the condition on the argument, the
-/// name of the setting, and the allowed values.
+/// Defines methods inside an `impl`, each of which changes one setting. Each entry lists the
+/// method, its argument and the field (`: Some` if the field is an option), the condition on the
+/// argument, the name of the setting, and the allowed values.
 macro_rules! checked_setters {
     ($(
         $(#[$doc:meta])*

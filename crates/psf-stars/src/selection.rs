@@ -20,9 +20,10 @@ use crate::{Rejection, Source, StarError};
 ///
 /// The reference for shapes is a polynomial over the field, of degree 0 to 2 depending on the
 /// number of stars. It is fitted to the sources near the most frequent FWHM of bright sources.
-/// These sources are clipped, in units of their scatter and their own errors combined, until
-/// nothing changes. So the PSF may vary over the field, but a single star that deviates is
-/// rejected.
+/// Sources that deviate from it by more than 3 sigma
+/// ([`with_shape_sigma`](Self::with_shape_sigma)) are left out, and the fit is repeated until
+/// nothing changes. Here sigma combines the scatter of the sources and the error of each source. So
+/// the PSF may vary over the field, but a single star that deviates is rejected.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Selection {
     snr: f64,
@@ -241,8 +242,8 @@ const MOST_ROUNDS: usize = 20;
 /// Returns the most frequent width, if there is any. `widths` lists the sources' widths, the
 /// brightest source first.
 ///
-/// The search is among the brightest quarter of the sources. It finds the width with the most other
-/// widths within 10 %, and returns the median of these widths. Bright stars share one width,
+/// The search is among the brightest quarter of the sources, but at least [`BRIGHT`] of them. It
+/// finds the width with the most other widths within 10 %, and returns the median of these widths. Bright stars share one width,
 /// whereas galaxies and noisy fits have any width. Of two widths with equal counts the narrower is
 /// chosen.
 pub(crate) fn most_frequent_width(mut widths: Vec<f64>) -> Option<f64> {

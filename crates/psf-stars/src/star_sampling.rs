@@ -241,7 +241,7 @@ impl FrameView {
                 })
                 .collect();
             return Err(StarError::NoSamples(format!(
-                "none of the {} sources can serve as a PSF sample: {}. Relax the cut that rejects most of them",
+                "none of the sources found ({}) can serve as a PSF sample: {}. Relax the cut that rejects most of them",
                 sources.len(),
                 reasons.join(", ")
             )));

@@ -1,4 +1,4 @@
-//! Settings that users choose, that models store and that the stages apply.
+//! Settings that the stages apply. Models store all of them except [`Anchor`].
 
 use std::str::FromStr;
 
@@ -14,8 +14,8 @@ use crate::frame::DataError;
 #[serde(try_from = "String", into = "String")]
 #[non_exhaustive]
 pub enum Interpolation {
-    /// Bicubic for samples on a regular grid (bilinear on a grid of 2 x 2), nearest for a single
-    /// sample, else natural neighbour.
+    /// Bicubic for samples on a regular grid with more than one row and more than one column
+    /// (bilinear if it is 2 x 2), nearest for a single sample, else natural neighbour.
     #[default]
     Auto,
     /// Linear inside the triangles of the Delaunay triangulation.
@@ -105,7 +105,8 @@ pub enum OutsidePolicy {
     /// Use the value at the nearest point of the covered area.
     #[default]
     Nearest,
-    /// Continue the interpolant linearly.
+    /// Continue the interpolation outside. The methods delaunay, natural-neighbour, bilinear and
+    /// bicubic continue linearly. The methods idw, polynomial and nearest apply their own formula.
     Extend,
     /// Return an error.
     Error,

@@ -355,7 +355,7 @@ pub enum DataError {
         got: (usize, usize),
     },
     /// NaN or infinity among the values.
-    #[error("{quantity} = {index:?} is {value}, but it must be a finite number")]
+    #[error("{quantity} = {index:?} is {value}, but it must be a finite number (indices are 0-based)")]
     NonFinite {
         /// The kind of the value.
         quantity: Quantity,
@@ -364,7 +364,7 @@ pub enum DataError {
         /// NaN or an infinity.
         value: f64,
     },
-    /// A number of rows, planes or coefficients that differs from the number needed.
+    /// A number of things, such as rows or coefficients, that differs from the number needed.
     #[error("{what}: expected {expected}, got {got}")]
     CountMismatch {
         /// A description of the counted things.
@@ -391,7 +391,7 @@ pub enum DataError {
     },
     /// A sample outside the field.
     #[error(
-        "sample {sample} (0-based) at {position} lies outside the field of {field} pixels (pixel centres are 0-based integers)"
+        "sample {sample} (0-based) at {position} lies outside the field of {field} pixels (the centre of the first pixel is at (0, 0))"
     )]
     OutsideField {
         /// Index of the sample.

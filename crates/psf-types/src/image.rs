@@ -15,7 +15,7 @@ impl<T: Real> Image<T> {
     /// An image from its pixels `[y, x]`.
     ///
     /// # Errors
-    /// [`DataError::EmptyFrame`] or [`DataError::NonFinite`].
+    /// [`DataError::EmptyFrame`], [`DataError::FrameTooLarge`] or [`DataError::NonFinite`].
     pub fn new(pixels: Array2<T>) -> Result<Self, DataError> {
         let (ny, nx) = pixels.dim();
         let shape = FrameShape::new(nx, ny)?;
@@ -83,7 +83,7 @@ impl<'a, T: Real> ImageView<'a, T> {
     /// An image from borrowed pixels `[y, x]`.
     ///
     /// # Errors
-    /// [`DataError::EmptyFrame`] or [`DataError::NonFinite`].
+    /// [`DataError::EmptyFrame`], [`DataError::FrameTooLarge`] or [`DataError::NonFinite`].
     pub fn new(pixels: ArrayView2<'a, T>) -> Result<Self, DataError> {
         let (ny, nx) = pixels.dim();
         let shape = FrameShape::new(nx, ny)?;
@@ -123,7 +123,7 @@ impl<'a, T: Real> ImageView<'a, T> {
     }
 
     /// Returns whether the view borrows its pixels. If not, they were copied because of their
-    /// layout, or the view owns them.
+    /// layout, or they come from an [`Image`] that was moved into the view.
     pub fn is_borrowed(&self) -> bool {
         self.pixels.is_view()
     }

@@ -109,7 +109,8 @@ pub trait CoefficientField: std::fmt::Debug + Send + Sync {
     }
 }
 
-/// Neighbouring pixels of a row along which the weights of a field's nodes are linear in x.
+/// Neighbouring pixels of a row along which the weights of a field's nodes are linear in x. A node
+/// that is not listed at a pixel has weight 0 there.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RowRun<'a> {
     /// The number of pixels, at least 1.
@@ -145,7 +146,8 @@ pub enum FieldError {
         /// The requested position.
         position: Position,
     },
-    /// The interpolated PSF has no positive flux, so it cannot be scaled to unit flux.
+    /// The flux of the interpolated PSF is not positive and finite, so the PSF cannot be scaled to
+    /// unit flux.
     #[error("the PSF at {position} has flux {flux}, which cannot be scaled to 1: check the samples near it")]
     NonPositiveFlux {
         /// The requested position.
@@ -229,7 +231,8 @@ impl PsfModel {
 
     /// Removes the scaling to unit flux if the samples' coefficients `[sample, component]` show
     /// that it is not needed. This is so if the mean has unit flux and the components change the
-    /// flux at no sample. Then they change the flux nowhere between the samples.
+    /// flux at no sample. Every interpolation is linear in the samples' coefficients, so the
+    /// components then change the flux nowhere.
     pub(crate) fn without_needless_scaling(self, coefficients: ArrayView2<'_, f64>) -> Self {
         let first = usize::from(self.mean_centred);
         let unit_mean = first == 1 && (self.fluxes[0] - 1.0).abs() <= UNIT_FLUX_TOLERANCE;
@@ -293,8 +296,9 @@ impl PsfModel {
         self.stamps.index_axis(ndarray::Axis(0), index)
     }
 
-    /// Returns whether `s(x)` may differ from 1. If so, callers must divide the coefficients by the
-    /// `s(x)` that [`flux_region_into`](Self::flux_region_into) writes.
+    /// Returns whether `s(x)` may differ from 1. If so, callers must divide the coefficients of
+    /// [`coefficients_region_into`](Self::coefficients_region_into) by the `s(x)` that
+    /// [`flux_region_into`](Self::flux_region_into) writes.
     pub fn needs_flux_scaling(&self) -> bool {
         self.needs_scaling
     }
@@ -320,7 +324,8 @@ impl PsfModel {
     /// Writes the coefficients of all stamps at `position`, divided by `s(x)`.
     ///
     /// # Errors
-    /// [`FieldError`] if the field has no value there or the PSF's flux is not positive.
+    /// [`FieldError`] if the field has no value there, or if the PSF must be scaled to unit flux
+    /// but its flux is not positive.
     ///
     /// # Panics
     /// When `coefficients.len() != self.stamp_count()`.
@@ -369,7 +374,8 @@ impl PsfModel {
             .evaluate_region_into(region, components, values.slice_mut(s![mean_planes.., .., ..]))
     }
 
-    /// Writes the flux `s(x)` of the unscaled PSF at every pixel of a region, `[y, x]`.
+    /// Writes the flux of the unscaled PSF at every pixel of a region, `[y, x]`. For
+    /// [`Normalisation::Unit`], this flux is `s(x)`.
     ///
     /// # Errors
     /// [`FieldError`] if the field has no value at a pixel or the flux is not positive.
@@ -395,7 +401,8 @@ impl PsfModel {
     /// Returns the PSF at `position`, in double precision.
     ///
     /// # Errors
-    /// [`FieldError`] if the field has no value there or the PSF's flux is not positive.
+    /// [`FieldError`] if the field has no value there, a value of the PSF is not finite, or the PSF
+    /// must be scaled to unit flux but its flux is not positive.
     pub fn psf_at(&self, position: Position) -> Result<Stamp, FieldError> {
         let mut coefficients = vec![0.0; self.stamp_count()];
         self.scaled_coefficients_into(position, &mut coefficients)?;
@@ -428,8 +435,8 @@ pub(crate) fn check_components(rank: usize, coefficients: usize) -> Result<(), D
 
 /// The content of a `psf-model` file: a basis, the samples' coefficients and their interpolation.
 ///
-/// This is plain data. `coeff-field` makes a [`CoefficientField`] from the coefficients and the
-/// interpolation. That field and the basis make a [`PsfModel`].
+/// This is plain data. The crate `coeff-field` makes a [`CoefficientField`] from the coefficients
+/// and the interpolation. That field and the basis make a [`PsfModel`].
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "RawPsfModelRecord")]
 pub struct PsfModelRecord {

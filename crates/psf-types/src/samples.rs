@@ -10,8 +10,8 @@ use crate::frame::{DataError, FrameShape, Position, Quantity, read_through_new};
 use crate::image::{finite3, row_major};
 use crate::stamp::{Stamp, StampGrid};
 
-/// A PSF that can be drawn at every position of a field: an optical model, an analytic profile, a
-/// fitted model.
+/// A PSF that can be drawn at every position of a field, such as an optical model, an analytic
+/// profile or a function of the caller.
 ///
 /// Object-safe. Many threads may draw from one source at the same time. A source must always draw
 /// the same stamp for a position.

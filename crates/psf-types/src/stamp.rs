@@ -14,9 +14,9 @@ use crate::image::{finite2, row_major};
 ///   `((column - centre_x) / oversampling, (row - centre_y) / oversampling)` in frame pixels from
 ///   the source.
 /// * If the pixel response is included, a value is the fraction of the source's flux that falls in
-///   a *frame* pixel centred there. Otherwise it is the fraction of the flux per frame pixel at
-///   that point. In both cases a stamp oversampled `s` times holds unit flux when its values sum to
-///   `s^2`.
+///   a *frame* pixel centred at this offset. Otherwise a value is a density at this offset: the
+///   fraction of the source's flux per frame pixel. In both cases a stamp oversampled `s` times
+///   holds unit flux when its values sum to `s^2`.
 ///
 /// ```
 /// use psf_types::StampGrid;
@@ -74,7 +74,7 @@ impl StampGrid {
     /// fractional. The centre is the point of the stamp that lies at the source's position.
     ///
     /// # Errors
-    /// [`DataError::StampCentre`] when the point does not lie on a pixel of the stamp.
+    /// [`DataError::StampCentre`] when (`x`, `y`) does not lie on a pixel of the stamp.
     pub fn with_centre(self, x: f64, y: f64) -> Result<Self, DataError> {
         let on = |v: f64, n: usize| (-0.5..=n as f64 - 0.5).contains(&v);
         if on(x, self.nx) && on(y, self.ny) {

@@ -16,10 +16,11 @@ use serde::Serialize;
 #[error("{0}")]
 pub(crate) struct UsageError(pub(crate) String);
 
-/// An object whose keys are written to JSON in this order, and can be read as fields.
+/// Makes an object from keys and values. JSON has the keys in the given order, and code can read
+/// them as fields.
 macro_rules! object {
     ($($(#[$meta:meta])* $key:ident $(: $value:expr)?),+ $(,)?) => {{
-        #[allow(non_camel_case_types, reason = "each field has a type of its own, named as the field")]
+        #[allow(non_camel_case_types, reason = "each field has its own type parameter, which has the name of the field")]
         let object = {
             #[derive(serde::Serialize)]
             struct Object<$($key),+> {
@@ -52,8 +53,8 @@ pub(crate) fn with_option(text: impl std::fmt::Display, setting: Option<&str>) -
 /// The option for a setting of the library.
 fn option_of(setting: &str) -> Option<String> {
     Some(match setting {
-        // No option has these values: world coordinates come from a header, and the command line
-        // has no regions.
+        // No option sets these: world coordinates come from a header, and the command line always
+        // simulates the whole frame.
         "sky" | "region" => return None,
         "hdu" | "table" => "--extension".to_owned(),
         "plane_order" => "--psf-order".to_owned(),

@@ -46,7 +46,7 @@ pub(crate) struct ConvertArgs {
     /// PSF's own positions]
     ///
     /// Default for gridded, unless the PSF is interpolated (bilinear or bicubic) between positions
-    /// on a regular grid: a square grid of at least 11 x 11.
+    /// on a regular grid: a square grid of at least 11 x 11 positions.
     #[arg(long, value_name = "NX,NY", conflicts_with = "at")]
     grid: Option<Pair>,
     /// For psf-samples and gridded: evaluate at the positions of this table

@@ -28,7 +28,7 @@ struct Report {
     auto: &'static str,
 }
 
-/// An adapter and its limits.
+/// An adapter (a GPU or a software device) and its limits.
 #[derive(Debug, Serialize)]
 #[cfg_attr(not(feature = "gpu"), allow(dead_code, reason = "unused without gpu"))]
 struct AdapterRow {
@@ -36,7 +36,7 @@ struct AdapterRow {
     kind: String,
     backend: String,
     driver: String,
-    /// True if shaders run on the processor.
+    /// True if the adapter runs shaders on the CPU.
     software: bool,
     largest_buffer_bytes: u64,
     largest_binding_bytes: u64,
@@ -95,7 +95,7 @@ fn auto(adapters: &[AdapterRow]) -> &'static str {
 impl Report {
     fn text(&self) -> String {
         if !self.gpu_support {
-            return "This psfield was built without GPU support: everything runs on the CPU. To add it, build with the feature gpu (cargo build \
+            return "This psfield was built without GPU support: everything runs on the CPU. To use GPUs, build with the feature gpu (cargo build \
                     --release -p psfield-cli --features gpu)."
                 .to_owned();
         }
@@ -149,7 +149,7 @@ impl AdapterRow {
     }
 }
 
-/// Formats bytes in the largest unit that leaves a whole number of at least two digits.
+/// Formats bytes, rounded down, in the largest unit that leaves at least two digits.
 fn size(bytes: u64) -> String {
     const UNITS: [&str; 5] = ["B", "KiB", "MiB", "GiB", "TiB"];
     let mut unit = 0;
@@ -166,10 +166,11 @@ pub(crate) struct DeviceArgs {
     /// Device that convolves images
     ///
     /// auto: a GPU if it is predicted to be faster, else the CPU. gpu: the first device of psfield
-    /// devices, which may be a software device. Without any device the command fails.
+    /// devices, which may be a software device. If there is no device, gpu is an error.
     ///
-    /// Only the methods auto and lowrank use a GPU. A GPU computes only in f32, so that results
-    /// differ by rounding. With --precision f64, auto uses the CPU. The CPU always draws the stars.
+    /// Only the methods auto and lowrank use a GPU. A GPU computes only in f32, and its results
+    /// differ from those of the CPU by rounding. With --precision f64, --device auto uses the CPU.
+    /// The CPU always draws the stars.
     #[arg(long, default_value_t, value_parser = device_parser(["auto", "cpu", "gpu"]))]
     device: Device,
     /// GPU to use: a part of its name or backend [default: the first of psfield devices]

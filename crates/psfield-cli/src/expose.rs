@@ -122,8 +122,8 @@ const OPTIONS: [(&str, &str); 3] = [
 pub(crate) fn check_detector(detector: &Detector, alone: bool, context: &Context) -> anyhow::Result<()> {
     if detector.is_perfect() && alone {
         return Err(UsageError(
-            "there is nothing to add: give a detector file (--detector DETECTOR.toml) with settings, or give psfield expose options \
-             such as --photon-noise --sky 100 --read-noise 5, or --photons-only"
+            "there is nothing to add: the detector has no settings. Set some in the file of --detector DETECTOR.toml. The command \
+             psfield expose also has options for them, such as --photon-noise --sky 100 --read-noise 5, or --photons-only"
                 .to_owned(),
         )
         .into());

@@ -84,7 +84,7 @@ fn text(report: &FitReport, output: &str) -> String {
         "{output}: {} samples, {} components (elbow at {}), {} interpolation\n\
          noise:          {noise}\n\
          fit error:      largest {:.2e}, r.m.s. {:.2e} (relative L2 of a sample)\n\
-         leave-one-out:  {interpolation_error} (relative L2, each sample interpolated from the others, over twice their spacing)\n",
+         leave-one-out:  {interpolation_error} (relative L2; each sample is left out and interpolated over about twice the spacing)\n",
         report.samples,
         report.rank,
         report.elbow.map_or_else(|| "-".to_owned(), |e| e.to_string()),

@@ -1,4 +1,5 @@
-//! Ctrl-C and other requests to stop: removes temporary files and leaves outputs as they were.
+//! Handles Ctrl-C and other requests to stop: removes temporary files and leaves outputs as they
+//! were.
 
 use std::fmt::Write as _;
 use std::io::{IsTerminal, Write as _};
@@ -15,21 +16,22 @@ const SIGNALLED: i32 = 128;
 
 /// Ends the process on SIGINT, SIGTERM or SIGHUP with status 130, 143 or 129, after removing the
 /// temporary files. Further signals in the meantime have no effect, because `timeout` and others
-/// send two at once. Signals that the parent process has set to be ignored (`nohup`, background
-/// jobs of a script) stay ignored.
+/// send two at once. On Linux, signals that the parent process has set to be ignored (`nohup`,
+/// background jobs of a script) stay ignored.
 ///
 /// A file that exceeds the size limit (`ulimit -f`) gives an error, as a full disk does. Temporary
 /// files are then removed, too.
 ///
 /// # Errors
-/// The error of the system, if it refuses the handlers.
+/// The error of the system, if it refuses the handlers or the thread that waits for signals.
 pub(crate) fn handle() -> std::io::Result<()> {
     let ignored = ignored_signals();
     let wanted: Vec<i32> = [SIGINT, SIGTERM, SIGHUP]
         .into_iter()
         .filter(|&signal| ignored & (1 << (signal - 1)) == 0)
         .collect();
-    // With a handler for this signal the write fails with an error. The flag itself is not used.
+    // By default, SIGXFSZ would end the process. With a handler, the write fails with an error.
+    // The flag itself is not used.
     flag::register(SIGXFSZ, Arc::default())?;
     let mut signals = Signals::new(&wanted)?;
     std::thread::Builder::new()
@@ -68,12 +70,12 @@ fn tell(signal: i32, outputs: &[PathBuf]) {
         let _ = write!(line, "{separator}{} {state}", output.display());
     }
     line.push('\n');
-    // There may be no reader, as after the end of a terminal.
+    // The write fails if standard error is closed, for example after the end of a terminal.
     let _ = std::io::stderr().write_all(line.as_bytes());
 }
 
 /// The signals that the process has ignored since its start, as a bit mask (lowest bit: signal 1).
-/// 0 if the system does not report them.
+/// 0 if the system does not report them (only Linux does).
 fn ignored_signals() -> u64 {
     std::fs::read_to_string("/proc/self/status")
         .ok()

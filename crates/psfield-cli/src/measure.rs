@@ -62,7 +62,7 @@ impl MeasureArgs {
         };
         context.report(&report, || {
             let failed = if with_notes > 0 {
-                format!(", {with_notes} of them with a failed measurement (see their note)")
+                format!(", {with_notes} of them with a failed measurement (see the column note)")
             } else {
                 String::new()
             };
@@ -78,7 +78,7 @@ impl MeasureArgs {
         let kind = psf_io::detect(path)?;
         if self.at.is_some() && kind != FileKind::Image {
             let path = path.display();
-            return Err(UsageError(format!("--at gives positions in an image, but {path} is {kind}")).into());
+            return Err(UsageError(format!("--at needs an image, but {path} is {kind}: omit --at")).into());
         }
         Ok(match kind {
             FileKind::PsfModel => anyhow::bail!(

@@ -143,7 +143,8 @@ impl PreviewArgs {
     }
 }
 
-/// Appends to an error of the black and white levels the options that avoid it.
+/// Turns an error into a message. If the black and white levels caused the error, appends the
+/// options that avoid it.
 fn with_option(error: PreviewError) -> anyhow::Error {
     match error {
         PreviewError::Constant { .. } => anyhow::anyhow!("{error} (--range)"),

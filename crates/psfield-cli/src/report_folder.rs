@@ -30,7 +30,8 @@ impl ReportFolder {
     /// replaced. The folder is made later, when there is something to write.
     pub(super) fn check(&self) -> anyhow::Result<()> {
         check(&self.report, &[PAGE, NUMBERS], self.overwrite)?;
-        // Names of tables and figures are not known yet, so any file in the folder is refused.
+        // The names of tables and figures are not known yet. Without `--overwrite`, the folder must
+        // therefore be empty.
         let held = match std::fs::read_dir(&self.report) {
             Ok(mut found) => found.next().is_some(),
             Err(_) => false,

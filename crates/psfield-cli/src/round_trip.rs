@@ -20,11 +20,12 @@ use crate::psf_args::FitArgs;
 ///
 /// Makes PSF samples from the frame's stars, fits a model, and simulates the frame: all sources
 /// found, at their measured positions and fluxes, on the measured background. Then compares FWHM
-/// and ellipticity of the same stars in both.
+/// and ellipticity of the same stars in the frame and in the simulation.
 ///
-/// Simulated frames get the background noise, and with --gain the photon noise of the stars,
-/// because noise widens the distributions of FWHM and ellipticity. The simulated distributions
-/// contain the stars of all simulated frames.
+/// The frame is simulated several times (--realisations), each time with other noise, because noise
+/// widens the distributions of FWHM and ellipticity. The noise is that of the background, and with
+/// --gain also the photon noise of the stars. The simulated distributions contain the stars of all
+/// simulated frames.
 ///
 /// summary.json has, among others, the keys stars (stars that became PSF samples), measured (stars
 /// measured in both the frame and the first simulated frame), drawn (sources drawn into each

@@ -1,4 +1,4 @@
-//! `psfield sample`: samples the PSF of a telescope, or of the stars of a frame.
+//! `psfield sample`: samples the PSF of a telescope, or makes samples from the stars of a frame.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -237,7 +237,7 @@ impl TelescopeArgs {
                 _ => ": these cells cannot be halved again: the PSF is probably discontinuous".to_owned(),
             };
             context.warn(&format!(
-                "the criterion does not hold in {} of {} cells (worst {:.2e}){why}",
+                "the criterion does not hold in {} of {} cells (largest variation {:.2e}){why}",
                 report.unmet_cells, report.cells, report.worst
             ));
         }
@@ -246,7 +246,7 @@ impl TelescopeArgs {
                 .threshold
                 .map_or_else(String::new, |t| format!(" (threshold {t})"));
             format!(
-                "{}: {} samples, {} PSFs drawn, worst {:.2e}{limit}",
+                "{}: {} samples, {} PSFs drawn, largest variation {:.2e}{limit}",
                 report.output.display(),
                 report.samples,
                 report.draws,

@@ -57,7 +57,7 @@ pub(crate) struct StarArgs {
     /// Stamp pixels per frame pixel
     ///
     /// Default: 1 for at least 64 stars and a FWHM of at least 2 pixels, unless --registration epsf
-    /// is given. Otherwise enough for 3 stamp pixels per FWHM.
+    /// is given. Otherwise enough for 3 stamp pixels per FWHM, at most 8.
     #[arg(long, value_name = "N", hide_short_help = true)]
     oversampling: Option<usize>,
     /// Method that makes stamps from stars: epsf, stamps or auto [default: auto]

@@ -64,7 +64,7 @@ impl ValidateArgs {
                     Validation::of_samples(model, samples).with_context(of_truth)?
                 }
                 None => anyhow::bail!(
-                    "{} is a model, but the truth must be samples (psfield evaluate writes samples of a model)",
+                    "{} is a model, but the truth must be samples or a frame (psfield evaluate writes samples of a model)",
                     self.truth.display()
                 ),
             },

@@ -1,11 +1,11 @@
-//! Parsers of option values that are more than a number.
+//! Parses and checks the values of options.
 
 use std::str::FromStr;
 
 use psf_types::{FrameShape, PixelRegion};
 
-/// The largest accepted side of a stamp. A larger number is a typing error, and would need more
-/// memory than there is.
+/// The largest accepted side of a stamp. A larger number is probably a typing error, and such
+/// stamps would fill the memory.
 const MAX_STAMP: usize = 8192;
 
 /// Single or double precision. The help of each option says what it applies to: the written values,

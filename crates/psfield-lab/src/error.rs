@@ -30,14 +30,14 @@ pub enum LabError {
     /// Objects that would overlap, or would lie too near to the frame's edges.
     #[error(
         "{across} x {across} objects do not fit into a frame of {frame} pixels, because neighbours must be at least {least_apart} pixels apart \
-         and must keep away from the edges: ask for fewer objects or a larger frame"
+         and all objects must keep away from the edges: ask for fewer objects or a larger frame"
     )]
     ObjectsTooClose {
         /// The frame.
         frame: FrameShape,
         /// Objects along each axis.
         across: usize,
-        /// Smallest distance of neighbours in pixels.
+        /// Smallest allowed distance between neighbours, in pixels.
         least_apart: usize,
     },
     /// A model that includes the pixel response, and true PSFs that lack it.

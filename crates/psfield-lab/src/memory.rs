@@ -2,8 +2,8 @@
 
 use std::fs;
 
-/// The largest number of bytes that this process has held, or has held since a benchmark last reset
-/// this record. None if the system does not report it.
+/// The largest number of bytes that this process has held since it started, or since a benchmark
+/// last reset the system's record. None if the system does not report it.
 pub fn peak_memory_bytes() -> Option<u64> {
     kibibytes("/proc/self/status", "VmHWM:")
 }

@@ -1,5 +1,5 @@
 //! The round trip: samples from the stars of a frame, a model, simulated frames, and a comparison
-//! of the stars in both.
+//! of the stars in the frame and in the simulated frames.
 
 use conv_core::StarPainter;
 use metrics::Summary;
@@ -19,16 +19,16 @@ use crate::LabError;
 /// 1. PSF samples are made from the stars of the frame ([`StarSampling`]), and a model is fitted to
 ///    them.
 /// 2. Frames are simulated. Every source found is drawn by the model as a point source, at its
-///    measured position and with its measured flux, on the measured background. Values above the
-///    saturation level are set to that level.
+///    measured position and with its measured flux, on the measured background. If the
+///    saturation level is known, values above it are set to that level.
 /// 3. FWHM and ellipticity of the stars that became samples are measured in the same way in the
 ///    frame and in the simulated frames. An elliptical Gaussian and a constant background are
 ///    fitted in a small window around the same pixel.
 ///
 /// Noise widens the distribution of measured values. Each simulated frame therefore gets the noise
 /// of the frame: the measured background noise, and the photon noise of the stars if the gain is
-/// known. One frame of noise is a single draw, so the distributions combine the stars of several
-/// simulated frames ([`realisations`](RoundTripOptions::realisations)).
+/// known. The noise of one frame is a single random draw, so the distributions combine the stars of
+/// several simulated frames ([`realisations`](RoundTripOptions::realisations)).
 ///
 /// The compared stars are also the stars from which the model was made. The comparison therefore
 /// judges the whole chain, but not the PSF between the stars. The leave-one-out errors of the fit
@@ -46,7 +46,7 @@ pub struct RoundTrip {
     pub simulated: Image<f64>,
     /// The frame minus the first simulated frame.
     pub residual: Image<f64>,
-    /// One row per star.
+    /// One row per star that became a sample.
     pub rows: Vec<RoundTripRow>,
     /// FWHM of the stars in all simulated frames.
     pub simulated_fwhm_px: Vec<f64>,
@@ -212,8 +212,8 @@ fn rows(stars: &StarSamples, in_frame: &[Measurement], in_simulated: &[Measureme
 }
 
 table_row! {
-    /// A star in the frame and in the first simulated frame, measured in the same way. The field of
-    /// a failed measurement is empty.
+    /// A star in the frame and in the first simulated frame, measured in the same way. The cells of
+    /// the table for a failed measurement are empty.
     #[derive(Debug, Clone, PartialEq, Serialize)]
     #[non_exhaustive]
     #[allow(

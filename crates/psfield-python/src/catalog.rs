@@ -103,7 +103,7 @@ impl SourceColumns<'_> {
     /// Makes the sources from the columns.
     ///
     /// # Errors
-    /// `ValueError` that names the first invalid row.
+    /// `ValueError` that names the first invalid row, or a column whose length differs from x.
     pub(crate) fn sources(&self) -> PyResult<Sources> {
         let (x, y, flux) = (self.x.as_array(), self.y.as_array(), self.flux.as_array());
         let optional = |column: &Option<PyReadonlyArray1<'_, f64>>, otherwise: f64| match column {

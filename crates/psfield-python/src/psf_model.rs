@@ -166,7 +166,8 @@ impl PsfModel {
         self.0.grid().dim()
     }
 
-    /// Positions of the samples or nodes.
+    /// Positions of the samples. For a model that is not fitted to samples here: the positions at
+    /// which its coefficients are given.
     fn positions<'py>(&self, py: Python<'py>) -> Points<'py> {
         points(py, self.0.positions())
     }

@@ -191,8 +191,8 @@ pub(crate) fn run_beside<R: Send>(
 }
 
 /// Works like [`run_beside`], for work that borrows nothing from the caller. After an interruption
-/// this function returns at once. The work then runs to its end in the background, and its result
-/// is dropped.
+/// this function returns at once. The work then goes on in the background until it ends or checks
+/// whether it is cancelled, and its result is dropped.
 pub(crate) fn run_apart<R: Send + 'static>(
     py: Python<'_>,
     work: impl FnOnce(&Watch, &ThreadPool) -> R + Send + 'static,

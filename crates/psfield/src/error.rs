@@ -48,7 +48,7 @@ pub enum ErrorKind {
     Field,
     /// The basis could not be computed, or its coefficients could not be interpolated.
     Fit,
-    /// A PSF could not be sampled over its field, or a source or a telescope could not be used.
+    /// A PSF could not be sampled over its field, or a PSF source or a telescope could not be used.
     Sampling,
     /// No PSF samples could be made from the stars of a frame.
     Stars,

@@ -54,7 +54,7 @@ pub fn check_on_field(model: &PsfModel, positions: &[Position]) -> Result<(), Ps
 /// if the field is not known.
 ///
 /// # Errors
-/// [`ErrorKind::Field`].
+/// [`ErrorKind::Field`] for a frame that has more columns or more rows than the field.
 pub fn check_frame_on_field(frame: FrameShape, field: Option<FrameShape>) -> Result<(), PsfieldError> {
     match field {
         Some(field) if frame.nx() > field.nx() || frame.ny() > field.ny() => {
@@ -119,9 +119,11 @@ pub fn evaluate(
 /// [`Simulator`](crate::Simulator) draws of a star of unit flux at this position.
 ///
 /// # Errors
-/// [`ErrorKind::Field`] for a position outside the model's field or where the model has no value,
+/// [`ErrorKind::Field`] for a position outside the model's field, or where the model has no value.
+/// If the model scales PSFs to unit flux, also where the flux is not positive.
 /// [`ErrorKind::Setting`] for sub-pixel phases on another grid than the native one,
-/// [`ErrorKind::TooLarge`] for more stamps than are allowed.
+/// [`ErrorKind::Data`] for a size of 0, [`ErrorKind::TooLarge`] if the stamps would fill more
+/// memory than [`check_stack`] allows.
 ///
 /// ```no_run
 /// use psfield::psf_types::Position;

@@ -130,8 +130,9 @@ pub struct LeaveOneOutReport {
 /// method of `coeff-field`.
 ///
 /// # Errors
-/// [`PsfieldError`] when the samples do not have the requested rank, or the interpolation does not
-/// suit the positions.
+/// [`ErrorKind::Fit`](crate::ErrorKind::Fit) when the basis cannot be computed, for example because
+/// the samples do not have the requested rank. An interpolation that does not suit the positions is
+/// an error of [`Fit::into_model`] and [`Fit::report`], not of the fit.
 pub fn fit(samples: PsfSamples, options: &FitOptions) -> Result<Fit, PsfieldError> {
     let (ny, nx) = samples.grid().dim();
     fit_trained(samples, Array3::zeros((0, ny, nx)), options)

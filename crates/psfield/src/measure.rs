@@ -70,8 +70,8 @@ impl MeasureOptions {
     /// The size of the window about each position of an image, in pixels, if the caller gives none.
     pub const IMAGE_WINDOW: usize = 15;
 
-    /// Measures every plane of a cube `[plane, y, x]`. Centroids are 0-based stamp indices.
-    /// Adaptive moments use the whole plane.
+    /// Measures every plane of a cube `[plane, y, x]`. `positions` has one position per plane.
+    /// Centroids are 0-based stamp indices. Adaptive moments use the whole plane.
     pub fn cube<T: Real>(self, cube: ArrayView3<'_, T>, positions: Option<&[Position]>) -> Vec<Measurement> {
         let fit_window = self.window.map_or_else(Window::whole, Window::central);
         (0..cube.dim().0)

@@ -136,7 +136,7 @@ impl Psf {
     /// Samples the PSF of a source over the field. A source can draw the PSF at any position.
     ///
     /// # Errors
-    /// [`ErrorKind::Sampling`].
+    /// [`ErrorKind::Sampling`] when the source cannot draw a valid PSF, or the method fails.
     pub fn from_source(
         source: &dyn PsfSource,
         method: &dyn SamplingMethod,
@@ -172,7 +172,7 @@ impl Psf {
         }
     }
 
-    /// The format of the file that the PSF was read from.
+    /// The format of the file that the PSF was read from. None if it was not read from a file.
     pub fn kind(&self) -> Option<FileKind> {
         self.0.source.kind
     }
@@ -268,7 +268,7 @@ pub fn check_stack(stamps: usize, grid: StampGrid) -> Result<(), PsfieldError> {
         .saturating_mul(size_of::<f64>());
     if bytes > MAX_STACK_BYTES {
         let message = format!(
-            "{stamps} stamps of {} x {} pixels would fill more than {} GiB: ask for fewer or smaller stamps",
+            "PSF stamps ({stamps} of {} x {} pixels) would fill more than {} GiB: ask for fewer or smaller stamps",
             grid.nx(),
             grid.ny(),
             MAX_STACK_BYTES >> 30

@@ -28,8 +28,8 @@ pub fn check_outputs(inputs: &[&Path], outputs: &[&Path], overwrite: bool) -> Re
     Ok(())
 }
 
-/// Returns an absolute path of a file. Different spellings of its path give equal results. The file
-/// need not exist.
+/// Returns an absolute path of a file, which need not exist. Different spellings of its path give
+/// equal results if its folder exists.
 pub fn resolved(path: &Path) -> PathBuf {
     if let Ok(place) = path.canonicalize() {
         return place;

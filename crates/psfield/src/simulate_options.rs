@@ -101,8 +101,8 @@ impl SimulateOptions {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub enum Device {
-    /// A GPU if the plan is predicted to be faster there, else the processor. Never an adapter that
-    /// runs shaders on the processor.
+    /// A GPU if the plan is predicted to be faster there, else the processor. Never uses an adapter
+    /// that runs shaders on the processor.
     #[default]
     Auto,
     /// The processor.

@@ -136,9 +136,9 @@ pub struct Preparation<'a> {
     pub plan: Option<PlanSummary>,
     /// The device that convolves extended light.
     pub placement: Placement,
-    /// Seconds that this call spent on fits.
+    /// Seconds that the call of [`Simulator::prepare`] spent on fits. 0 if the models existed.
     pub fit_seconds: f64,
-    /// Seconds that this call spent on plans.
+    /// Seconds that this call spent on plans. 0 if the plans existed.
     pub plan_seconds: f64,
 }
 
@@ -206,7 +206,8 @@ impl<T: ConvReal> Simulator<T> {
     ///
     /// # Errors
     /// [`PsfieldError`] for a wrong shape, light where the PSF is not known, or a flux that `T`
-    /// cannot hold. After [`ErrorKind::Cancelled`] the image is incomplete.
+    /// cannot hold, and the errors of [`prepare`](Self::prepare). After [`ErrorKind::Cancelled`],
+    /// the image is incomplete.
     #[inline(never)]
     pub fn simulate_into(
         &self,
@@ -242,7 +243,7 @@ impl<T: ConvReal> Simulator<T> {
     ///
     /// # Errors
     /// [`ErrorKind::Convolution`] for an image of another shape, [`ErrorKind::Setting`] for a
-    /// method without a plan.
+    /// method without a plan, and the errors of [`prepare`](Self::prepare).
     #[inline(never)]
     pub fn adjoint(
         &self,
@@ -275,8 +276,8 @@ impl<T: ConvReal> Simulator<T> {
     /// stars. This is much faster than a new plan.
     ///
     /// # Errors
-    /// [`ErrorKind::Setting`] for a region outside the frame or a method without a plan,
-    /// [`ErrorKind::Cancelled`].
+    /// [`ErrorKind::Setting`] for a region outside the frame or a method without a plan, and the
+    /// errors of [`prepare`](Self::prepare).
     #[inline(never)]
     pub fn for_region(&self, region: PixelRegion, progress: &dyn Progress) -> Result<Self, PsfieldError> {
         let options = SimulateOptions {
@@ -323,8 +324,8 @@ impl<T: ConvReal> Simulator<T> {
     /// read row by row ([`stream`](Self::stream)), and `scene` does not hold it.
     ///
     /// # Errors
-    /// [`PsfieldError`] if a fit or a plan fails, or if [`Device::Gpu`] was chosen and no GPU can
-    /// be used.
+    /// [`PsfieldError`] if the scene or a flux in it is too large, if a fit or a plan fails, if
+    /// `progress` cancels the work, or if [`Device::Gpu`] was chosen and no GPU can be used.
     #[inline(never)]
     pub fn prepare(
         &self,
@@ -373,7 +374,8 @@ impl<T: ConvReal> Simulator<T> {
             && (extended && scene.stars().is_empty() || self.shared.stars.get().is_some())
     }
 
-    /// Times of the last convolution on a GPU, in seconds. None if the processor convolves images.
+    /// Times of the last convolution on a GPU, in seconds. None if the processor convolves images,
+    /// or before the first convolution.
     pub fn gpu_seconds(&self) -> Option<GpuSeconds> {
         let ran_padded = self.ran_padded.load(Ordering::Relaxed);
         let convolver = if ran_padded { &self.padded } else { &self.images }.get()?;
@@ -398,7 +400,7 @@ impl<T: ConvReal> Simulator<T> {
         let (shape, s) = (self.geometry.shape, self.geometry.oversample);
         if !rows && scene.image().is_none() && shape.pixel_count() > Self::MAX_PIXELS {
             let (nx, ny) = (shape.nx() / s, shape.ny() / s);
-            let message = format!("a scene of {nx} x {ny} frame pixels without an image is too large");
+            let message = format!("{nx} x {ny} frame pixels without an image exceed 2^30 scene pixels");
             return Err(PsfieldError::new(ErrorKind::TooLarge, message).with_setting("shape"));
         }
         Ok(())

@@ -9,7 +9,8 @@ use serde::Serialize;
 use crate::{Method, PsfieldError, SimulateOptions};
 
 /// The largest relative r.m.s. rounding errors accepted. For images made by transforms, errors are
-/// a few times 1e-7 (f32) and 1e-15 (f64). They are larger if the scene's light varies by decades.
+/// a few times 1e-7 (f32) and 1e-15 (f64). They are larger if the scene's light varies by orders of
+/// magnitude.
 const ROUNDING_F32: f64 = 1e-5;
 const ROUNDING_F64: f64 = 1e-10;
 /// The largest accepted ratio of the relative error at the checked pixels to the relative error of
@@ -164,7 +165,8 @@ impl SpotCheck {
 
 /// Picks random pixels of an image that is read row by row. For half of them, all pixels of the
 /// image are equally probable. For the other half, the probability of a pixel is proportional to
-/// its absolute value. The choice depends only on the image and the seed.
+/// its absolute value. For an image of zeros, the other half is left out. The choice depends only
+/// on the image and the seed.
 #[derive(Debug, Clone)]
 pub struct PixelPicker {
     /// The pixels of the first half: `(row, column)`, ascending.

@@ -109,7 +109,8 @@ const TILE: usize = 128;
 /// Number of block sizes in a tile: 128, 64, 32, 16 and 8 pixels.
 const LEVELS: usize = 5;
 
-/// Relative error that an integration rule or a polynomial may have.
+/// Largest estimated relative error of an integration rule or a polynomial. The actual errors are
+/// smaller (`tests/accuracy.rs`).
 const RELATIVE_ERROR: f64 = 5e-5;
 /// Error that is always allowed in a pixel or a part of it, as a fraction of the galaxy's flux.
 const ABSOLUTE_ERROR: f64 = 1e-10;

@@ -55,10 +55,10 @@ pub(crate) struct Profile {
 
 /// The size of a square compared with the profile around it.
 pub(crate) struct Nearness {
-    /// The square's size divided by the length over which the profile changes. This length is
-    /// taken at the square's nearest point to the galaxy's centre.
+    /// The square's size divided by the length over which the profile changes. This is an upper
+    /// limit for every point of the square.
     pub(crate) relative_size: f64,
-    /// Radius in (u, v) of this nearest point.
+    /// Lower limit of the radii in (u, v) of the square's points.
     pub(crate) radius: f64,
 }
 
@@ -164,9 +164,8 @@ impl Profile {
         ]
     }
 
-    /// Returns the radius of a square's nearest point, and the square's size relative to the length
-    /// over which the profile changes there. The square has sides of `size` pixels. Its centre is
-    /// at (`dx`, `dy`) from the galaxy's centre.
+    /// Compares a square with the profile in it. The square has sides of `size` pixels. Its centre
+    /// is at (`dx`, `dy`) from the galaxy's centre.
     pub(crate) fn nearness(&self, dx: f64, dy: f64, size: f64) -> Nearness {
         let (u, v) = self.turned(dx, dy);
         let (middle, reach) = (u.hypot(v), self.pixel_reach * size);
@@ -265,7 +264,8 @@ impl RadialTable {
     }
 
     /// Returns the value and its first two derivatives with respect to the squared radius. The
-    /// second derivative has a relative error of `(k / 2 / 32)^2 / 12`, about 1e-3.
+    /// second derivative has a relative error of `(k / 2 / 32)^2 / 12`, which is 1e-3 at
+    /// `k = 8`.
     #[inline]
     pub(crate) fn derivatives(&self, squared: f64) -> Option<[f64; 3]> {
         let (piece, [c0, c1, c2, c3], place) = self.piece(squared)?;

@@ -1,8 +1,8 @@
 //! The fast engine on the processor.
 //!
 //! An execution visits a plan's blocks in an order that does not depend on the number of threads
-//! ([`scatter`], [`gather`]). It inspects the light of each tile ([`treatment`]) and convolves it
-//! by transforms, by the direct sum or stamp by stamp, or skips it ([`tile_engine`]).
+//! ([`scatter`], [`gather`]). It inspects the light of each tile ([`treatment`]) and convolves this
+//! light by transforms, by the direct sum or stamp by stamp ([`tile_engine`]). It skips dark tiles.
 
 pub(crate) mod gather;
 pub(crate) mod processor;

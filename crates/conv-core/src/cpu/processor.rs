@@ -69,7 +69,7 @@ pub(crate) struct LightPass<'a, T: ConvReal> {
     pub(crate) first_output: usize,
     /// True if stamps are turned by 180 degrees.
     pub(crate) flip: bool,
-    /// True if tiles may be convolved by the direct sum. A GPU uses only transforms.
+    /// True if tiles may be convolved by the direct sum. False on a GPU, which has no direct sums.
     pub(crate) direct_sums: bool,
     pub(crate) progress: &'a dyn Progress,
 }
@@ -85,7 +85,8 @@ impl<'a, T: ConvReal> LightPass<'a, T> {
     }
 }
 
-/// Coefficients, stamps and spectra of a block. Each is computed when a tile first needs it.
+/// Coefficients, stamps and spectra of a block. When a tile first needs one of them, it is taken
+/// from the plan or computed.
 pub(crate) struct BlockKernels<'a, T: ConvReal> {
     plan: &'a Plan<T>,
     pub(crate) block: &'a Block<T>,
@@ -123,8 +124,8 @@ impl<'a, T: ConvReal> BlockKernels<'a, T> {
         LocalTile { part, table, stamps }
     }
 
-    /// Returns an error for the first pixel of a tile that has no PSF and needs one.
-    /// `needed(column, row)` counts from the tile's first pixel.
+    /// Returns an error if a pixel of a tile needs a PSF but has none. The error names the first
+    /// such pixel. `needed(column, row)` counts from the tile's first pixel.
     pub(crate) fn check(
         &self,
         part: TilePart,

@@ -15,7 +15,7 @@ use crate::{ConvError, ConvReal};
 /// if stamps are turned, for each kernel `k` of a block and its coefficients `c`.
 ///
 /// Blocks whose outputs overlap never run at the same time. In each band of rows of blocks, the
-/// blocks at every n-th row and every n-th column have one colour and run together. The colours run
+/// blocks at every n-th row and every m-th column have one colour and run together. The colours run
 /// one after the other. So the order of additions to a pixel is always the same.
 pub(crate) struct Scatter<'j, 'o, T: ConvReal> {
     pub(crate) pass: LightPass<'j, T>,
@@ -41,8 +41,8 @@ impl<T: ConvReal> WithIsa<T> for Scatter<'_, '_, T> {
         let plan = &self.pass.processor.plan;
         let extents = (plan.extents(0), plan.extents(1));
         let columns = &extents.0;
-        // The colours are counted over all rows of blocks, so that a band has the same colours if
-        // it is executed alone.
+        // The numbers of colours depend on all rows of blocks, so that a band has the same colours
+        // even if it is executed alone.
         let (column_colours, row_colours) = (colours(columns), colours(&extents.1));
         let bands: Vec<usize> = self.pass.rows.clone().step_by(plan.tiling.band()).collect();
         let mut counts = TileCounts::default();

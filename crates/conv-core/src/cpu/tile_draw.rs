@@ -60,8 +60,8 @@ impl<T: ConvReal> TileEngine<'_, T> {
         }
     }
 
-    /// Draws single pixels of the light around a tile: adds to `output`, which has the tile's size,
-    /// the light that falls on the tile.
+    /// Draws single pixels of the light around a tile: adds the light that falls on the tile to
+    /// `output`, which has the tile's size.
     #[inline(always)]
     pub(crate) fn draw_gathered<S: Lanes<T>>(
         &self,
@@ -76,7 +76,7 @@ impl<T: ConvReal> TileEngine<'_, T> {
         let mut line = vec![T::zero(); sx];
         for &(y, x, value) in pixels {
             // Light at pixel q, counted in the area around the tile, reaches pixel p of the tile
-            // with the value at stamp pixel (p + size - 1) - q.
+            // with the value at stamp pixel (p + stamp size - 1) - q.
             let (from, to) = ((x + 1).saturating_sub(sx), (x + 1).min(columns));
             if from >= to {
                 continue;

@@ -13,7 +13,7 @@ use crate::transform::{TileTransform, X_STEP};
 /// content.
 #[derive(Debug)]
 pub(crate) struct Workspace<T> {
-    /// The tile's light.
+    /// The tile's light, or the light around the tile.
     pub(crate) light: Aligned<T>,
     /// The light times a coefficient, or a result.
     pub(crate) weighted: Aligned<T>,

@@ -263,8 +263,8 @@ pub(crate) fn treated<T: ConvReal, S: Lanes<T>>(
     let back = rescale(&mut seen, workspace.light.get_mut());
     let (method, mut drawn) = choose(pass, seen, size, tile.part.size, (count, draw), workspace);
     if let Some(back) = back {
-        // Single pixels keep their own scale: drawing a stamp has no sums that could leave the
-        // range.
+        // Scales the single pixels back before they are drawn: drawing a stamp has no sums that
+        // could leave the range.
         for (_, _, value) in &mut drawn {
             *value *= back;
         }

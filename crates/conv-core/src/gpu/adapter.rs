@@ -17,8 +17,8 @@ pub struct Adapter {
     pub driver: String,
     /// Bytes of the largest buffer.
     pub largest_buffer: u64,
-    /// The most bytes of a buffer that a shader can access at once. Work is divided into pieces of
-    /// at most this size.
+    /// The most bytes of a buffer that a shader can access at once. Work is divided into pieces
+    /// whose buffers are no larger.
     pub largest_binding: u64,
     /// Bytes of memory that the threads of a workgroup share. This limits the size of transforms.
     pub workgroup_memory: u32,
@@ -144,7 +144,7 @@ pub fn adapters() -> Vec<Adapter> {
 /// Adapters with their handles, the preferred one first.
 fn open_adapters() -> Vec<(wgpu::Adapter, Adapter)> {
     let mut adapters = adapters_of(wgpu::Backends::PRIMARY);
-    // OpenGL is used only if no other interface reaches a GPU. Its limits are lower, and its
+    // OpenGL is used only if no other interface finds an adapter. Its limits are lower, and its
     // libraries print warnings on machines without a screen.
     if adapters.is_empty() {
         adapters = adapters_of(wgpu::Backends::GL);

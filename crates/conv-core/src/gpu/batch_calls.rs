@@ -14,7 +14,7 @@ use super::shader::{Draw, Params, STRIP, Shader, Tile};
 use crate::error::GpuError;
 use crate::plan::geometry::Direction;
 
-/// Makes the calls of the shaders of a batch, from the data that these calls share.
+/// Makes the shader calls for a batch. Holds the data that these calls share.
 pub(super) struct BatchCalls<'a> {
     pub(super) device: &'a GpuDevice,
     pub(super) pipelines: &'a Pipelines,
@@ -147,8 +147,8 @@ impl<'a> BatchCalls<'a> {
     }
 }
 
-/// The tile and the kernel of each plane to be transformed along x. There is one plane per kernel
-/// if the light is multiplied by coefficients first, otherwise one plane per tile.
+/// The tile and the kernel of each plane to be transformed along x. A tile has one plane per kernel
+/// if its light is multiplied by coefficients first, otherwise one plane.
 fn planes_of<'t>(tiles: impl Iterator<Item = &'t Tile>, each_kernel: bool) -> Vec<u32> {
     tiles
         .enumerate()

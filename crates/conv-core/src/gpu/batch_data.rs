@@ -59,7 +59,7 @@ impl WorkBuffers {
 #[derive(Debug)]
 pub(super) struct BatchData {
     pub(super) tables: wgpu::Buffer,
-    /// The first word of each part's table.
+    /// The index in `tables` of the first word of each part's table.
     pub(super) table_starts: Vec<u32>,
     pub(super) stamps: wgpu::Buffer,
     pub(super) spectra: wgpu::Buffer,
@@ -203,9 +203,9 @@ impl<T: ConvReal> CoefficientTable<T> {
     /// - whether functions are divided by the first function,
     /// - the number of kernels without a function,
     /// - the numbers of columns and of rows,
-    /// - the first words of three arrays: row starts, first columns of the runs, values.
+    /// - the indices at which three arrays begin: row starts, first columns of the runs, values.
     ///
-    /// The three arrays follow the header. Their first words count from the table's first word.
+    /// The three arrays follow the header. The indices count from the table's first word.
     pub(crate) fn packed(&self, kernels: Range<usize>) -> Vec<u32> {
         let functions = self.functions_of(kernels.clone());
         let plain = kernels

@@ -14,8 +14,8 @@ pub(super) const STORAGE: wgpu::BufferUsages = wgpu::BufferUsages::STORAGE
     .union(wgpu::BufferUsages::COPY_SRC);
 
 impl GpuDevice {
-    /// A buffer of at least 16 bytes with undefined content. Only [`Attempt::check`] tells whether
-    /// there was memory for it.
+    /// A buffer of at least `bytes`, and at least 16 bytes, with undefined content. Only
+    /// [`Attempt::check`] tells whether there was memory for it.
     pub(super) fn buffer(&self, label: &str, bytes: u64, usage: wgpu::BufferUsages) -> wgpu::Buffer {
         self.device().create_buffer(&wgpu::BufferDescriptor {
             label: Some(label),
@@ -111,7 +111,7 @@ impl Staging {
         })
     }
 
-    /// Takes back a buffer whose copies have been submitted.
+    /// Takes back an unmapped buffer. It is mapped again when the GPU has copied from it.
     pub(super) fn give_back(&self, buffer: wgpu::Buffer) {
         let sender = self.sender.clone();
         let returned = buffer.clone();

@@ -197,7 +197,7 @@ impl Attempt {
         Ok(new)
     }
 
-    /// Continues after an error: ignores the errors up to now.
+    /// Continues after an error: ignores the errors up to now, except the loss of the GPU.
     pub(super) fn forgive(&mut self) {
         self.before = locked(&self.device.0.trouble).so_far();
     }
@@ -220,7 +220,7 @@ impl Trouble {
     /// Returns the error reported after the counts `before`, if any.
     fn since(&self, before: (u64, u64), adapter: &str) -> Result<(), GpuError> {
         let adapter = adapter.to_owned();
-        // wgpu closes a device whose memory runs out while it works.
+        // wgpu closes a device that runs out of memory while shaders run.
         let lost_for_memory = |reason: &String| reason.to_lowercase().contains("out of memory");
         // This test is first, because a failed allocation causes other errors.
         if self.out_of_memory > before.0 || self.lost.as_ref().is_some_and(lost_for_memory) {

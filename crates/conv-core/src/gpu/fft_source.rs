@@ -41,7 +41,8 @@ pub(super) struct Register<'a> {
 const VALUES: usize = 2048;
 /// The number of values per thread.
 const VALUES_PER_THREAD: usize = 8;
-/// The most lines: neighbouring columns that are read together, 128 bytes.
+/// The most lines per workgroup: the values of 16 neighbouring columns, which are read together,
+/// are 128 bytes.
 const MOST_LINES: usize = 16;
 /// The most threads. The WebGPU standard requires that adapters support this number.
 const MOST_THREADS: usize = 256;

@@ -34,8 +34,9 @@ impl GpuOptions {
         }
     }
 
-    /// Sets the size of pieces of work: the most bytes of each buffer that a piece uses. A piece
-    /// that cannot be that small may exceed this limit, but not the adapter's own limit.
+    /// Sets the size of pieces of work: the most bytes of a piece's light, and likewise of its
+    /// planes, spectra, stamps and result. A piece that cannot be that small may exceed this limit,
+    /// but not the adapter's own limit.
     #[must_use]
     pub fn with_pieces(self, bytes: u64) -> Self {
         Self {
@@ -49,7 +50,7 @@ impl GpuOptions {
         self.memory_bytes
     }
 
-    /// The most bytes of each buffer that a piece of work uses.
+    /// The size of pieces of work in bytes, as set by [`with_pieces`](Self::with_pieces).
     pub fn piece_bytes(&self) -> u64 {
         self.piece_bytes
     }
@@ -86,9 +87,9 @@ pub(super) struct GpuPlan {
 }
 
 impl GpuPlan {
-    /// Divides the work of the convolution, or of its adjoint if `flip` is true. Computes the data
-    /// of batches that do not depend on the light, as far as they fit into the memory limit of the
-    /// options. `taken` bytes of this memory are already in use.
+    /// Divides the work of the convolution, or of its adjoint if `flip` is true. Then computes, for
+    /// each batch, the data that do not depend on the light, as far as they fit into the memory
+    /// limit of the options. `taken` bytes of this memory are already in use.
     pub(super) fn layout<T: ConvReal>(
         &self,
         plan: &Plan<T>,

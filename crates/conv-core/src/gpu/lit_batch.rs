@@ -1,4 +1,4 @@
-//! The work of a batch for a given scene.
+//! The work of a batch for given light.
 
 use pulp::bytemuck::cast_slice;
 use rayon::prelude::*;
@@ -15,8 +15,8 @@ use crate::simd::Lanes;
 use crate::{ConvError, ConvReal};
 
 /// The lit tiles, and the single pixels to be drawn, each with the colour of its tile. The results
-/// of tiles of one colour do not overlap. `place.table` of a tile is the index of the tile's part
-/// until [`find_tables`](Self::find_tables) replaces it by the first word of a table.
+/// of tiles of one colour do not overlap. `place.table` of a tile is at first the index of the
+/// tile's part. [`find_tables`](Self::find_tables) replaces this index by the place of a table.
 #[derive(Debug, Default)]
 pub(super) struct LitBatch {
     pub(super) tiles: Vec<(usize, Tile)>,
@@ -31,8 +31,8 @@ impl LitBatch {
         self.tiles.is_empty() && self.drawn.is_empty()
     }
 
-    /// Replaces the part index in each tile's `place.table` by the first word of the part's table.
-    /// `starts` are the first words, by part.
+    /// Replaces the part index in each tile's `place.table` by the index of the first word of the
+    /// part's table. `starts` holds these indices, one per part.
     pub(super) fn find_tables(&mut self, starts: &[u32]) {
         let tables = self.tiles.iter_mut().map(|(_, tile)| &mut tile.place.table);
         let of_drawn = self.drawn.iter_mut().map(|(_, tile)| &mut tile.draw.place.table);
@@ -189,7 +189,7 @@ impl<T: ConvReal> Examination<'_, '_, T> {
         }
     }
 
-    /// Columns and rows by which the light of a tile begins before its result.
+    /// Column and row of a result's first pixel in the tile's plane.
     fn skip(&self) -> (usize, usize) {
         let stamp = self.geometry().stamp;
         match self.layout.direction {

@@ -1,10 +1,11 @@
 //! Division of a plan's work into pieces that a GPU can access at once.
 //!
-//! A *panel* is a rectangle of tiles whose result fits into one buffer. It lies within one band of
-//! the plan's blocks. Its tiles are processed in *batches*, whose planes, spectra, light and stamps
-//! fit into one buffer each. A *part* is the share of a block in a batch: some of its tiles and
-//! some of its kernels, in most cases all of both. A tile's result is the sum over all parts that
-//! hold the tile. So a tile whose planes do not fit at once is processed in several batches.
+//! A *panel* is a rectangle of tiles whose result fits into one buffer. It lies within one *band*:
+//! a few rows of the plan's blocks that are processed together. Its tiles are processed in
+//! *batches*, whose planes, spectra, light and stamps fit into one buffer each. A *part* is the
+//! share of a block in a batch: some of its tiles and some of its kernels, in most cases all of
+//! both. A tile's result is the sum over all parts that hold the tile. So a tile whose planes do
+//! not fit at once is processed in several batches.
 
 use std::ops::Range;
 
@@ -107,7 +108,7 @@ impl TileGrid {
         self.block_of(axis, tiles.start)..self.block_of(axis, tiles.end - 1) + 1
     }
 
-    /// The tiles among a range that belong to a block.
+    /// The tiles in the range `among` that belong to a block.
     pub(crate) fn tiles_of(&self, axis: usize, block: usize, among: &Range<usize>) -> Range<usize> {
         let of_axis = &self.tiles[axis];
         let first = of_axis.partition_point(|tile| tile.block < block);

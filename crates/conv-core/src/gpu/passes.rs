@@ -63,7 +63,7 @@ impl<'a> Calls<'a> {
         }
     }
 
-    /// Adds a call of some workgroups. `params` are the words of its
+    /// Adds a call of a shader by `groups` workgroups. `params` are the words of the call's
     /// [`Params`](super::shader::Params). Buffers are bound in the order of the shader's bindings,
     /// after the parameters.
     pub(super) fn add(
@@ -141,8 +141,8 @@ pub struct ShaderTrial<'a> {
     pub planes: (usize, usize),
     /// `Params` of `common.wgsl`.
     pub params: [u32; 8],
-    /// Words that are bound after the parameters, in order. `None` stands for the roots of unity.
-    /// The shader changes the last buffer.
+    /// The words of the buffers that are bound after the parameters, in order. `None` stands for
+    /// the roots of unity. The shader changes the last buffer.
     pub buffers: Vec<Option<Vec<u32>>>,
     /// The number of tiles, or of planes if the shader works on single planes.
     pub count: u32,
@@ -162,7 +162,8 @@ impl ShaderTrial<'_> {
     /// The number of rows that a workgroup sized for an adapter transforms together.
     ///
     /// # Errors
-    /// [`GpuError::TransformSize`].
+    /// [`GpuError::TransformSize`] if the adapter cannot transform planes of `nx` columns and `ny`
+    /// rows.
     pub fn row_lines((nx, ny): (usize, usize), adapter: &Adapter) -> Result<usize, GpuError> {
         Ok(PlaneSource::new(nx, ny, adapter)?.rows.lines)
     }

@@ -103,7 +103,7 @@ impl<'a, 'j, T: ConvReal> Run<'a, 'j, T> {
         Ok(())
     }
 
-    /// Submits a panel to the GPU, unless it is dark.
+    /// Submits a panel to the GPU. Returns `None` if the panel is dark.
     fn submit<S: Lanes<T>>(
         &mut self,
         simd: S,
@@ -247,7 +247,7 @@ impl<'a, 'j, T: ConvReal> Run<'a, 'j, T> {
         device.check()
     }
 
-    /// Waits for the panel that the GPU computes, and adds it to the image.
+    /// Waits for the panel that the GPU computes, if any, and adds it to the output.
     fn finish(&mut self) -> Result<(), GpuError> {
         let Some(pending) = self.pending.take() else {
             return Ok(());

@@ -1,6 +1,6 @@
 //! The shaders by name, and the data that they read.
 
-/// The shaders. Each has a file of this name in `shaders`.
+/// The shaders. Each has a file in `shaders`, with the name that [`Shader::name`] returns.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Shader {
     WeighRows,

@@ -190,8 +190,8 @@ impl<T: ConvReal> CoefficientTable<T> {
         Ok(())
     }
 
-    /// Multiplies the light of a row's pixels by the coefficient of a kernel. `row` and the first
-    /// column count from the region's first pixel. `ramp` holds 0, 1, 2 ... .
+    /// Multiplies the light of a row's pixels by the coefficient of a kernel. `row` and `first`
+    /// (the first column) count from the region's first pixel. `ramp` holds 0, 1, 2 ... .
     #[inline(always)]
     pub fn weigh(
         &self,
@@ -297,6 +297,7 @@ impl<T: ConvReal> CoefficientTable<T> {
     }
 }
 
+/// A function along part of a row: linear in the column, or a list of values.
 enum Piece<'a, T> {
     Linear { start: T, slope: T, ramp: &'a [T] },
     Dense(&'a [T]),
@@ -315,7 +316,8 @@ struct Builder<'a> {
 impl Builder<'_> {
     /// Calls `visit` for each cell of each row, with row, first column, length, the functions'
     /// values at the first column and their slopes. If functions are divided by the flux, and the
-    /// flux is not positive at an end of a cell's row, `visit` gets each pixel of this row alone.
+    /// flux is not positive at an end of a cell's row, calls `visit` for each pixel of this row of
+    /// the cell.
     fn each_piece(
         &mut self,
         cells: &RegionCells,

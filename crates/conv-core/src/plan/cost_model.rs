@@ -8,7 +8,7 @@ use crate::transform::{X_STEP, Y_STEP};
 /// (`cargo bench -p conv-core`). Only ratios matter for the choice of tiles.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct CostModel {
-    /// Factor for f64, which moves twice the bytes through half the lanes.
+    /// 1 for f32. 2 for f64, which moves twice the bytes through half the lanes.
     width: f64,
 }
 

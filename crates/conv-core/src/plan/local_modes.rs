@@ -124,7 +124,8 @@ const SUPPORT_CELLS: usize = 16;
 /// vector of its norm can hold.
 const MIN_REFERENCE_FLUX: f64 = 1e-3;
 /// The part of a node along the flux direction counts as rounding if it is at most this fraction of
-/// the largest norm of the nodes. The flux of a span is compared in the same way ([`flux_axis`]).
+/// the largest norm of the nodes. A span has no flux if at most this fraction of the vector of
+/// fluxes lies in it ([`flux_axis`]).
 const NO_FLUX: f64 = 1e-12;
 /// A direction counts as rounding if no node's part along it exceeds this fraction of the largest
 /// norm of the nodes.
@@ -168,7 +169,7 @@ impl LocalModes {
             }
             offset.scaled_add(-flux_offset, reference);
         }
-        // The modes must represent the remaining nodes and offset.
+        // The modes must represent these remainders of the nodes and of the offset.
         let span = span(nodes.view(), offset.view(), ROUNDING * scale);
         let (nodes, offset) = (nodes.dot(&span.t()), span.dot(&offset));
         let covariance = support.covariance(nodes.view(), offset.view());
@@ -188,7 +189,7 @@ impl LocalModes {
                 )
             }
             // With a reference, the nodes have no part along the flux direction, except for
-            // rounding. If this rounding is small, no mode has such a part either.
+            // rounding. If this rounding is small, the modes are chosen without such a part.
             Some(axis) => {
                 let along = nodes
                     .dot(&axis)

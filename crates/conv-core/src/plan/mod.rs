@@ -87,9 +87,9 @@ impl<T: ConvReal> Plan<T> {
     }
 
     /// Plans a region of the frame, in pixels of the frame, so that many machines can share a
-    /// frame. The plan uses the tiles and modes of the whole frame, and keeps those that reach the
-    /// region. The images of regions, put together, equal the image of the whole plan up to
-    /// rounding, at any tolerance. So the edges of regions are not visible.
+    /// frame. The plan uses the tiles and modes of the whole frame, and keeps only the tiles that
+    /// reach the region. The images of regions, put together, equal the image of the whole plan up
+    /// to rounding, at any tolerance. So the edges of regions are not visible.
     ///
     /// Executions accept the whole light or only its part in [`light_region`](Self::light_region).
     /// Their image covers only the region. `progress` is polled and may cancel the planning. No

@@ -16,7 +16,8 @@ pub enum Paths {
     Transforms,
 }
 
-/// Tolerance, anchoring and limits of a [`Plan`](crate::Plan).
+/// Tolerance, anchoring and limits of a [`Plan`](crate::Plan). A [`StarPlan`](crate::StarPlan) uses
+/// these options too, except for the methods for tiles.
 ///
 /// ```
 /// use conv_core::PlanOptions;

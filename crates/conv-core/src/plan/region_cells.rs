@@ -265,7 +265,7 @@ mod tests {
     const SIDE: usize = 120;
 
     /// Every pixel is a node, numbered from the last pixel to the first. The weights of a pixel
-    /// belong to its own node and to its left neighbour's node.
+    /// belong to its own node and to the node of the pixel before it, row by row.
     #[derive(Debug)]
     struct NodesOfPixels;
 

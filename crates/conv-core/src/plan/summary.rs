@@ -78,7 +78,7 @@ impl std::fmt::Display for PlanSummary {
         )?;
         writeln!(
             f,
-            "{} tiles of up to {} x {} pixels in {} blocks, transforms of {} x {}",
+            "tiles: {}, of up to {} x {} pixels; blocks: {}; transforms of {} x {}",
             self.tiles, self.tile.0, self.tile.1, self.blocks, self.transform.0, self.transform.1
         )?;
         writeln!(
@@ -100,7 +100,7 @@ impl std::fmt::Display for PlanSummary {
         }
         write!(
             f,
-            "kept: coefficients {:.1} MiB, stamps {:.1} MiB; computed by each execution: coefficients of {} blocks, stamps of {} blocks",
+            "kept: coefficients {:.1} MiB, stamps {:.1} MiB; blocks computed by each execution: coefficients {}, stamps {}",
             mebibytes(self.kept_bytes.0),
             mebibytes(self.kept_bytes.1),
             self.made_anew.0,

@@ -45,7 +45,8 @@ const BAND_ROWS: usize = 1024;
 /// The fraction of the plan's memory that is assumed to be for stamps. The rest is for
 /// coefficients.
 const STAMP_MEMORY: f64 = 0.85;
-/// The number of tiles of a block in each direction, if blocks do not follow grid cells.
+/// The numbers of tiles in each direction that are tried for a block, if blocks do not follow grid
+/// cells.
 const BLOCK_SIDES: [usize; 3] = [1, 2, 4];
 
 /// Returns the tiling with the lowest predicted cost.
@@ -122,9 +123,9 @@ fn cuts(model: &PsfModel, geometry: &Geometry) -> Option<[Vec<usize>; 2]> {
 }
 
 impl Tiling {
-    /// Returns the tiling truncated to some columns and rows of pixels, which are then counted from
-    /// the first of them. Also returns the columns and rows of blocks that remain. Transforms keep
-    /// their size.
+    /// Returns the tiling truncated to some columns and rows of pixels. The truncated tiling counts
+    /// pixels from the first of these columns and rows. Also returns the columns and rows of blocks
+    /// that remain. Transforms keep their size.
     pub(crate) fn within(&self, columns: &Range<usize>, rows: &Range<usize>) -> (Self, [Range<usize>; 2]) {
         let (columns, across) = within(&self.columns, columns);
         let (rows, up) = within(&self.rows, rows);

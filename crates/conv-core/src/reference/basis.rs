@@ -25,7 +25,8 @@ use crate::{ConvError, ConvReal};
 /// Variable PSFs"), for both anchorings. Unlike the paper, it does not store a cube of
 /// coefficients: it evaluates coefficients tile by tile, for a few stamps at a time. Planes are
 /// padded by the stamp's reach, so no light wraps around into the image. Memory holds the scene,
-/// two or three spectra and a group of coefficient planes (at least 4, at most 16, about 512 MiB).
+/// the image, two spectra and a group of coefficient planes. The group has as many planes as fit
+/// into 512 MiB, but at least 4 and at most 16, and never more than `K`.
 ///
 /// ```
 /// use std::sync::Arc;
@@ -383,7 +384,8 @@ fn region_of(whole: PixelRegion, x: usize, y: usize, nx: usize, ny: usize) -> Pi
     PixelRegion::new(whole.x0() + x as i64, whole.y0() + y as i64, shape)
 }
 
-/// Evaluates tiles in parallel in f64 and stores them in `planes` `[plane, y, x]`.
+/// Calls `evaluate` for tiles in parallel, and stores the values in `planes` `[plane, y, x]`. Skips
+/// dark tiles if `light` is given.
 fn for_tiles<T: ConvReal>(
     region: PixelRegion,
     light: Option<ArrayView2<'_, T>>,

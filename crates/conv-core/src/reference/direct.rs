@@ -38,6 +38,7 @@ impl Direct {
     ///
     /// # Errors
     /// [`ConvError`] as for [`ConvolutionMethod::convolve`], and [`ConvError::PixelOutsideFrame`].
+    /// But a result that is not finite is no error here.
     #[inline(never)]
     pub fn at_pixels<T: ConvReal>(
         &self,
@@ -89,7 +90,7 @@ impl Direct {
             model.scaled_coefficients_into(field.position(column, row), &mut coefficients)?;
         }
         let mut sum = 0.0;
-        // The source at x = y - u, for every offset u of the stamp.
+        // Adds the light of the source at `pixel - u`, for every offset `u` of the stamp.
         for j in 0..stamps.dim().1 {
             let Some(y) = (row + reach.below)
                 .checked_sub(j)
@@ -175,7 +176,8 @@ impl Direct {
     ) -> Result<(), ConvError> {
         let (field, frame) = (view.field_region(), view.frame);
         let nx = frame.shape().nx();
-        // Light under the mirrored stamp at a pixel of the scene: (x - right ..= x + left).
+        // Finds the light under the mirrored stamp at a pixel of the scene: columns from x - right
+        // to x + left, and rows from y - above to y + below.
         let under = |x: usize, y: usize| {
             let columns = overlap(x as i64 - reach.right as i64, model.grid().nx(), light.ncols())?;
             let rows = overlap(y as i64 - reach.above as i64, model.grid().ny(), light.nrows())?;

@@ -131,8 +131,8 @@ impl<T: ConvReal> RealFft2<T> {
         self.for_blocks(spectrum.view_mut(), Axis(1), buffers, work);
     }
 
-    /// Calls `work` with each block of [`BLOCK`] lanes along an axis, on many threads if the plane
-    /// is large.
+    /// Calls `work` with each block of [`BLOCK`] neighbouring rows (axis 0) or columns (axis 1) of
+    /// an array, on many threads if the plane is large.
     fn for_blocks<E: Send + Sync>(
         &self,
         mut array: ArrayViewMut2<'_, E>,
@@ -196,9 +196,9 @@ impl<T: ConvReal> RealFft2<T> {
         }
     }
 
-    /// Transforms rows `first_row ..` back from a spectrum whose columns are already transformed.
-    /// `store(row, out, values)` gets the full row `values` of the plane and writes it into `out`,
-    /// which is row `row` of `output`.
+    /// Transforms rows `first_row ..` back from a spectrum whose columns are already transformed
+    /// back. `store(row, out, values)` gets a full row of the plane in `values`. It writes or adds
+    /// the values that it needs to `out`, which is row `row` of `output`.
     pub(crate) fn rows_inverse(
         &self,
         spectrum: &Array2<Complex<T>>,

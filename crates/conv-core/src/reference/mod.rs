@@ -29,8 +29,9 @@ pub trait ConvolutionMethod<T: ConvReal>: std::fmt::Debug + Send + Sync {
     /// `progress` receives the steps and may cancel the work.
     ///
     /// # Errors
-    /// [`ConvError`] if the frame reaches beyond the light, the model's stamps do not suit an
-    /// image, or the PSF has no value where it is needed, and [`ConvError::Cancelled`].
+    /// [`ConvError`] if the frame reaches beyond the light, if the model's stamps do not suit an
+    /// image, if the PSF has no value where it is needed, if the image has values that are not
+    /// finite, or if `progress` cancels the work.
     fn convolve(
         &self,
         model: &PsfModel,

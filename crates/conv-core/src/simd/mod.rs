@@ -73,7 +73,7 @@ pub trait Lanes<T>: Isa {
     fn neg_mul_add(self, a: Self::V, b: Self::V, c: Self::V) -> Self::V;
     /// Loads at most as many values as a vector has lanes, and sets the other lanes to zero.
     fn partial_load(self, from: &[T]) -> Self::V;
-    /// Stores the first values of a vector, at most as many as it has lanes.
+    /// Stores the first values of a vector, as many as `into` has room for.
     fn partial_store(self, into: &mut [T], values: Self::V);
     /// Transposes a square matrix of complex values. Each pair of vectors is a row.
     fn transpose(self, from: &[Pair<Self::V>], into: &mut [Pair<Self::V>]);
@@ -211,7 +211,7 @@ impl<T: ConvReal> Aligned<T> {
     /// Returns `length` zeros.
     pub fn zeros(length: usize) -> Self {
         let values = vec![T::zero(); length + CACHE_LINE / size_of::<T>()];
-        // A `Vec` is aligned at least to the size of its values, so `past` is a multiple of it.
+        // A `Vec` is aligned at least to the size of a value, so `past` is a multiple of this size.
         let past = values.as_ptr() as usize % CACHE_LINE;
         Self {
             start: (CACHE_LINE - past) % CACHE_LINE / size_of::<T>(),

@@ -74,8 +74,8 @@ mod x86 {
                 for i in 1..8 {
                     r[i] = cast!(from[i][part]);
                 }
-                // Quarter `q` of `t[2 g + c]` then holds column `2 q + c` of rows `2 g` and
-                // `2 g + 1`.
+                // Transposes squares of 2 x 2 within quarters of 128 bits. Quarter `q` of
+                // `t[2 g + c]` then holds column `2 q + c` of rows `2 g` and `2 g + 1`.
                 let mut t = r;
                 for g in 0..4 {
                     t[2 * g] = s._mm512_unpacklo_pd(r[2 * g], r[2 * g + 1]);

@@ -112,7 +112,9 @@ pub fn resample_samples(samples: &PsfSamples, target: StampGrid) -> Result<PsfSa
 /// scale and is centred on a pixel is returned unchanged.
 ///
 /// # Errors
-/// None for a valid grid. The error type comes from the constructor of the new grid.
+/// No error occurs. The type allows the errors of [`StampGrid`]'s functions: an empty stamp, or a
+/// centre or an oversampling that is not allowed. The new grid is never empty, and its centre
+/// always lies on it.
 pub fn native_grid(grid: StampGrid) -> Result<StampGrid, DataError> {
     let s = grid.oversampling();
     let native = grid_reaching(grid, |room, _| (room / s).floor() as usize)?;
@@ -137,12 +139,14 @@ pub(crate) fn grid_reaching(
     StampGrid::new(left + right + 1, below + above + 1)?.with_centre(left as f64, below as f64)
 }
 
-/// The grid of the stamps after the response of a frame pixel is added: half a frame pixel wider on
-/// every side, so that no light is lost. A grid that already includes the response is returned
-/// unchanged.
+/// The grid of the stamps after the response of a frame pixel is added. It is half a frame pixel
+/// wider on every side (rounded up to whole stamp pixels), so that no light is lost. A grid that
+/// already includes the response is returned unchanged.
 ///
 /// # Errors
-/// None for a valid grid. The error type comes from the constructor of the new grid.
+/// No error occurs. The type allows the errors of [`StampGrid`]'s functions: an empty stamp, or a
+/// centre or an oversampling that is not allowed. The new grid is larger than the given one and
+/// keeps its centre and oversampling.
 pub fn grid_with_pixel_response(grid: StampGrid) -> Result<StampGrid, DataError> {
     if grid.pixel_response_included() {
         return Ok(grid);

@@ -89,8 +89,9 @@ impl<'a> StarPainter<'a> {
     /// Computes the sources' light in single pixels `(column, row)` of the frame.
     ///
     /// # Errors
-    /// [`ConvError`] if the PSF has no value at a source that reaches one of the pixels. An
-    /// output-anchored painter needs the PSF at every frame pixel that such a source may light.
+    /// [`ConvError`] if a PSF that is needed has no value. A source-anchored painter needs the PSF
+    /// at every source that reaches one of the pixels. An output-anchored painter needs the PSF at
+    /// every frame pixel that such a source may light.
     pub fn at_pixels(
         &self,
         sources: &[PointSource],
@@ -127,9 +128,9 @@ impl<'a> StarPainter<'a> {
     /// to it.
     ///
     /// # Errors
-    /// [`ConvError`] if the PSF has no value at a source that reaches the region, and
-    /// [`ConvError::Cancelled`]. An output-anchored painter needs the PSF at every frame pixel that
-    /// such a source may light.
+    /// [`ConvError::Cancelled`], and [`ConvError`] if a PSF that is needed has no value. A
+    /// source-anchored painter needs the PSF at every source that reaches the region. An
+    /// output-anchored painter needs the PSF at every frame pixel that such a source may light.
     ///
     /// # Panics
     /// If `image` does not have the region's shape.
@@ -161,7 +162,8 @@ impl<'a> StarPainter<'a> {
         })
     }
 
-    /// The pixel of the frame that a source lies on, which may be outside the frame.
+    /// The pixel that a source lies on, counted from the frame's first pixel. It may lie outside
+    /// the frame.
     fn pixel(&self, source: &PointSource) -> (i64, i64) {
         let pixel = |v: f64, origin: i64| ((v + 0.5).floor() as i64).saturating_sub(origin);
         (

@@ -23,8 +23,9 @@ pub(super) struct PhasedAxis {
     pub(super) oversampling: usize,
     /// The pixels that a star may light, relative to its own pixel.
     window: (i64, i64),
-    /// The position in the stamp of the first coefficient kept. Only coefficients that stars may
-    /// use are kept, so that vectors of the first residues start at cache lines.
+    /// The position in the stamp of the first coefficient kept. Coefficients that no star can use
+    /// are not kept. The first tap of every star is then at residue `s` at most, where vectors
+    /// start at cache lines.
     first: i64,
     /// The number of coefficients kept.
     pub(super) kept: usize,
@@ -131,7 +132,7 @@ impl Phase {
 pub(super) struct Star {
     /// Its index in the catalogue.
     pub(super) index: usize,
-    /// The pixel of the frame that it lies on.
+    /// The pixel that it lies on, counted from the frame's first pixel.
     pub(super) pixel: (i64, i64),
     /// Its offset from the centre of that pixel, in pixels.
     pub(super) shift: (f64, f64),
@@ -192,7 +193,7 @@ impl Star {
             && on(row, window.rows, region.y0(), shape.ny())
     }
 
-    /// The star's [phase numbers](PhasedAxis::phase_number) along rows and along columns.
+    /// The star's [phase numbers](PhasedAxis::phase_number): in y (rows), then in x (columns).
     pub(super) fn phase_numbers(&self, [columns, rows]: &[PhasedAxis; 2]) -> (i64, i64) {
         (
             rows.phase_number(self.shift.1),

@@ -28,8 +28,9 @@ pub(super) struct StarBlock<T> {
 const MARGIN: f64 = 0.5;
 
 /// The layout of the coefficients of a kernel's row: `[chunk, residue, pixel]`, with the pixels of
-/// the frame in chunks. Coefficient `s q + residue` belongs to pixel `q`. Residues continue beyond
-/// `s`, so that the taps of a star are neighbours wherever the first tap is.
+/// the frame in chunks. With an oversampling of `s`, coefficient `s q + residue` belongs to pixel
+/// `q`. Residues continue beyond `s`, so that the taps of a star are neighbours wherever the first
+/// tap is.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct RowLayout {
     residues: usize,
@@ -51,7 +52,7 @@ impl RowLayout {
         }
     }
 
-    /// The pixel and the residue of a value.
+    /// The pixel and the residue of the value at an index.
     fn place(self, index: usize) -> (usize, usize) {
         let (line, pixel) = (index / CHUNK, index % CHUNK);
         (line / self.residues * CHUNK + pixel, line % self.residues)

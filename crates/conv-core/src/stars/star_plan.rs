@@ -91,8 +91,8 @@ struct Catalogue<'a> {
     progress: &'a dyn Progress,
 }
 
-/// Columns and rows of a block of the field. A smaller block needs fewer kernels. But a catalogue
-/// reads the kernels of all blocks once, and smaller blocks have more kernels in total.
+/// Columns and rows of a block of the field. A smaller block needs fewer kernels. But drawing a
+/// catalogue reads the kernels of all blocks, and smaller blocks have more kernels in total.
 const BLOCK: i64 = 256;
 /// The approximate number of stars prepared at a time.
 const MOST_AT_ONCE: usize = 1 << 15;
@@ -156,8 +156,9 @@ impl<T: ConvReal> StarPlan<T> {
     /// `progress` is polled and may cancel the work. No steps are reported to it.
     ///
     /// # Errors
-    /// [`ConvError`] if the PSF has no value at a star that reaches the region, and
-    /// [`ConvError::FrameShape`] for an image of another shape than the region. An output-anchored
+    /// [`ConvError::FrameShape`] for an image of another shape than the region,
+    /// [`ConvError::Cancelled`], and [`ConvError`] if a PSF that is needed has no value. A
+    /// source-anchored plan needs the PSF at every star that reaches the region. An output-anchored
     /// plan needs the PSF at every frame pixel that such a star may light. After an error the image
     /// may hold some of the stars.
     #[inline(never)]
@@ -357,7 +358,7 @@ impl<'a> StarVectors<'a> {
     }
 
     /// Computes the PSF at a position, not scaled to unit flux. Returns the factor that scales it
-    /// to unit flux, or 1 if the model does not need it.
+    /// to unit flux, or 1 if the model needs no scaling.
     pub(super) fn set(&mut self, position: Position) -> Result<f64, FieldError> {
         self.model.coefficients_into(position, &mut self.coefficients)?;
         let first = usize::from(self.model.is_mean_centred());

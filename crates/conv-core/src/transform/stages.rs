@@ -240,8 +240,8 @@ mod tests {
                         #[inline(always)]
                         || stages.forward(simd, &mut buffer, filled),
                     );
-                    // The order is scrambled, but the set of values is the same: each frequency is
-                    // found once.
+                    // The order is scrambled, so each frequency is searched for in the whole
+                    // spectrum.
                     let spectrum: Vec<T> = bytemuck::cast_slice(&buffer).to_vec();
                     let lane = lanes - 1;
                     for k in 0..len {

@@ -277,7 +277,7 @@ mod tests {
         fn run<S: Lanes<T>>(self, simd: S) {
             for (nx, ny) in [(16, 32), (48, 32), (80, 96), (64, 128)] {
                 let fft = TileTransform::<T>::new(nx, ny);
-                // Several filled sizes, for which the result just fits.
+                // Several sizes of light, for which the result fits into the plane.
                 for (rows, columns) in [(1, 1), (ny / 4, 7), (ny / 2 + 3, nx / 2 + 1)] {
                     let (height, width) = (ny + 1 - rows, nx + 1 - columns);
                     let (height, width) = (height.min(9), width.min(6));

@@ -20,7 +20,7 @@ use crate::fits::hdu::HduChoice;
 /// | `re` | `re` | galaxies: half-light radius along the major axis, in pixels |
 /// | `n` | `n` | galaxies: Sersic index, 0.3 to 8 |
 /// | `q` | `q` | galaxies: minor over major axis, 0.001 to 1; 1 without such a column |
-/// | `angle` | `angle` | galaxies: degrees of the major axis from +x towards +y; 0 without such a column |
+/// | `angle` | `angle` | galaxies: angle of the major axis in degrees, from +x towards +y; 0 without such a column |
 ///
 /// The caller may choose the column of a role. Any other role uses its default column, if it
 /// exists. If the default columns of `x`, `y`, `ra` and `dec` all exist, `x` and `y` are used.
@@ -182,7 +182,7 @@ impl std::str::FromStr for CatalogColumns {
                 .position(|name| name.eq_ignore_ascii_case(role))
                 .ok_or_else(|| refused("given for the roles x, y, ra, dec, flux, mag, re, n, q and angle"))?;
             if columns.given[place].replace(column.to_owned()).is_some() {
-                return Err(refused("one column per role"));
+                return Err(refused("given once per role"));
             }
         }
         match columns.conflict() {
@@ -200,8 +200,8 @@ impl std::fmt::Display for CatalogColumns {
     }
 }
 
-/// Options for reading a catalogue: its columns, the origin of its pixels, its zero point and its
-/// table.
+/// Options for reading a catalogue: its columns, the origin of its pixels, its zero point, its
+/// table, the world coordinates of the frame, and whether invalid rows are skipped.
 ///
 /// ```
 /// use psf_io::CatalogOptions;

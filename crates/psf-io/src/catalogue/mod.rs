@@ -17,7 +17,7 @@
 //! - **Text**: fields are separated by commas (values may be quoted), tabs or blanks. The names of
 //!   the columns are in the first line that does not start with `#`. If that line is a row of
 //!   numbers, the names are in the last comment before it. SExtractor's `ASCII_HEAD` is supported
-//!   too. Later lines with `#` and empty lines are skipped.
+//!   too. Empty lines and later lines that start with `#` are skipped.
 //! - **FITS**: the binary table that has the columns, such as `LDAC_OBJECTS` of a `FITS_LDAC`
 //!   catalogue. Each column holds one number per row, of any integer or float type. If several
 //!   tables have the columns, one must be chosen.
@@ -76,7 +76,7 @@ pub fn read_catalog(path: impl AsRef<Path>) -> Result<Vec<PointSource>, IoError>
 /// Reads a list of positions from the columns x and y.
 ///
 /// # Errors
-/// The errors of [`read_catalog`].
+/// The errors of [`read_positions_with`].
 pub fn read_positions(path: impl AsRef<Path>) -> Result<Vec<Position>, IoError> {
     read_positions_with(path, &CatalogOptions::new())
 }
@@ -128,8 +128,8 @@ impl Catalog {
 /// Reads a catalogue of stars and galaxies. See [`CatalogColumns`] for its columns and [this
 /// module](self) for the kinds of files.
 ///
-/// In a catalogue with galaxies, a row with `re` 0, empty or NaN is a star. A galaxy without a
-/// value of `n` is an invalid row.
+/// In a catalogue with galaxies, a row with `re` 0, empty or NaN is a star. A galaxy whose `n` or
+/// `q` is empty is an invalid row. So is a galaxy whose `angle` is empty, unless its `q` is 1.
 ///
 /// ```
 /// # let directory = tempfile::tempdir()?;
@@ -299,7 +299,7 @@ impl<'a> Rows<'a> {
     }
 
     fn invalid(&self, row: usize, source: DataError) -> IoError {
-        IoError::new(self.path, IoErrorKind::Data, "this is not a valid source")
+        IoError::new(self.path, IoErrorKind::Data, "the row is not valid")
             .at(Place::Row(self.numbers.place(row)))
             .because(source)
     }

@@ -106,8 +106,8 @@ impl SkyCoordinates {
             header.needed("CRPIX1", "the reference pixel")?,
             header.needed("CRPIX2", "the reference pixel")?,
         ];
-        let longitude = header.needed(&format!("CRVAL{}", axes[0]), "degrees at the reference pixel")?;
-        let latitude = header.needed(&format!("CRVAL{}", axes[1]), "degrees at the reference pixel")?;
+        let longitude = header.needed(&format!("CRVAL{}", axes[0]), "the right ascension in degrees")?;
+        let latitude = header.needed(&format!("CRVAL{}", axes[1]), "the declination in degrees")?;
         let mut matrix = header.matrix()?;
         if swapped {
             matrix.swap(0, 1);

@@ -44,7 +44,8 @@ pub(crate) struct Fits {
     path: PathBuf,
     /// True if the current HDU is an image that this handle writes.
     writes_image: bool,
-    /// Keeps an unpacked copy on the disk while it is open. `None` for a file that is written.
+    /// Keeps an unpacked copy on the disk while this handle is open. `None` for a file that is
+    /// written.
     source: Option<FitsSource>,
 }
 

@@ -228,7 +228,7 @@ pub(crate) fn shown(field: &[u8]) -> String {
     String::from_utf8_lossy(field).chars().take(QUOTED).collect()
 }
 
-/// States if missing or non-finite values are errors.
+/// States whether missing or non-finite values are errors.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Nans {
     /// Such values are errors.

@@ -161,7 +161,7 @@ impl Hdu {
         }
         let sizes: Vec<String> = self.axes.iter().map(ToString::to_string).collect();
         match self.kind {
-            HduKind::BinaryTable => format!("{text} ({} rows)", self.axes.get(1).unwrap_or(&0)),
+            HduKind::BinaryTable => format!("{text} (rows: {})", self.axes.get(1).unwrap_or(&0)),
             _ => format!("{text} ({})", sizes.join(" x ")),
         }
     }
@@ -269,7 +269,7 @@ impl Hdu {
         self.optional(keyword, "T or F")
     }
 
-    /// The value of a keyword, a whole number above 0. A missing keyword is an error.
+    /// The value of a keyword, which must be a whole number above 0. A missing keyword is an error.
     pub(crate) fn required_length(
         &self,
         keyword: &'static str,
@@ -309,8 +309,8 @@ impl Hdu {
 
 /// Chooses one HDU by number, or by name and optional version.
 ///
-/// Text form: a whole number counts HDUs from 0 (the primary), as in astropy. Any other text is an
-/// `EXTNAME`, in upper or lower case. A comma and an `EXTVER` may follow it.
+/// Text form: a whole number counts HDUs from 0 (the primary), as in astropy. A text that is not a
+/// number is an `EXTNAME`, in upper or lower case. A comma and an `EXTVER` may follow it.
 ///
 /// ```
 /// use psf_io::HduChoice;

@@ -143,8 +143,8 @@ pub fn read_header_hdu(path: impl AsRef<Path>, choice: Option<&HduChoice>) -> Re
 /// need not have pixels.
 ///
 /// Without a choice, these are the cards of the image, as in [`read_header_hdu`]. If the file has
-/// no pixels, they are the cards of the first HDU with world coordinates (`CTYPE1`), or else of the
-/// primary HDU.
+/// no pixels, they are the cards of the first image HDU with world coordinates (`CTYPE1`), or else
+/// of the primary HDU.
 ///
 /// ```
 /// # let directory = tempfile::tempdir()?;
@@ -248,7 +248,7 @@ impl ImageReader {
 
     /// Opens the chosen image. Without a choice it opens the image of the primary HDU, or else the
     /// only image. Every header is read and checked against the length of the file. No pixel is
-    /// read.
+    /// read yet, but all tiles of a compressed image are checked.
     ///
     /// # Errors
     /// [`IoErrorKind::Setting`] if a choice is needed or wrong (the message lists the HDUs),
@@ -275,7 +275,7 @@ impl ImageReader {
             let (planes, ny, nx) = stack_shape(hdu, STACK)?;
             if plane >= planes {
                 let problem =
-                    format!("there is no plane {plane}: the image has {planes} planes, counted from 0");
+                    format!("there is no plane {plane}: the image has {planes} plane(s), counted from 0");
                 return Err(hdu.error(IoErrorKind::Request, problem));
             }
             Ok((plane * ny * nx, ny, nx))
@@ -440,7 +440,7 @@ impl Pixels {
         match self.non_finite(first, count) {
             Ok(Some((flat, value, count))) => {
                 let problem = format!(
-                    "the value is {value}. In total, {count} pixel(s) are NaN, infinite or BLANK: replace them by numbers"
+                    "the value is {value}. Among the pixels read, {count} pixel(s) are NaN, infinite or BLANK: replace them by numbers"
                 );
                 let (hdu, index) = (self.hdu, self.index(flat));
                 IoError::new(self.fits.path(), IoErrorKind::Data, problem).at(Place::Pixel { hdu, index })

@@ -35,8 +35,8 @@ use crate::output::PendingFile;
 /// ```
 ///
 /// # Errors
-/// [`IoErrorKind::Exists`] if the file exists and `overwrite` is false, [`IoErrorKind::NotFound`]
-/// if the directory does not exist, or an error of the file system or of CFITSIO.
+/// The errors of [`check_output`](crate::check_output), or an error of the file system or of
+/// CFITSIO.
 pub fn write_image<T: Real>(
     path: impl AsRef<Path>,
     image: &Image<T>,
@@ -89,9 +89,8 @@ impl<T: Real> ImageWriter<T> {
     /// same meaning as in [`write_image`](crate::write_image).
     ///
     /// # Errors
-    /// [`IoErrorKind::Exists`] if the file exists and `overwrite` is false,
-    /// [`IoErrorKind::NotFound`] if the directory does not exist, or an error of the file system or
-    /// of CFITSIO.
+    /// The errors of [`check_output`](crate::check_output), or an error of the file system or of
+    /// CFITSIO.
     pub fn create(
         path: impl AsRef<Path>,
         shape: FrameShape,
@@ -105,7 +104,7 @@ impl<T: Real> ImageWriter<T> {
     /// Works like [`create`](Self::create), and reserves room in the header for the `late` records
     /// that [`finish_with`](Self::finish_with) will add.
     ///
-    /// A card is one record of 80 characters. A string of more than 68 characters, or a line of
+    /// A card is one record of 80 characters. A string of more than 68 characters, or a text of
     /// HISTORY of more than 72, needs more records. Unused room is filled with blank records, which
     /// FITS allows at the end of a header. At most 100 000 records (8 MB) are reserved.
     ///
@@ -396,7 +395,8 @@ impl IntegerKind {
 ///
 /// # Errors
 /// [`IoErrorKind::Request`] with the first value that is not a whole number in the range of `kind`,
-/// and the errors of [`write_image`](crate::write_image).
+/// [`IoErrorKind::Data`] for an image without pixels, and the errors of
+/// [`write_image`](crate::write_image).
 pub fn write_integers<V: Copy + Into<f64>>(
     path: impl AsRef<Path>,
     pixels: ArrayView2<'_, V>,
@@ -446,9 +446,8 @@ pub fn write_integers<V: Copy + Into<f64>>(
 /// ```
 ///
 /// # Errors
-/// [`IoErrorKind::Limit`] for a value that is not finite in single precision,
-/// [`IoErrorKind::Exists`] if the file exists and `overwrite` is false, [`IoErrorKind::NotFound`]
-/// if the directory does not exist, or an error of the file system or of CFITSIO.
+/// [`IoErrorKind::Limit`] for a value that is not finite in single precision, the errors of
+/// [`check_output`](crate::check_output), or an error of the file system or of CFITSIO.
 pub fn write_cube(
     path: impl AsRef<Path>,
     cube: ArrayView3<'_, f64>,

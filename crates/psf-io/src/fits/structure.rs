@@ -123,8 +123,8 @@ impl FitsStructure {
     }
 
     /// The HDU whose header describes the frame: an image, which need not have pixels. Without a
-    /// choice it is the HDU of [`image`](Self::image). In a file without pixels it is the first HDU
-    /// with world coordinates, or else the primary HDU.
+    /// choice it is the HDU of [`image`](Self::image). In a file without pixels it is the first
+    /// image HDU with world coordinates, or else the primary HDU.
     pub(crate) fn header_of_frame(&self, choice: Option<&HduChoice>) -> Result<&Hdu, IoError> {
         let is_image = |hdu: &Hdu| hdu.kind == HduKind::Image;
         if let Some(choice) = choice {
@@ -182,7 +182,7 @@ impl FitsStructure {
     ) -> IoError {
         let found = list(self.hdus.iter().filter(|hdu| accepts(hdu)));
         let message =
-            format!("HDU {choice} is none of the {what} in the file, which are in the HDUs {found}");
+            format!("HDU {choice} is none of the {what} in the file. HDUs to choose from: [{found}]");
         IoError::new(&self.path, IoErrorKind::Setting, message).with_setting(setting)
     }
 

@@ -36,8 +36,8 @@ pub(crate) struct Rice {
 
 impl Rice {
     /// Reads the parameters from the header of a table. Checks the block size and the bytes per
-    /// pixel that CFITSIO will use. CFITSIO identifies these two mostly by the number of `ZVALi`,
-    /// and almost never by the name in `ZNAMEi`.
+    /// pixel that CFITSIO will use. CFITSIO identifies these two mostly by the number `i` of their
+    /// `ZVALi`, and almost never by the name in `ZNAMEi`.
     pub(crate) fn of(table: &Hdu) -> Result<Self, IoError> {
         let name = |number: usize| table.text(&format!("ZNAME{number}"));
         // An old convention, in which pixels have 4 bytes.
@@ -151,7 +151,7 @@ impl Bits<'_> {
         (word << bit, u64::BITS - 1 - bit)
     }
 
-    /// Reads a number of `count` bits. Returns `None` if the tile ends before.
+    /// Reads a number of `count` bits. Returns `None` if the tile has fewer bits left.
     fn take(&mut self, count: u32) -> Option<u32> {
         let (word, _) = self.ahead();
         self.at += u64::from(count);

@@ -288,7 +288,7 @@ impl<'a> Tiles<'a> {
     }
 }
 
-/// A reader of the data of an HDU that can jump to any position.
+/// A reader that can jump to any position in the data of an HDU.
 struct Places {
     file: BufReader<File>,
     /// Position of the start of the data in the file.

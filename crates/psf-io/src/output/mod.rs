@@ -14,15 +14,15 @@ use crate::fits::structure::NOT_A_FILE;
 /// Writes a file under a temporary name in the directory of the final file, and renames it when it
 /// is complete.
 ///
-/// `write` gets the temporary name. An empty file has been created there, which `write` may open,
-/// truncate or remove. The name ends like `path`, so that libraries which look at the extension
-/// choose the right format. When `write` fails, the temporary file is removed and an old file at
-/// `path` stays untouched. The content is flushed to the disk (fsync) before the renaming. So a
-/// loss of power leaves either the old file or the new one. On Unix, temporary files that a killed
-/// process has left for this output are removed, if the file system supports locks. A program that
-/// handles signals calls [`remove_unfinished`](crate::remove_unfinished). The new file has the
-/// permissions of any new file (umask). A symbolic link to a file is followed: this file is
-/// replaced, and the link stays.
+/// `write` gets the temporary name. An empty file of this name exists already, which `write` may
+/// open, truncate or replace. The name ends like `path`, so that libraries which look at the
+/// extension choose the right format. When `write` fails, the temporary file is removed and an old
+/// file at `path` stays untouched. The content is flushed to the disk (fsync) before the renaming.
+/// So a loss of power leaves either the old file or the new one. On Unix, temporary files that a
+/// killed process has left for this output are removed, if the file system supports locks. A
+/// program that handles signals should call [`remove_unfinished`](crate::remove_unfinished) before
+/// it ends. The new file has the permissions of any new file (umask). A symbolic link to a file is
+/// followed: this file is replaced, and the link stays.
 ///
 /// ```
 /// # let directory = tempfile::tempdir()?;
@@ -77,7 +77,7 @@ pub fn write_bytes(path: impl AsRef<Path>, content: &[u8], overwrite: bool) -> R
 /// # Errors
 /// [`IoErrorKind::NotFound`] if the directory does not exist, [`IoErrorKind::Format`] if `path` is
 /// not a regular file, [`IoErrorKind::Exists`] if the file exists and `overwrite` is false, or
-/// [`IoErrorKind::Write`].
+/// [`IoErrorKind::Write`] if the system does not tell whether the file exists.
 pub fn check_output(path: impl AsRef<Path>, overwrite: bool) -> Result<(), IoError> {
     checked_target(path.as_ref(), overwrite).map(drop)
 }

@@ -107,8 +107,8 @@ pub fn detect_hdu(path: impl AsRef<Path>, choice: Option<&HduChoice>) -> Result<
     })
 }
 
-/// Number of axes of the first image. If there are more than two axes, leading axes of length 1 are
-/// not counted.
+/// Number of axes of the first image. If there are more than two axes, axes of length 1 at the end
+/// in FITS order (such as `NAXIS3 = 1`) are not counted.
 fn image_axes(structure: &FitsStructure) -> Option<usize> {
     structure.first_image().ok().map(|hdu| squeezed(hdu).len())
 }

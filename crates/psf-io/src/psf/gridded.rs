@@ -19,7 +19,7 @@ use crate::fits::image::stack_shape;
 ///   Between their pixels the interpolating cubic spline applies. The values are the values in the
 ///   file, not scaled to unit flux.
 /// - photutils' `GriddedPSFModel` interpolates bilinearly between the positions. Outside their grid
-///   it uses the PSF at the nearest point of the grid. In psfield these are
+///   it uses the PSF at the nearest point of the grid. In psfield these choices are named
 ///   [`Interpolation::Bilinear`](psf_types::Interpolation::Bilinear) and
 ///   [`OutsidePolicy::Nearest`](psf_types::OutsidePolicy::Nearest).
 #[derive(Debug, Clone, PartialEq)]
@@ -93,7 +93,8 @@ pub(crate) fn cube_shape(hdu: &Hdu) -> Result<(usize, usize, usize), IoError> {
     stack_shape(hdu, "a cube of PSFs [plane, y, x]")
 }
 
-/// Returns an error for a stamp without flux, with the number of its plane in the file.
+/// Returns an error for a stamp whose flux is not positive, with the number of its plane in the
+/// file.
 pub(crate) fn check_flux(
     path: &Path,
     stamps: &Array3<f64>,

@@ -29,10 +29,11 @@ const MIN_SIZE: usize = 4;
 /// the same coordinates in x and in y, and if the planes have x fastest while the cards have y
 /// fastest. The library is written in this way.
 ///
-/// If several samples have different coordinates in x and in y, more planes are written: one at
-/// every crossing of all these coordinates. A plane between samples is interpolated bilinearly. A
-/// plane outside the samples is the PSF at the nearest point of their grid. Readers interpolate in
-/// the same way, so the PSF is unchanged everywhere.
+/// If the grid of the samples has other coordinates in x than in y, more planes are written: one at
+/// every crossing of all these coordinates. (A single sample is always written as a single plane.)
+/// A plane between samples is interpolated bilinearly. A plane outside the grid of the samples is
+/// the PSF at the nearest point of this grid. Readers interpolate in the same way, so the PSF is
+/// unchanged everywhere.
 ///
 /// ```
 /// # let directory = tempfile::tempdir()?;
@@ -151,8 +152,8 @@ fn own_cards(
     }
     if square.is_refined() {
         own.push(Card::comment(&format!(
-            "The samples were on a grid of {} x {} lines, with different coordinates in x and in y. Here both axes have all these \
-             coordinates, and the planes are interpolated bilinearly from the samples.",
+            "The samples were on a grid of {} x {} lines, with different coordinates in x and in y. In this file, the coordinates of \
+             both axes are used along x and along y. The planes are interpolated bilinearly from the samples.",
             square.xs.len(),
             square.ys.len()
         )));

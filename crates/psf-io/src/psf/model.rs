@@ -14,7 +14,7 @@
 //! | `NCOMP` | number of components `K` |
 //! | `CENTRED` | `T` if plane 0 is the mean stamp, `F` (default) if there is none |
 //! | `INTERPOL` | `auto`, `delaunay`, `natural-neighbour`, `idw`, `idw=POWER`, `bilinear`, `bicubic`, `polynomial=DEGREE` or `nearest` |
-//! | `OUTSIDE` | policy outside the samples: `nearest`, `extend` or `error` |
+//! | `OUTSIDE` | policy outside the area that the samples cover: `nearest`, `extend` or `error` |
 //! | `NORMALIS` | `unit` (every PSF is scaled to unit flux) or `keep` |
 //! | `OVERSAMP`, `CENX`, `CENY`, `PIXCONV`, `STAMPINT`, `FIELDNX`, `FIELDNY` | as in [`psf-samples`](crate::samples) |
 //!
@@ -117,7 +117,7 @@ pub fn read_model_file(path: impl AsRef<Path>) -> Result<ModelFile, IoError> {
     )?;
     if !(1..=MODEL_VERSION).contains(&version) {
         let problem = format!(
-            "this is a psf-model file of version {version}, but only versions 1 to {MODEL_VERSION} can be read: update psfield"
+            "this is a psf-model file of version {version}, but the newest version that this psfield reads is {MODEL_VERSION}: update psfield"
         );
         return Err(IoError::new(path, IoErrorKind::Format, problem));
     }
@@ -126,7 +126,7 @@ pub fn read_model_file(path: impl AsRef<Path>) -> Result<ModelFile, IoError> {
     let rank = usize::try_from(hdu.required::<i64>("NCOMP", "the number of components")?)
         .ok()
         .filter(|&rank| rank.checked_add(usize::from(centred)) == Some(shape.0))
-        .ok_or_else(|| hdu.axes_error("a cube of NCOMP planes, plus one if CENTRED is T"))?;
+        .ok_or_else(|| hdu.axes_error("a cube of NCOMP planes (NCOMP + 1 if CENTRED is T)"))?;
     let interpolation = hdu.required_choice("INTERPOL", "the interpolation, such as natural-neighbour")?;
     let outside = hdu.required_choice("OUTSIDE", "nearest, extend or error")?;
     let normalisation = hdu.required_choice("NORMALIS", "unit or keep")?;
@@ -146,8 +146,8 @@ pub fn read_model_file(path: impl AsRef<Path>) -> Result<ModelFile, IoError> {
 
     let planes = read_stack(hdu, shape)?;
     let mean = centred.then(|| planes.index_axis(Axis(0), 0).to_owned());
-    // Moves the array instead of copying the components, because a copy without planes fails
-    // ndarray's debug assertions.
+    // Moves the array instead of copying the components. With NCOMP = 0 the copy would have no
+    // planes, which fails ndarray's debug assertions.
     let components = planes.slice_move(s![usize::from(centred).., .., ..]);
     let basis = PsfBasis::new(mean, components, grid).map_err(invalid(path))?;
     let record = PsfModelRecord::new(basis, coefficients, interpolation, outside, normalisation)
@@ -198,7 +198,7 @@ pub fn write_model(
         ("NCOMP", rank.into(), "number of components"),
         ("CENTRED", centred.into(), "plane 0 is the mean stamp"),
         ("INTERPOL", interpolation, "interpolation of the coefficients"),
-        ("OUTSIDE", outside, "policy outside the samples"),
+        ("OUTSIDE", outside, "policy outside the area of samples"),
         ("NORMALIS", normalisation, "normalisation of every PSF"),
     ];
     let own = cards(path, own)?;

@@ -16,7 +16,8 @@
 //! | `FIELDNX`, `FIELDNY` | size of the frame in pixels; both or none | unknown |
 //!
 //! If the stamps include the pixel response, a value is the fraction of a source's flux in a
-//! *frame* pixel centred there. A stamp with `OVERSAMP = s` holds unit flux if its sum is `s^2`.
+//! *frame* pixel centred on the stamp pixel. A stamp with `OVERSAMP = s` holds unit flux if its sum
+//! is `s^2`.
 //! Every value is finite, every stamp has positive flux, and no two positions are equal. If the
 //! size of the frame is given, all positions are on the frame. Single-precision and integer columns
 //! are read too. The cube and its keywords may also be in an extension, such as that of a

@@ -5,7 +5,7 @@
 //! | HDU | content |
 //! |---|---|
 //! | 0, primary | `ETYPE` = `FVPSF`, `ECAT` = number of the map's HDU, `EDATA` = number of the first HDU with PSFs (both counted from 0, the primary) |
-//! | the map, an image | `[y, x]`: the number of the layer that applies in each pixel; linear world coordinates `CRPIXn`, `CDELTn`, `CRVALn`, measured from the centre of the field in `CUNITn` (degrees by default) |
+//! | the map, an image | `[y, x]`: the number of the layer (counted from 0) that applies in each pixel; linear world coordinates `CRPIXn`, `CDELTn`, `CRVALn`, measured from the centre of the field in `CUNITn` (degrees by default) |
 //! | the map, a binary table | columns `x`, `y` (arcseconds from the centre of the field) and `layer` |
 //! | PSFs, one HDU per wavelength | cube `[layer, y, x]`; `WAVE0` = wavelength in micrometres, `CDELT1` = size of a PSF pixel in `CUNIT1` (degrees by default) |
 //!
@@ -112,10 +112,10 @@ fn near_whole(ratio: f64) -> f64 {
 /// ```
 ///
 /// # Errors
-/// - [`IoErrorKind::Header`] with the keyword that is missing or malformed
+/// - [`IoErrorKind::Header`] with the keyword that is missing, malformed or not supported
 /// - [`IoErrorKind::Setting`] for several wavelengths without a choice
-/// - [`IoErrorKind::Data`] for a layer number in the map that does not exist, or a layer without
-///   flux
+/// - [`IoErrorKind::Data`] for a layer number in the map that does not exist, a layer whose flux is
+///   not positive, or two nodes at one position
 /// - [`IoErrorKind::Format`] or [`IoErrorKind::Axes`] if the map or the PSFs are missing or have
 ///   the wrong axes
 /// - [`IoErrorKind::Table`] for a column of the map that is missing or has another format
@@ -148,7 +148,7 @@ pub fn read_scopesim(path: impl AsRef<Path>, options: &ScopesimOptions) -> Resul
         .iter()
         .map(|&(x, y)| options.position(x, y).map_err(invalid(path)))
         .collect::<Result<Vec<Position>, _>>()?;
-    // For each layer of the file, its first node.
+    // For each layer that the map uses, its first node.
     let mut used = BTreeMap::new();
     for (node, &layer) in map.layers.iter().enumerate() {
         used.entry(layer).or_insert(node);
@@ -276,7 +276,7 @@ impl<'a> Kernels<'a> {
             }
         }
         let chosen = match (options.wavelength_um, &cubes[..]) {
-            (_, []) => return Err(structure.missing(&format!("PSFs: no image from HDU {first} (EDATA) on"))),
+            (_, []) => return Err(structure.missing(&format!("PSF image at HDU {first} (EDATA) or later"))),
             (_, [only]) => only,
             (Some(wanted), several) => several
                 .iter()
@@ -419,7 +419,7 @@ impl MapAxis {
         const ROTATED: &str = "0 (rotated maps are not supported)";
         const PIXEL: &str = "the reference pixel of the map, a number";
         const STEP: &str = "the size of a pixel of the map, a number other than 0";
-        const FACTOR: &str = "the factor of this size, a number other than 0";
+        const FACTOR: &str = "a number other than 0, by which CDELT is multiplied";
         const VALUE: &str = "the coordinate of the reference pixel, a number";
         let other = 3 - axis;
         let rotations = [

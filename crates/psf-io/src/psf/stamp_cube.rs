@@ -96,8 +96,9 @@ impl StampCubeOptions {
 /// # Errors
 /// - [`IoErrorKind::Setting`] if several images have pixels and none is chosen, for a choice that
 ///   is not an image with pixels, or for several planes without positions
-/// - [`IoErrorKind::Data`] if there is not one position per plane, two positions are equal, a stamp
-///   has no flux, or oversampling or centre are out of range
+/// - [`IoErrorKind::Data`] if there is not one position per plane, two positions are equal, a
+///   position is outside the frame of `FIELDNX` by `FIELDNY` pixels, a stamp has no positive flux,
+///   a value is not finite, or the oversampling or the centre is out of range
 /// - [`IoErrorKind::Axes`] unless the image has two or three axes
 /// - the [errors of any FITS file](crate#bad-files)
 pub fn read_stamp_cube(path: impl AsRef<Path>, options: &StampCubeOptions) -> Result<PsfSamples, IoError> {

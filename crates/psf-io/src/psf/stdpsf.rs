@@ -2,8 +2,8 @@
 //!
 //! # Layout
 //!
-//! The first image with pixels is a cube `[plane, y, x]` of `NXPSFS` times `NYPSFS` planes, with x
-//! fastest. The stamps are oversampled 4 times, which no keyword states.
+//! The only image with pixels, or else the chosen one, is a cube `[plane, y, x]` of `NXPSFS` times
+//! `NYPSFS` planes, with x fastest. The stamps are oversampled 4 times, which no keyword states.
 //!
 //! | keyword | meaning |
 //! |---|---|
@@ -23,7 +23,7 @@
 //! Some files hold several detectors side by side. The reader recognises these files by the shape
 //! of the grid, and converts positions to pixels of the chosen detector:
 //!
-//! | PSFs | instrument | detectors | offset |
+//! | PSFs | instrument | detectors | offset in pixels |
 //! |---|---|---|---|
 //! | 9 x 10 | ACS/WFC | 1: WFC2 (SCI,1), 2: WFC1 (SCI,2) | 2048 in y for the second |
 //! | 7 x 8 | WFC3/UVIS | 1: UVIS2 (SCI,1), 2: UVIS1 (SCI,2) | 2048 in y for the second |
@@ -49,8 +49,8 @@ use crate::psf::gridded::{GriddedPsf, LibraryCards, Planes, cube_shape};
 const OVERSAMPLING: f64 = 4.0;
 const COUNT_EXPECTED: &str = "the number of PSFs along an axis of the grid, a whole number above 0";
 
-/// Returns whether a file is an STDPSF library, that is, whether its cube states the number of PSFs
-/// along an axis. Both axes are needed, which the reader checks.
+/// Returns whether a file is an STDPSF library, that is, whether the header of its first image
+/// states the number of PSFs along an axis. The reader checks that it states both numbers.
 pub(crate) fn is_stdpsf(structure: &FitsStructure) -> bool {
     let cards = structure.first_image().map(LibraryCards::new);
     cards.is_ok_and(|cards| cards.has("NXPSFS") || cards.has("NYPSFS"))
@@ -82,10 +82,11 @@ pub fn read_stdpsf(path: impl AsRef<Path>, detector: Option<usize>) -> Result<Gr
     read_stdpsf_hdu(path, None, detector)
 }
 
-/// Reads the library in the chosen HDU.
+/// Reads the library in the chosen HDU. Without a choice it is the only image with pixels.
 ///
 /// # Errors
-/// The errors of [`read_stdpsf`], and [`IoErrorKind::Setting`] for a choice that is not an image.
+/// The errors of [`read_stdpsf`], and [`IoErrorKind::Setting`] for a choice that is not an image
+/// with pixels.
 pub fn read_stdpsf_hdu(
     path: impl AsRef<Path>,
     choice: Option<&HduChoice>,
@@ -231,7 +232,7 @@ impl Layout {
         let detectors: Vec<String> = (0..self.len()).map(named).collect();
         let none = detector.map_or_else(String::new, |n| format!("there is no detector {n}: "));
         Err(format!(
-            "{none}the file holds the detectors {}: choose one",
+            "{none}the file holds the detector(s) {}: choose one",
             detectors.join(", ")
         ))
     }
@@ -279,7 +280,7 @@ fn read_lines(
     let lines: Vec<(f64, String)> = lines.drain(wanted).collect();
     for (i, (value, second)) in lines.iter().enumerate() {
         if let Some((_, first)) = lines[..i].iter().find(|(earlier, _)| earlier == value) {
-            let problem = format!("{first} and {second} are both {value}: grid positions must differ");
+            let problem = format!("the positions in {first} and {second} are both {value}: they must differ");
             return Err(cards.hdu.error(IoErrorKind::Header, problem));
         }
     }
@@ -373,7 +374,7 @@ fn side_defect(stamps: ArrayView3<'_, f64>, numbers: &[usize], name: &str) -> Op
     }
     (!planes.is_empty()).then(|| {
         format!(
-            "border: the {depth} outermost row(s) on the {name} side of {} plane(s) (first: {}, counted from 0) hold values that cannot belong to a PSF, such as \
+            "border: the {depth} outermost row(s) or column(s) on the {name} side of {} plane(s) (first: {}, counted from 0) hold values that cannot belong to a PSF, such as \
              {worst} (they are used unchanged)",
             planes.len(),
             planes[0]

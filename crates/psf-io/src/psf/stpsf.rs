@@ -2,8 +2,8 @@
 //!
 //! # Layout
 //!
-//! The first image with pixels is a float cube `[plane, y, x]` with one PSF per plane. An image
-//! `[y, x]` is one PSF.
+//! The only image with pixels, or else the chosen one, is a float cube `[plane, y, x]` with one PSF
+//! per plane. An image `[y, x]` is one PSF.
 //!
 //! | keyword | meaning |
 //! |---|---|
@@ -18,8 +18,8 @@
 //!
 //! Stamps are centred at index `(n - 1) / 2`, include the response of a pixel and sum to about
 //! `OVERSAMP^2`. Positions need not form a grid. If a PSF was made for an even number of detector
-//! pixels, its centre is on the corner of a pixel. STPSF has already added this half pixel to the
-//! position in the card.
+//! pixels, its centre is on the corner of a pixel, half a pixel from the centre of the pixel. STPSF
+//! has already added this half pixel to the position in the card.
 //!
 //! A writer may use one sampling for its transforms and another for the stamps, and writes both
 //! (`OVERSAMP`, `DET_SAMP`). The reader uses the sampling that gives the width of the stamps when
@@ -84,10 +84,11 @@ pub fn read_stpsf(path: impl AsRef<Path>, order: PlaneOrder) -> Result<GriddedPs
     read_stpsf_hdu(path, None, order)
 }
 
-/// Reads the library in the chosen HDU.
+/// Reads the library in the chosen HDU. Without a choice it is the only image with pixels.
 ///
 /// # Errors
-/// The errors of [`read_stpsf`], and [`IoErrorKind::Setting`] for a choice that is not an image.
+/// The errors of [`read_stpsf`], and [`IoErrorKind::Setting`] for a choice that is not an image
+/// with pixels.
 pub fn read_stpsf_hdu(
     path: impl AsRef<Path>,
     choice: Option<&HduChoice>,
@@ -192,7 +193,7 @@ fn oversampling(cards: &LibraryCards<'_>, nx: usize) -> Result<usize, IoError> {
 
 /// The keyword in psfield's own files that states the order of the planes.
 pub(crate) const PLANE_ORDER: &str = "PLANEORD";
-/// The date since which the writer has sorted the planes.
+/// The date since which WebbPSF, later STPSF, has sorted the planes.
 const SORTED_SINCE_DATE: &str = "2023-12-11";
 /// The first version (major, minor) that sorts the planes.
 const SORTED_SINCE_VERSION: (u32, u32) = (1, 3);

@@ -160,7 +160,7 @@ fn text(name: &str, value: &Value) -> Result<String, String> {
         Value::Float(number) => Ok(number.to_string()),
         Value::Boolean(flag) => Ok(flag.to_string()),
         other => Err(format!(
-            "{name}: expected a string, a number, true or false, or a list of them, found a value of type {}",
+            "{name}: expected a string, a number, true or false, or a list or table of them, found a value of type {}",
             other.type_str()
         )),
     }

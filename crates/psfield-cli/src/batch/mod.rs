@@ -346,7 +346,7 @@ mod tests {
         ] {
             assert_ne!(digest(&format!("output = 'a.fits'\n{other}")), plain, "{other}");
         }
-        // Equal characters, divided differently between the options.
+        // Options with equal names and one different value.
         assert_ne!(
             digest("output = 'a.fits'\nanchor = 'source'\nprecision = 'f64'"),
             digest("output = 'a.fits'\nanchor = 'output'\nprecision = 'f64'")

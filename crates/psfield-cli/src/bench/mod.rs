@@ -32,8 +32,9 @@ pub(crate) use crate::bench::settings::JsonTo;
 /// and running are timed separately. Errors are relative L2 differences from the direct sum in
 /// double precision, at the same random pixels for all methods.
 ///
-/// The PSF is drawn from a preset on grids of samples and stretched to the frame, so that it varies
-/// by the same amount over a frame of any size. In the scene every pixel has light.
+/// By default, the PSF of a preset telescope is sampled on grids and stretched to the frame, so
+/// that it varies by the same amount over a frame of any size. In the default scene every pixel has
+/// light.
 ///
 /// All run times are also given as ratios to `single`, which always runs. `single` convolves the
 /// frame with one PSF: the PSF at the middle of the frame. It is the fastest convolution with one
@@ -46,7 +47,7 @@ pub(crate) struct BenchArgs {
     /// Numbers of PSF samples along each side of the field [default: 9,33]
     #[arg(long, value_name = "N,...", value_delimiter = ',', conflicts_with = "psf", value_parser = grid_side, help_heading = CASES)]
     grids: Option<Vec<NonZeroUsize>>,
-    /// PSF: a model, or samples (which are fitted) [default: drawn from --preset]
+    /// PSF: a model, or samples (which are fitted) [default: sampled from --preset]
     #[arg(long, value_name = "MODEL.fits|SAMPLES.fits", help_heading = CASES)]
     psf: Option<PathBuf>,
     /// Scene: a FITS image [default: noise on a smooth background]
@@ -55,7 +56,7 @@ pub(crate) struct BenchArgs {
     /// Stretch the positions of --psf to the frame
     #[arg(long, requires = "psf", help_heading = CASES, hide_short_help = true)]
     stretch: bool,
-    /// Telescope from which the PSF is drawn
+    /// Telescope whose PSF is sampled
     #[arg(
         long,
         value_enum,
@@ -114,7 +115,7 @@ pub(crate) struct BenchArgs {
     precision: Precision,
     /// Number of timed turns of each method [default: 3]
     ///
-    /// A run that takes less than 20 ms is repeated within a turn, at most 20 times in all.
+    /// In each turn, a method runs as often as fits into 20 ms, at least once and at most 20 times.
     #[arg(long, value_name = "N", help_heading = MEASUREMENT, hide_short_help = true)]
     repeat: Option<NonZeroU16>,
     /// Number of random pixels at which errors are measured [default: 400]
@@ -148,7 +149,7 @@ pub(crate) struct BenchArgs {
     /// Replace the files of --json and --plot if they exist
     #[arg(long)]
     overwrite: bool,
-    // The heading of a group also applies to the options after it.
+    // clap applies the heading of a group also to the options after it, so the group is last.
     #[command(flatten)]
     device: BenchDeviceArgs,
 }
@@ -271,7 +272,7 @@ impl BenchArgs {
         context.report(&report, || report.text())
     }
 
-    /// Returns the origin of the PSF, for errors.
+    /// Returns the origin of the PSF, for error messages.
     fn origin(&self) -> String {
         match &self.psf {
             Some(path) if self.stretch => format!("with the PSF of {}", path.display()),

@@ -63,7 +63,7 @@ impl<O> Report<O> {
     }
 }
 
-/// The size of a case.
+/// The frame size and the number of PSF samples of a case.
 pub(super) fn size_of(row: &BenchRow) -> String {
     format!(
         "{} x {} pixels, {} PSF samples",
@@ -157,7 +157,7 @@ const METHODS: [(&str, Marker, usize); 6] = [
 const UNIT: &str = "single";
 
 /// The meaning of the labels next to points.
-const LABELS: &str = "numbers: tolerance (lowrank), pixels (patch), rank (basis)";
+const LABELS: &str = "numbers: tolerance (lowrank), side of a patch in pixels (patch), rank (basis)";
 
 /// Draws a panel for each case. The first row of a case is the single PSF.
 pub(super) fn plot(cases: &[&[BenchRow]]) -> Result<Figure, PlotError> {
@@ -173,7 +173,7 @@ pub(super) fn plot(cases: &[&[BenchRow]]) -> Result<Figure, PlotError> {
 
 fn curves(rows: &[BenchRow]) -> Curves {
     let of = |name| rows.iter().filter(move |row| row.method == name);
-    // The time of one convolution with a single PSF is a line over all errors.
+    // A horizontal line over all errors shows the time of a convolution with a single PSF.
     let marks = of(UNIT)
         .map(|row| Mark::Horizontal(row.seconds, UNIT.to_owned()))
         .collect();
@@ -184,8 +184,8 @@ fn curves(rows: &[BenchRow]) -> Curves {
             let points: Vec<(f64, f64, Option<&str>)> = of(name)
                 .filter_map(|row| Some((error(row)?, row.seconds, row.setting.as_deref())))
                 .collect();
-            // `auto` has no labels of its own, because it has the settings of `lowrank` at nearby
-            // points.
+            // If `lowrank` is shown, `auto` has no labels: its points have the same settings and
+            // lie nearby.
             let named = name != "auto" || of("lowrank").next().is_none();
             Curve {
                 marker: Some(marker),

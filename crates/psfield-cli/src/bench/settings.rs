@@ -1,4 +1,4 @@
-//! Defaults of a benchmark, its device, and the file for its JSON.
+//! The settings of a benchmark, its device, and the destination of `--json`.
 
 use std::ffi::OsString;
 use std::num::NonZeroUsize;
@@ -108,7 +108,7 @@ impl Settings {
 #[derive(Debug, Clone, clap::Args)]
 #[command(next_help_heading = "Device")]
 pub(super) struct BenchDeviceArgs {
-    /// Device of lowrank and auto, in f32 (the other methods run on the CPU)
+    /// Device of lowrank and auto (gpu computes in f32; the other methods run on the CPU)
     #[arg(long, default_value = "cpu", value_parser = device_parser(["cpu", "gpu"]))]
     pub(super) device: Device,
     /// GPU to use: a part of its name or backend [default: the first of psfield devices]
@@ -140,7 +140,7 @@ pub(crate) enum JsonTo {
 }
 
 impl JsonTo {
-    /// Parses `--json` without a value.
+    /// Parses `--json` without a value, for which clap passes `true` or `false`.
     #[allow(clippy::unnecessary_wraps, reason = "a parser of values")]
     pub(crate) fn of_flag(text: &str) -> Result<Self, String> {
         Ok(if text == "true" {

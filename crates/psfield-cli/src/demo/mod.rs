@@ -32,7 +32,7 @@ pub(crate) struct DemoArgs {
     /// Replace files that exist in the folder
     #[arg(long)]
     overwrite: bool,
-    /// Seed for the stars and galaxies
+    /// Seed for the stars, the galaxies and the random positions of the checks
     #[arg(long, default_value_t = 1)]
     seed: u64,
 }
@@ -118,7 +118,7 @@ impl DemoArgs {
             let s = &report.seconds;
             let check = &report.spot_check;
             format!(
-                "sampled   {} PSFs over {frame} pixels ({} drawn) in {:.2} s\n\
+                "sampled   {} PSFs over {frame} pixels ({} drawn in all) in {:.2} s\n\
                  fitted    {} components (elbow at {}), largest truncation error {:.1e}, in {:.2} s\n\
                  model     PSFs differ from the telescope's own by {:.1e} (median), {:.1e} (largest, relative L2)\n\
                  PSF       FWHM {:.2} to {:.2} pixels, ellipticity up to {:.2}\n\

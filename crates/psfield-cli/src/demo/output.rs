@@ -140,7 +140,7 @@ impl Output {
             most: most.max(f64::MIN_POSITIVE),
         };
         let title = format!(
-            "image by {PATCH}-pixel patches minus image by psfield\n(only galaxies differ; 0.5 % of the pixels are beyond the colour scale)"
+            "image by {PATCH}-pixel patches minus image by the default method\n(only galaxies differ; 0.5 % of the pixels are beyond the colour scale)"
         );
         self.figure(
             "patch_error.png",
@@ -169,7 +169,7 @@ fn single_picture(
 fn psf_field(stamps: ArrayView3<'_, f64>, frame: FrameShape) -> anyhow::Result<Figure> {
     let (count, ny, nx) = stamps.dim();
     let peak = stamps.iter().copied().fold(f64::MIN_POSITIVE, f64::max);
-    // A grey line between neighbours.
+    // The background remains visible as a grey line between neighbours.
     let mut whole = Array2::from_elem(
         (count.div_ceil(ACROSS) * (ny + 1), ACROSS * (nx + 1)),
         peak * 0.02,

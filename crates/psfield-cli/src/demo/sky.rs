@@ -77,7 +77,7 @@ fn power_law(rng: &mut ChaCha8Rng, slope: f64, smallest: f64, largest: f64) -> f
     (a + rng.random::<f64>() * (b - a)).powf(-1.0 / slope)
 }
 
-/// Draws positions that are uniform over the frame.
+/// Draws positions that are uniform over the frame, between the centres of its outermost pixels.
 pub(crate) fn random_positions(frame: FrameShape, count: usize, seed: u64) -> anyhow::Result<Vec<Position>> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     (0..count)

@@ -122,7 +122,7 @@ pub(crate) struct SimulateArgs {
     ///
     /// The PSF is centred at pixel N / 2. For images and galaxies, stamps are cut or padded, then
     /// scaled to unit flux (not with --normalise keep). For stars, stamps are cut around the star's
-    /// pixel and not scaled again, so that light outside is lost.
+    /// pixel and not scaled again, so that light outside these N x N pixels is lost.
     #[arg(
         long,
         value_name = "N",

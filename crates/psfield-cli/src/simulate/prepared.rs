@@ -12,7 +12,7 @@ use crate::context::Context;
 use crate::simulate::SimulateArgs;
 use crate::simulate::report::Seconds;
 
-/// Simulators kept for later scenes with equal settings. The last one used is the first.
+/// Simulators kept for later scenes with equal settings. The one that was used last comes first.
 #[derive(Default)]
 pub(crate) struct Simulators {
     kept: Vec<(String, Rc<dyn Any>)>,
@@ -127,8 +127,8 @@ impl SimulateArgs {
         simulators.get(&key, build).map_err(|e| self.explained(e))
     }
 
-    /// Makes the models and the plan that a scene needs, unless they exist. `rows`: the image of
-    /// the scene is read by rows.
+    /// Makes the models and the plan that a scene needs, unless they exist. If `rows` is true, the
+    /// image of the scene is read by rows.
     pub(super) fn prepare<'a, T: ConvReal>(
         &self,
         simulator: &'a Simulator<T>,

@@ -69,7 +69,7 @@ fn with_text<S: Serializer>(placement: &Placement, serializer: S) -> Result<S::O
     .serialize(serializer)
 }
 
-#[allow(clippy::ref_option, reason = "serde hands over the field")]
+#[allow(clippy::ref_option, reason = "serde passes a reference to the field")]
 fn plan_figures<S: Serializer>(plan: &Option<PlanSummary>, serializer: S) -> Result<S::Ok, S::Error> {
     let figures = plan.as_ref().map(|plan| {
         object! {
@@ -124,7 +124,7 @@ impl Report {
         });
         let tiles = self.tiles.as_ref().map_or_else(String::new, |t| {
             format!(
-                "tiles: {} by transforms, {} by direct sums, {} by drawing stamps, {} without light; {} lit pixels drawn as stamps\n",
+                "tiles: {} by transforms, {} by direct sums, {} by drawing stamps, {} without light; lit pixels drawn as stamps: {}\n",
                 t.transformed, t.direct, t.drawn, t.dark, t.drawn_pixels
             )
         });
@@ -161,13 +161,13 @@ impl Report {
         };
         let exposure = self.exposure.as_ref().map_or_else(String::new, |e| {
             format!(
-                "detector: sky {} e, dark {} e, seed {}, {} pixels saturated, {} bad, {} below 0 before noise\n",
+                "detector: sky {} e, dark {} e, seed {}; pixels: {} saturated, {} bad, {} below 0 before noise\n",
                 e.mean_sky_e, e.dark_e, e.seed, e.saturated_pixels, e.bad_pixels, e.negative_pixels
             )
         });
         let streamed = if self.streamed { ", streamed" } else { "" };
         format!(
-            "{}: {nx} x {ny} pixels, {} components, method {}, anchor {}, {}{streamed}\n{sources}{plan}{tiles}{exposure}\
+            "{}: {nx} x {ny} pixels, rank {}, method {}, anchor {}, {}{streamed}\n{sources}{plan}{tiles}{exposure}\
              device: {}\n\
              seconds: read {:.3}, fit {:.3}, plan {:.3}, convolve {:.3}, write {:.3}\n{check}",
             self.output.display(),

@@ -108,7 +108,7 @@ impl SceneArgs {
                     .to_owned(),
             ),
             (None, Some(_), None) => {
-                Some("a catalogue without a scene needs the frame's size: --shape NX,NY".to_owned())
+                Some("a catalogue without an image needs the size of the scene: --shape NX,NY".to_owned())
             }
             (Some(_), None, _) => self
                 .columns
@@ -231,7 +231,8 @@ struct CatalogArgs {
     zero_point: Option<f64>,
     /// Skip invalid rows and count them [default: an invalid row is an error]
     ///
-    /// A row is invalid if position or flux is missing, or if re, n, q or angle is out of range.
+    /// A row is invalid if position or flux is missing, or if dec, re, n, q or angle is out of
+    /// range.
     #[arg(long, hide_short_help = true)]
     skip_invalid: bool,
 }

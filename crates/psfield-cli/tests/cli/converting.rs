@@ -170,7 +170,7 @@ fn a_psfex_model_serves_every_command() {
     desk.refused(
         "evaluate field.psf --at at.csv -o out.fits --rank 3",
         2,
-        &["field.psf", "fit options"],
+        &["field.psf", "not fitted"],
     );
 }
 

@@ -121,7 +121,7 @@ fn planes_and_compressed_files() {
     for (arguments, needles) in [
         ("cube.fits", ["the axes are [3, ", "--plane"]),
         ("cube.fits --plane 3", ["no plane 3", "has 3"]),
-        ("cube.fits --plane 0", ["every pixel is 4", "--range"]),
+        ("cube.fits --plane 0", ["every finite pixel is 4", "--range"]),
         ("cube.fits --plane 1 --extension 2", ["cube.fits", "HDU 2"]),
         ("scene.fits --plane 1", ["no plane 1", "has 1"]),
     ] {
@@ -148,8 +148,8 @@ fn what_cannot_be_shown_is_said() {
     desk.write_image("star.fits", star);
     for (arguments, code, needles) in [
         ("nan.fits", 1, ["nan.fits", "none of the 6 pixels"]),
-        ("flat.fits", 1, ["flat.fits", "every pixel is 7.5"]),
-        ("flat.fits --zscale", 1, ["flat.fits", "every pixel is 7.5"]),
+        ("flat.fits", 1, ["flat.fits", "finite pixel is 7.5"]),
+        ("flat.fits --zscale", 1, ["flat.fits", "finite pixel is 7.5"]),
         ("star.fits", 1, ["0.5 and 99.8", "from 0 to 9"]),
         ("scene.fits --range 3,3", 2, ["--range", "not a range"]),
         ("scene.fits --range 3", 2, ["--range", "LO,HI"]),

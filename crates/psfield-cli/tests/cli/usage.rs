@@ -121,7 +121,7 @@ fn fit_options_are_for_samples() {
             desk.refused(
                 &format!("{command} -o out.fits {option}"),
                 2,
-                &["model.fits", "fit options"],
+                &["model.fits", "not fitted"],
             );
         }
     }
@@ -150,7 +150,7 @@ fn options_that_the_data_cannot_serve() {
     desk.refused(
         "fit samples.fits -o out.fits --rank 0 --centring none",
         1,
-        &["samples.fits", "rank 0"],
+        &["samples.fits", "the rank is 0"],
     );
     let scattered = samples_at(&[(10.0, 10.0), (50.0, 12.0), (30.0, 40.0), (5.0, 33.0)], 1);
     desk.write_samples("scattered.fits", &scattered);

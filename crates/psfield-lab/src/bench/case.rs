@@ -35,7 +35,8 @@ impl<T> BenchCase<T> {
 /// give equal scenes.
 ///
 /// # Errors
-/// [`DataError`] of [`Image::new`]. It does not occur for a valid shape.
+/// No error occurs. [`Image::new`] refuses empty images and values that are not finite with a
+/// [`DataError`], but a [`FrameShape`] is not empty and all values are finite.
 pub fn lit_scene<T: Real>(shape: FrameShape, seed: u64) -> Result<Image<T>, DataError> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let wave = |i: usize, n: usize| (WAVE * i as f64 / n as f64).sin();
@@ -55,8 +56,9 @@ pub fn lit_scene<T: Real>(shape: FrameShape, seed: u64) -> Result<Image<T>, Data
 const WAVE: f64 = 7.0;
 
 /// Stretches the positions of a model's samples to a frame. Along each axis, the outermost
-/// positions become pixel 0 and the last pixel. Samples that all have one coordinate move to the
-/// middle. The PSF then varies over a frame of any size as over the whole field.
+/// positions become pixel 0 and the last pixel. If all samples have equal coordinates along an
+/// axis, they move to its middle. The PSF then varies over a frame of any size as over the whole
+/// field.
 ///
 /// # Errors
 /// [`DataError`] if different positions become equal.
@@ -122,7 +124,7 @@ pub(super) fn constant(model: &PsfModel, position: Position) -> Result<PsfModel,
     let coefficient = SampleCoefficients::new(Array2::from_elem((1, 1), norm), at)?;
     let field = InterpolatedField::new(&coefficient, &Nearest, OutsidePolicy::Nearest)?;
     let shape = model.field_shape();
-    // `psf_at` has scaled the stamp already, if the model is scaled.
+    // If the model's PSFs have unit flux, `psf_at` has scaled the stamp already.
     Ok(PsfModel::new(
         &basis,
         Arc::new(field),
@@ -150,7 +152,7 @@ mod tests {
         assert!((pixels(3).mean().unwrap() - 3.0).abs() < 0.3);
     }
 
-    /// Four Gaussians that widen to the right, on a field of 21 x 11 pixels.
+    /// Four Gaussians that widen with x and with y, on a field of 21 x 11 pixels.
     fn record() -> PsfModelRecord {
         let corners = [(2, 1), (18, 1), (2, 9), (18, 9)].map(|(x, y)| Position::of_pixel(x, y));
         let stamps = Array3::from_shape_fn((4, 9, 9), |(j, y, x)| {

@@ -95,7 +95,7 @@ pub(super) fn title_room(title: &str) -> u32 {
     (MARGIN as usize + title.lines().count() * (TITLE as usize + 5)) as u32
 }
 
-/// Writes a heading over the plot, and returns the rest of the area.
+/// Writes a heading above the plot, and returns the rest of the area.
 pub(super) fn under_title<'a>(area: &Area<'a>, title: &str) -> Result<Area<'a>, PlotError> {
     let (head, rest) = area.split_vertically(title_room(title));
     // The middle of the plot. The room for the numbers on its left is part of the area.
@@ -148,9 +148,10 @@ pub(super) fn decades(values: impl Iterator<Item = f64>) -> Range<f64> {
 const DECADES: i32 = 7;
 /// Approximate number of steps of an even axis.
 const STEPS: f64 = 5.0;
-/// Smallest distance between the numbers of a stretched bar, as a fraction of its length.
+/// Smallest distance between the numbers of an asinh bar ([`asinh_ticks`]), as a fraction of its
+/// length.
 const SPACING: f64 = 0.09;
-/// Largest number of decades below the upper end of a stretched bar in which ticks are sought.
+/// Largest number of decades below the upper end of an asinh bar in which ticks are sought.
 const MOST_DECADES: i32 = 40;
 
 /// Ticks at multiples of 1, 2 or 5 times a power of ten.

@@ -81,7 +81,7 @@ impl Figure {
     /// Returns the figure as PNG, with twice the pixels along each axis.
     ///
     /// # Errors
-    /// [`PlotError`] if there is not enough memory.
+    /// [`PlotError::Encoding`] if the pixels cannot be written as PNG.
     pub fn png(&self) -> Result<Vec<u8>, PlotError> {
         let (width, height) = (self.pixels.width(), self.pixels.height());
         let mut png = Vec::new();

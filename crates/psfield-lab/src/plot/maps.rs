@@ -52,7 +52,7 @@ pub fn positions_figure(panels: &[(String, &[Position])], frame: FrameShape) -> 
 pub struct FieldMap<'a> {
     /// The heading.
     pub title: &'a str,
-    /// The quantity with its unit, shown next to the bar.
+    /// The quantity with its unit, shown next to the colour bar.
     pub quantity: &'a str,
     /// The field.
     pub frame: FrameShape,

@@ -1,8 +1,9 @@
 //! Figures. Each drawing gives an SVG and a PNG.
 //!
 //! All figures of psfield share the colours, axes and file formats of this module. Lines have the
-//! colours of Okabe and Ito (2008), values have the colours of viridis, and differences are blue,
-//! white and red (ColorBrewer's RdBu). Colour-blind readers can tell them apart.
+//! colours of Okabe and Ito (2008). Images of the sky are grey, other values have the colours of
+//! viridis, and differences are blue, white and red (ColorBrewer's RdBu). Colour-blind readers can
+//! tell these colours apart.
 
 mod axes;
 mod canvas;

@@ -56,7 +56,7 @@ impl BinnedImage {
     }
 }
 
-/// Sums over the bins while rows are read.
+/// The sum and the number of finite pixels in each square bin. Rows are added as they are read.
 struct Squares {
     factor: usize,
     sums: Array2<f64>,

@@ -76,8 +76,8 @@ pub enum PreviewError {
         /// Pixels of the image.
         pixels: usize,
     },
-    /// An image whose pixels are all equal.
-    #[error("every pixel is {}, so there is no contrast to show: give limits around this value", readable(*value, FIGURES))]
+    /// An image whose finite pixels are all equal.
+    #[error("every finite pixel is {}, so there is no contrast to show: give limits around this value", readable(*value, FIGURES))]
     Constant {
         /// The value.
         value: f64,

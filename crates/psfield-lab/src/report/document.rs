@@ -67,7 +67,7 @@ impl Document {
         let software = &self.software;
         let _ = writeln!(
             page,
-            "<p>psfield {}, {}, {} threads. Command: <code>{}</code></p>",
+            "<p>psfield {}, {}, threads: {}. Command: <code>{}</code></p>",
             escaped(software.psfield),
             escaped(&software.machine),
             software.threads,
@@ -215,7 +215,6 @@ fn table(page: &mut String, table: &Table) {
     page.push_str("</tbody></table></div>\n");
 }
 
-/// A row of a table.
 fn row<'a>(page: &mut String, cells: impl IntoIterator<Item = &'a str>) {
     page.push_str("<tr>");
     for cell in cells {

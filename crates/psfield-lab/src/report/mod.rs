@@ -7,8 +7,8 @@
 //! and in its true image. Both also give a [`Document`] (sections, tables and figures), from which
 //! one self-contained HTML page is made.
 //!
-//! Measures of an object. The first four are from an elliptical Gaussian without background, which
-//! is fitted to the same window of both images:
+//! Measures of an object. The first four rows are from an elliptical Gaussian without background,
+//! which is fitted to the same window of both images:
 //!
 //! | measure | definition |
 //! |---|---|

@@ -7,14 +7,15 @@ use super::{ErrorSummary, Evaluation, ObjectRow, Spread, Target};
 use crate::plot::{Axis, Curve, Curves, FieldMap, HistogramPanel, Mark, PlotError, Scale, histograms};
 use crate::report::document::short;
 
-/// The colours of a map end at this quantile of the values. The MSE map also begins at 1 minus this
-/// quantile. Values outside get the colour of the nearer end.
+/// The colours of a map end at this quantile of the values (for e1 and e2: of the absolute values).
+/// The colours of the MSE map begin at the quantile `1 - SHOWN_PART`. Values outside get the colour
+/// of the nearer end.
 const SHOWN_PART: f64 = 0.99;
 
 /// Draws FWHM, ellipticity and MAE. Histograms show the first kind of object. Cumulative
-/// distributions have a line for each kind, and mark the 90th percentile of the first kind. For
-/// ellipticity, `paper_q90` marks the percentile of the paper too. `image` names the image that is
-/// compared with the truth, `pixels` the unit of lengths.
+/// distributions have a line for each kind, and mark the 90th percentile of the first kind. If
+/// `paper_q90` is given, the distribution of ellipticity also marks the paper's percentile. `image`
+/// names the image that is compared with the truth, `pixels` the unit of lengths.
 pub(super) fn shape_figures(
     kinds: &[(&str, &Evaluation)],
     [image, pixels]: [&str; 2],
@@ -66,8 +67,8 @@ pub(super) fn shape_figures(
         NamedFigure {
             name: "fwhm",
             caption: format!(
-                "FWHM of {} objects along x and along y: true (filled) and {image} (line). Where both agree, the line follows the edge of \
-                 the filled area.",
+                "FWHM along x and along y (number of objects: {}): true (filled) and {image} (line). Where both agree, \
+                 the line follows the edge of the filled area.",
                 first.summary.objects
             ),
             figure: histograms(&fwhm_panels)?,
@@ -210,7 +211,7 @@ pub(super) fn error_table<'a>(
     rows: impl IntoIterator<Item = (Vec<String>, &'a ErrorSummary)>,
 ) -> Table {
     let columns: Vec<&str> = first.iter().copied().chain(ERROR_COLUMNS).collect();
-    let caption = format!("{caption} 90 %: the difference that 90 % of the objects do not exceed.");
+    let caption = format!("{caption} 90 %: the value that 90 % of the objects do not exceed.");
     let rows = rows.into_iter();
     Table {
         rows: rows

@@ -21,11 +21,11 @@ pub struct PatchComparison {
 }
 
 impl PatchComparison {
-    /// Measures patches and the fast engine on images in which every pixel has light. Over each
-    /// image the PSF varies as over the whole field.
+    /// Measures run time and error of patches and of the fast engine. Every pixel of the images has
+    /// light. The PSF's field is stretched to each image, so that each shows the full variation.
     ///
     /// # Errors
-    /// The errors of [`run`].
+    /// The errors of [`stretched`], [`lit_scene`] and [`run`].
     pub(super) fn measure(
         record: &PsfModelRecord,
         sizes: &[usize],
@@ -61,7 +61,7 @@ impl PatchComparison {
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct GalaxyComparison {
-    /// Pixels along each side of the image. The PSF varies over it as over the whole field.
+    /// Pixels along each side of the image. The PSF varies over the image as over the whole field.
     pub side: usize,
     /// Pixels along each side of a patch.
     pub patch: usize,
@@ -92,11 +92,11 @@ pub struct GalaxyComparison {
 const GALAXY_SIZE: f64 = 0.12;
 
 impl GalaxyComparison {
-    /// Convolves a galaxy that fills the frame with three methods: the fast engine, patches and the
-    /// direct sum.
+    /// Convolves a galaxy in the middle of the frame by three methods: the fast engine, patches and
+    /// the direct sum.
     ///
     /// # Errors
-    /// [`ErrorKind::Convolution`](psfield::ErrorKind::Convolution).
+    /// The errors of [`stretched`], of the convolutions and of the comparison.
     pub(super) fn measure(record: &PsfModelRecord, side: usize, patch: usize) -> Result<Self, LabError> {
         let frame = FrameShape::new(side, side)?;
         let model = model_of(stretched(record, frame)?)?;

@@ -49,13 +49,13 @@ pub struct Reproduction {
     pub objects: usize,
     /// The galaxies: half-light radius in pixels, Sersic index, axis ratio, angle in degrees.
     pub galaxy: [f64; 4],
-    /// The tolerance of figures and targets: the default tolerance.
+    /// The engine's tolerance for the figures and the targets. It is the engine's default.
     pub tolerance: f64,
     /// Results of the decomposition of the samples.
     pub basis: BasisFigures,
     /// Number of samples of the non-uniform sampling that is shown.
     pub adaptive_samples: usize,
-    /// Threshold of this sampling (relative L2 of the interpolation).
+    /// Threshold of this sampling (relative L2 error of the interpolation).
     pub adaptive_threshold: f64,
     /// The targets at the default tolerance.
     pub targets: Vec<Target>,
@@ -289,7 +289,7 @@ pub struct ReproductionOptions {
     /// Sides of the square patches of Table 1, in pixels. Each side is a separate run, in which
     /// every patch has one PSF.
     pub patches: Vec<usize>,
-    /// Number of timed runs in Table 1.
+    /// Number of timed turns of each method in Table 1.
     pub repeat: usize,
     /// Side of the image of the large galaxy, in pixels.
     pub galaxy_side: usize,
@@ -319,7 +319,8 @@ impl ReproductionOptions {
     }
 
     /// Smaller sizes: a frame with a quarter of the side, a quarter of the samples, a ninth of the
-    /// objects, a smaller large galaxy, fewer timed runs, and a larger `adaptive_threshold`.
+    /// objects, a smaller image of the large galaxy, fewer timed turns, and a larger
+    /// `adaptive_threshold`.
     pub fn quick() -> Self {
         Self {
             frame: FrameShape::new(2308, 2304).ok(),

@@ -215,7 +215,7 @@ impl Reproduction {
         let (same, own) = (difference(&of_patches), difference(&of_lowrank));
         let patches = format!("patches of {} pixels", galaxy.patch);
         let patches_off = format!("patches of {} pixels - exact", galaxy.patch);
-        let (flux, percent) = ("flux per pixel", "% of the peak");
+        let (flux, percent) = ("flux per pixel", "% of the input's peak");
         let figure = pictures(&[
             panel("input galaxy", &galaxy.original, sky, flux),
             panel("image by psfield (lowrank)", &galaxy.lowrank, sky, flux),
@@ -230,8 +230,8 @@ impl Reproduction {
             panel("psfield - exact (own colour scale)", &of_lowrank, own, percent),
         ])?;
         let text = format!(
-            "A galaxy on {0} x {0} pixels, over which the PSF varies as over the whole field. The largest error against the direct sum in \
-             double precision is {1} of the peak for patches (relative L2 {2}) and {3} of the peak for psfield (relative L2 {4}).",
+            "A galaxy on {0} x {0} pixels, over which the PSF varies as over the whole field. The largest error against the direct sum in double \
+             precision, divided by the peak of this sum, is {1} for patches (relative L2 {2}) and {3} for psfield (relative L2 {4}).",
             galaxy.side,
             short(Some(galaxy.patch_max_over_peak)),
             short(Some(galaxy.patch_relative_l2)),

@@ -156,8 +156,8 @@ fn object_pixels(
         .collect())
 }
 
-/// Nodes: positions around a galaxy at which the optics draw the PSF, along each axis and in units
-/// of half the side of the galaxy's array. Between the nine nodes, the PSF is interpolated by a
+/// Nodes along each axis: the optics draw the PSF at these offsets from a galaxy, in units of half
+/// the side of the galaxy's array. Between the nine nodes, the PSF is interpolated by a
 /// polynomial of degree 2 in x and in y. The error of this interpolation is far below the measured
 /// differences, because the nodes are much closer to each other than the samples.
 const NODES: [f64; 3] = [-1.0, 0.0, 1.0];

@@ -36,8 +36,8 @@ pub struct GriddedConversion {
 /// with a fractional oversampling are resampled to the next whole number.
 ///
 /// # Errors
-/// [`ErrorKind::Format`] for positions that form no grid or stamps centred between pixels, and the
-/// errors of [`to_samples`].
+/// [`ErrorKind::Format`] for positions that form no grid, or for stamps whose centre lies between
+/// pixels but not in the middle of the stamp. Other errors are the errors of [`to_samples`].
 pub fn to_gridded(psf: &Psf, at: &SamplesAt) -> Result<GriddedConversion, PsfieldError> {
     let mut notes = Vec::new();
     let on_grid = is_on_grid(psf);
@@ -98,8 +98,8 @@ fn is_grid(samples: &PsfSamples) -> bool {
     needs_grid(coeff_field::resolve(Interpolation::Auto, samples.positions()))
 }
 
-/// The largest relative L2 error of stamps in the middle of the cells, at the source's own
-/// sampling.
+/// Returns the largest relative L2 error of the bilinear interpolation in the middle of the grid's
+/// cells. Stamps are compared at the source's own sampling.
 fn midway_error(psf: &Psf, nodes: &PsfSamples) -> Result<f64, PsfieldError> {
     let distinct = |of: fn(Position) -> f64| {
         let mut values: Vec<f64> = nodes.positions().as_slice().iter().map(|&p| of(p)).collect();
@@ -164,7 +164,7 @@ fn resampled(samples: PsfSamples, notes: &mut Vec<String>) -> Result<PsfSamples,
         .with_oversampling(whole)?
         .with_pixel_response_included(grid.pixel_response_included());
     notes.push(format!(
-        "stamps resampled from {:.6} to {whole} pixels per frame pixel, because libraries need whole numbers",
+        "the stamps were resampled from {:.6} to {whole} pixels per frame pixel, because libraries need a whole number",
         grid.oversampling()
     ));
     by_spline(&resample_samples(&samples, target)?)

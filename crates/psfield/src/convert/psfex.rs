@@ -25,9 +25,9 @@ const DEGENERATE: f64 = 1e-10;
 pub struct PsfexConversion {
     /// The model, with values in single precision, as in a file.
     pub model: PsfexModel,
-    /// Number of samples, or of nodes of the source model, to which the model was fitted.
+    /// Number of PSFs to which the model was fitted: samples, or PSFs of the source model.
     pub samples: usize,
-    /// The largest relative L2 error over these samples or nodes.
+    /// The largest relative L2 error over these PSFs. 0 for a PSFEx model that is not changed.
     pub max_error: f64,
     /// Notes on properties that the file does not hold, in plain sentences.
     pub notes: Vec<String>,
@@ -36,17 +36,17 @@ pub struct PsfexConversion {
 /// Converts samples or a model to a PSFEx model. It has one polynomial in x and y, of a given total
 /// degree, for each pixel of the stamps.
 ///
-/// A model whose coefficients are polynomials of this degree or a lower one is converted exactly,
-/// before the scaling to unit flux that PSFEx's readers apply. If no degree is given, the model's
-/// own is used. Any other PSF is fitted at its own samples or nodes, by least squares. Stamps are
-/// padded with zeros to an odd size with the centre in the middle. For such stamps, PSFEx and
-/// GalSim agree on the centre. A PSFEx model that was read from a file is returned unchanged if it
-/// has this degree.
+/// A model whose coefficients are polynomials of this degree or a lower one is converted without
+/// loss, except for rounding to single precision. Readers of PSFEx models then scale PSFs to unit
+/// flux. If no degree is given, the model's own is used. Any other PSF is fitted at its own samples
+/// or nodes, by least squares. Stamps are padded with zeros to an odd size with the centre in the
+/// middle. For such stamps, PSFEx and GalSim agree on the centre. A PSFEx model that was read from
+/// a file is returned unchanged if it has this degree.
 ///
 /// # Errors
-/// [`ErrorKind::Setting`] when no degree is known, [`ErrorKind::Fit`] when the samples are too few
-/// for the degree, [`ErrorKind::Format`] for stamps without the pixel response or centred between
-/// pixels.
+/// [`ErrorKind::Setting`] when no degree is known or the degree is above 10, [`ErrorKind::Fit`]
+/// when the samples are too few for the degree, [`ErrorKind::Format`] for stamps without the pixel
+/// response or centred between pixels.
 pub fn to_psfex(psf: &Psf, degree: Option<usize>) -> Result<PsfexConversion, PsfieldError> {
     let own_degree = match psf.stored().map(PsfModelRecord::interpolation) {
         Some(Interpolation::Polynomial { degree }) => Some(degree),
@@ -107,7 +107,7 @@ fn notes(psf: &Psf) -> Vec<String> {
     }
     if normalisation == Normalisation::Keep {
         notes.push(
-            "readers of PSFEx models scale PSFs to unit flux: only psfield keeps their flux, if the normalisation is keep"
+            "readers of PSFEx models scale PSFs to unit flux: only psfield keeps their flux, if it opens the file with normalisation keep"
                 .to_owned(),
         );
     }
@@ -157,8 +157,8 @@ fn fitted(samples: &PsfSamples, degree: usize) -> Result<PsfexModel, PsfieldErro
     let (count, ny, nx) = samples.stamps().dim();
     let undetermined = || {
         let message = format!(
-            "a polynomial of degree {degree} in x and y has {terms} terms, which {count} samples at these positions do \
-             not determine: choose a lower degree"
+            "a polynomial of degree {degree} in x and y has {terms} terms, which the samples ({count} in all, at these \
+             positions) do not determine: choose a lower degree"
         );
         PsfieldError::new(ErrorKind::Fit, message).with_setting("degree")
     };

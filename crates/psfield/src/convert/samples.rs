@@ -57,8 +57,8 @@ fn grid_positions(psf: &Psf, nx: usize, ny: usize) -> Result<Vec<Position>, Psfi
         None => bounds(known.as_slice()),
     };
     if (nx > 1 && x.0 == x.1) || (ny > 1 && y.0 == y.1) {
-        const NO_AREA: &str = "the PSF is known only along a line or at a point, and its file does not state the \
-                               field: a grid needs an area. Give positions";
+        const NO_AREA: &str = "a grid of positions needs an area, but the PSF is known only along a line or at one \
+                               position, and no larger field is stated: give positions";
         return Err(PsfieldError::new(ErrorKind::Format, NO_AREA));
     }
     let (columns, rows) = (evenly(x, nx), evenly(y, ny));
@@ -102,7 +102,7 @@ pub(super) fn with_centre_in_the_middle(
     let grid = samples.grid();
     let Some((cx, cy)) = grid.whole_centre() else {
         let message = format!(
-            "{format} cannot hold stamps whose centre lies between pixels: evaluate the PSF on the native grid first"
+            "{format} cannot hold these stamps, because their centre lies between pixels: evaluate the PSF on the native grid first"
         );
         return Err(PsfieldError::new(ErrorKind::Format, message));
     };
@@ -154,7 +154,7 @@ mod tests {
         assert!(
             error
                 .to_string()
-                .starts_with("a file cannot hold stamps whose centre")
+                .starts_with("a file cannot hold these stamps, because")
         );
     }
 }

@@ -44,7 +44,8 @@ pub struct Written {
     /// The largest relative L2 error of the file's polynomial or of the interpolation between its
     /// grid positions. None if the file has no such error.
     pub max_error: Option<f64>,
-    /// Notes on properties of the PSF that the file cannot hold, in plain sentences.
+    /// Notes in plain sentences: changes by the conversion, and properties of the PSF that the file
+    /// cannot hold.
     pub notes: Vec<String>,
 }
 
@@ -52,8 +53,8 @@ impl Psf {
     /// Writes a PSF file, with `cards` added to its header.
     ///
     /// # Errors
-    /// [`ErrorKind::Io`](crate::ErrorKind::Io), and the errors of [`to_samples`], [`to_psfex`],
-    /// [`to_gridded`] and of the fit.
+    /// [`ErrorKind::Io`](crate::ErrorKind::Io) if the file cannot be written, and the errors of
+    /// [`to_samples`], [`record`](Self::record), [`to_psfex`] or [`to_gridded`].
     pub fn write(
         &self,
         path: impl AsRef<Path>,

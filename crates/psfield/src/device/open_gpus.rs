@@ -41,8 +41,9 @@ fn open_gpus() -> MutexGuard<'static, OpenGpus> {
     open
 }
 
-/// Opens the GPU that `adapter` names (by a part of the GPU's name, or by its backend), or else the
-/// preferred GPU. An open GPU is not opened again. Returns the GPU's name, kind and backend.
+/// Opens the GPU that `adapter` names (by a part of the GPU's name, or by its backend). If
+/// `adapter` is None, opens the preferred GPU. An open GPU is not opened again. Returns the GPU's
+/// name, kind and backend.
 ///
 /// # Errors
 /// [`ErrorKind::Gpu`](crate::ErrorKind::Gpu) if there is no such GPU, if its driver refuses, or in

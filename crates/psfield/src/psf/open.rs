@@ -175,10 +175,10 @@ impl Psf {
     /// | [PSF samples](psf_io::samples) | unit flux | all of `choices` |
     /// | [PSF model](psf_io::model) | as stored | `outside` and `normalisation` of `choices` |
     /// | [PSFEx model](psf_io::psfex) | unit flux | `outside` and `normalisation` of `choices`; `file.extension` |
-    /// | [STPSF](psf_io::stpsf), [STDPSF](psf_io::stdpsf) library | unchanged | all of `choices` (by default every component is kept, bilinear); `file.plane_order`, `file.detector`, `file.extension` |
+    /// | [STPSF](psf_io::stpsf), [STDPSF](psf_io::stdpsf) library | unchanged | all of `choices` (by default every component, interpolated bilinearly); `file.plane_order`, `file.detector`, `file.extension` |
     /// | [ScopeSim's field-varying PSF](psf_io::scopesim) | unit flux | `outside` and `normalisation` of `choices`; `file.pixel_scale_arcsec`, `file.field_centre`, `file.wavelength_um` |
     /// | cube without positions | unit flux | all of `choices`; `file.positions`, `file.oversampling`, `file.centre`, `file.extension` |
-    /// | single stamp: one PSF everywhere | unit flux | all of `choices` (by default nearest); `file.oversampling`, `file.centre`, `file.extension` |
+    /// | single stamp: one PSF everywhere | unit flux | all of `choices` (by default nearest interpolation); `file.oversampling`, `file.centre`, `file.extension` |
     ///
     /// `file.pixel_response_included` applies to all formats.
     ///
@@ -197,7 +197,8 @@ impl Psf {
     /// - [`ErrorKind::Setting`] for a setting that does not apply to the format. If the file holds
     ///   a model, also for a choice that applies only to a fit.
     /// - [`ErrorKind::Format`] for a setting that is missing.
-    /// - [`ErrorKind::Io`] when the file holds no PSF or is damaged.
+    /// - [`ErrorKind::Data`] for a PSFEx model without positive flux.
+    /// - [`ErrorKind::Io`] when the file cannot be read, holds no PSF, or is damaged.
     pub fn open_with(
         path: impl AsRef<Path>,
         file: &PsfFileOptions,
@@ -291,7 +292,7 @@ fn read(path: &Path, file: &PsfFileOptions) -> Result<(Origin, FileKind, SourceF
             )
         }
         FileKind::Cube | FileKind::Image => plain(path, kind, file)?,
-        // For any other file, the reader of samples has the best message about what is missing.
+        // Files without a PSF come here, too, because this reader says best what they lack.
         _ => (unfitted(psf_io::read_samples(path)?), Vec::new()),
     };
     let origin = match file.pixel_response_included {

@@ -16,9 +16,9 @@ impl Psf {
     /// PSF that already has such stamps is returned unchanged.
     ///
     /// # Errors
-    /// [`ErrorKind::Setting`] for a model whose coefficient field the caller implements.
-    /// [`PsfieldError`] when `size` is 0, resampled samples hold no flux, or the stamps would fill
-    /// more memory than [`check_stack`](crate::check_stack) allows.
+    /// [`ErrorKind::Setting`] for a model whose coefficient field the caller implements, unless the
+    /// model already has such stamps. [`PsfieldError`] when `size` is 0, resampled samples hold no
+    /// flux, or the stamps would fill more memory than [`check_stack`](crate::check_stack) allows.
     pub fn native(&self, size: Option<usize>) -> Result<Self, PsfieldError> {
         let target = self.native_target(size)?;
         if target == self.grid() {

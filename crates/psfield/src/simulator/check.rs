@@ -167,7 +167,8 @@ impl<T: ConvReal> Simulator<T> {
     }
 
     /// Returns a warning if scenes like `scene` need stamps that are interpolated between their own
-    /// pixels. `rows` has the same meaning as in [`prepare`](Self::prepare).
+    /// pixels. A simulator for scenes finer than the frame gives no warning. `rows` has the same
+    /// meaning as in [`prepare`](Self::prepare).
     ///
     /// # Errors
     /// No error for a simulator that could be built, because the builder checks the stamp size.

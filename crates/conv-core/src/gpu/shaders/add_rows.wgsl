@@ -1,5 +1,5 @@
-// Transforms the first plane of each tile back along x and adds it to the panel. The results of
-// the tiles of one dispatch do not overlap.
+// Transforms the first plane of each tile back along x and adds the result to the panel. The
+// results of the tiles of one dispatch do not overlap.
 
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> tiles: array<Tile>;

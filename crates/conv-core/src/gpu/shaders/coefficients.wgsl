@@ -15,7 +15,8 @@ fn real(place: u32) -> f32 {
     return bitcast<f32>(tables[place]);
 }
 
-// Finds the last run of a row that begins at a column or before it.
+// Returns the index of the run that holds a column: the last of the row's runs that begins at this
+// column or before it.
 fn run_of(table: u32, row: u32, column: u32) -> u32 {
     let starts = table + tables[table + ROW_STARTS] + row;
     let columns = table + tables[table + RUNS];

@@ -5,7 +5,8 @@
 // the lower.
 const NX: u32 = {{NX}}u;
 const HALF: u32 = {{HALF}}u;
-// Where the factors before and after transforms along y begin in the roots of unity for columns.
+// The roots of unity for columns are followed by the factors before transforms along y, from index
+// TWIST, and by the factors after them, from index UNTWIST.
 const TWIST: u32 = HALF;
 const UNTWIST: u32 = 2u * HALF;
 
@@ -27,7 +28,8 @@ struct Tile {
     // Its first pixel within the block of the table.
     column: u32,
     row: u32,
-    // The first pixel of the result within the panel (this may lie outside), and the result's size.
+    // The result's first pixel, counted from the panel's first pixel, and the result's size. The
+    // result may reach beyond the panel.
     out_column: i32,
     out_row: i32,
     out_width: u32,

@@ -2,6 +2,7 @@
 // belong to the lit pixel or, if `weighted` is 1, to the pixels that its light reaches. The results
 // of the tiles of one dispatch do not overlap.
 
+// A tile whose single pixels are drawn.
 struct Draw {
     // The index of its first pixel.
     first_pixel: u32,
@@ -18,7 +19,8 @@ struct Draw {
     // Its first pixel within the block of the table.
     column: u32,
     row: u32,
-    // The result: its first pixel within the panel (this may lie outside), and its size.
+    // The result's first pixel, counted from the panel's first pixel, and the result's size. The
+    // result may reach beyond the panel.
     out_column: i32,
     out_row: i32,
     out_width: u32,

@@ -1,5 +1,6 @@
-// Transforms all planes of each tile but the first back along x, multiplies them by the kernels'
-// coefficients and adds them to the panel. Tiles do not overlap in the panel.
+// For each tile, transforms the kernels' planes (all planes but the tile's first) back along x,
+// multiplies them by the kernels' coefficients and adds them to the panel. Tiles do not overlap in
+// the panel.
 
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> tiles: array<Tile>;

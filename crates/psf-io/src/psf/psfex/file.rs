@@ -50,7 +50,7 @@ pub fn read_psfex(path: impl AsRef<Path>, extension: Option<&HduChoice>) -> Resu
     hdu.ensure(
         table.rows == 1,
         "NAXIS2",
-        "the table of a PSFEx model has one row",
+        "must be 1, because the table of a PSFEx model has one row",
     )?;
     let polynomial = polynomial(path, hdu)?;
     let terms = PsfexPolynomial::term_count(polynomial.as_ref().map_or(0, PsfexPolynomial::degree));

@@ -129,7 +129,7 @@ impl PsfexPolynomial {
     /// Makes a polynomial of total degree `degree` in x and y.
     ///
     /// # Errors
-    /// [`DataError::Setting`] above [`Self::MAX_DEGREE`].
+    /// [`DataError::Setting`] for a degree above [`Self::MAX_DEGREE`].
     pub fn new(x: PsfexAxis, y: PsfexAxis, degree: usize) -> Result<Self, DataError> {
         if degree > Self::MAX_DEGREE {
             return Err(DataError::setting(
@@ -287,7 +287,7 @@ impl PsfexModel {
 
     /// Positions at which the values of the PSF determine the polynomial. They are all combinations
     /// of the [`extrema`](PsfexAxis::extrema) of x and of y, `(d+1)^2` for degree d, with x
-    /// fastest. For a constant PSF it is one arbitrary position.
+    /// fastest. For a constant PSF, the list holds one arbitrary position.
     ///
     /// # Errors
     /// [`DataError::NonFinitePosition`] if offset and scale are too large for a position.
