@@ -314,7 +314,7 @@ class TestFiles:
         model.write(tmp_path / "model.fits")
         with pytest.raises(ValueError, match=r"detector applies to STDPSF .* \(detector=\)"):
             psfield.PsfModel.read(tmp_path / "model.fits", detector=1)
-        with pytest.raises(ValueError, match="fit options"):
+        with pytest.raises(ValueError, match="not fitted"):
             psfield.PsfModel.read(tmp_path / "model.fits", rank=3)
 
 
