@@ -396,7 +396,7 @@ fn conversions_that_cannot_be() {
         (
             "samples.fits -o out.psf --to psfex=3",
             1,
-            &["10 terms", "9 samples"],
+            &["10 terms", "9 in all"],
         ),
         ("samples.fits -o out.fits --to fits", 2, &["psf-samples"]),
         (
