@@ -1,4 +1,5 @@
-//! The steps without random numbers: the sky, the full well and the analogue-to-digital converter.
+//! Three steps of the chain without random numbers: the sky, the full well and the
+//! analogue-to-digital converter.
 
 use psf_types::FrameShape;
 

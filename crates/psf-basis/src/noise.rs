@@ -49,8 +49,8 @@ impl NoiseFloor {
 
 /// Points at which the tail of the spectrum is read, as fractions of the tail from its top.
 const READ_AT: [f64; 5] = [0.5, 0.6, 0.7, 0.8, 0.9];
-/// Largest ratio of the noise levels read at these points. In spectra that decay for another reason
-/// the levels differ more.
+/// Largest allowed ratio between the noise levels read at these points. If the ratio is larger, the
+/// tail is not pure noise: it contains signal that decays.
 const AGREEMENT: f64 = 1.25;
 /// Shortest tail in which noise can be told from decay.
 const MIN_TAIL: usize = 12;

@@ -55,8 +55,8 @@ pub(crate) struct Profile {
 
 /// The size of a square compared with the profile around it.
 pub(crate) struct Nearness {
-    /// The square's size divided by the length over which the profile changes. This is an upper
-    /// limit for every point of the square.
+    /// The square's size divided by the length over which the profile changes. This length differs
+    /// from point to point. The value is an upper limit of the ratio at all points.
     pub(crate) relative_size: f64,
     /// Lower limit of the radii in (u, v) of the square's points.
     pub(crate) radius: f64,

@@ -111,7 +111,7 @@ impl<'a> BatchCalls<'a> {
             amounts.extend(tile.amounts.iter().map(|v| v.to_bits()));
         }
         device.adapter().fits(
-            "the single pixels of one piece of work",
+            "the pixels of one piece of work that are drawn one by one",
             4 * pixels.len().max(amounts.len()) as u64,
         )?;
         let draws = handed_over(device, &mut working.draws, &draws);

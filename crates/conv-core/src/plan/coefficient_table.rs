@@ -368,7 +368,7 @@ impl Builder<'_> {
             let Some(corners) = cells.corners(cell) else {
                 continue;
             };
-            // In a band of one row, only the corners of the first row are used.
+            // In a band of one row, the last two corners repeat the first two and are not used.
             let rows = if band.rows.len() == 1 { 2 } else { CORNERS };
             for (corner, values) in corners[..rows].iter().zip(values.chunks_exact_mut(functions)) {
                 self.modes.values_into(corner, values);

@@ -171,7 +171,7 @@ impl<T: ConvReal> BlockDraw<'_, T> {
                     weights: &weights[star.weights.clone()],
                     layout: self.layout,
                     first: star.first_residue,
-                    taps: star.taps.first_chunk::<TAPS>().expect("taps of the kernel"),
+                    taps: star.taps.first_chunk::<TAPS>().expect("a star has all taps"),
                 }
                 .add_to(simd, &mut values[first..first + length]);
             }

@@ -173,8 +173,8 @@ impl Distortion {
         if let Some(keyword) = order.filter(|_| is("TPV")) {
             return Err(unsupported(
                 keyword,
-                "absent, because CTYPE1 says TPV",
-                "both distortions",
+                "absent, because it belongs to the distortion SIP, but CTYPE1 asks for TPV",
+                "a header with both",
             ));
         }
         if suffix == "-SIP" || order.is_some() {

@@ -152,8 +152,8 @@ fn own_cards(
     }
     if square.is_refined() {
         own.push(Card::comment(&format!(
-            "The samples were on a grid of {} x {} lines, with different coordinates in x and in y. In this file, the coordinates of \
-             both axes are used along x and along y. The planes are interpolated bilinearly from the samples.",
+            "The samples were on a grid with {} coordinates in x and {} others in y. A gridded library needs equal coordinates along \
+             both axes, so this file uses all of them along x and along y. Its planes are interpolated bilinearly from the samples.",
             square.xs.len(),
             square.ys.len()
         )));

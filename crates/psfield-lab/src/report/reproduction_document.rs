@@ -251,8 +251,8 @@ impl Reproduction {
 
     fn table_1_section(&self) -> Section {
         let mut table = Table::new(
-            "Seconds: time of the fastest run. Ratio: these seconds divided by the time of one convolution with a single PSF, measured in \
-             turn with the others. Error: relative L2 difference from the direct sum in double precision at random pixels.",
+            "Seconds: time of the fastest run. Ratio: these seconds divided by the time of one convolution with a single PSF. This \
+             convolution and the methods ran in turn. Error: relative L2 difference from the direct sum in double precision at random pixels.",
             &["image", "method", "setting", "seconds", "ratio", "error"],
         );
         for row in self.table_1.sizes.iter().flat_map(|outcome| &outcome.rows) {

@@ -102,7 +102,7 @@ fn notes(psf: &Psf) -> Vec<String> {
     };
     if outside != OutsidePolicy::Extend {
         notes.push(format!(
-            "a PSFEx model continues its polynomial outside the samples: the policy {outside} is not kept"
+            "a PSFEx model continues its polynomial outside the samples: the file does not keep the outside policy \"{outside}\""
         ));
     }
     if normalisation == Normalisation::Keep {
