@@ -50,6 +50,9 @@ pub fn images() -> Vec<Vec<u8>> {
         image(SIMPLE, 64, &[3, 4, 1], &[], &i64s(&[1 << 40; 12])),
         image(SIMPLE, -64, &[3, 2, 4], &[], &f64s(&[0.25; 24])),
         image(SIMPLE, -32, &[5, 5, 1, 1], &[], &f32s(&[1e-40; 25])),
+        // CFITSIO has room for 99 axes.
+        image(SIMPLE, 8, &[1; 99], &[], &[7]),
+        image(SIMPLE, 8, &[1; 150], &[], &[7]),
         second,
     ]
 }

@@ -3,11 +3,12 @@
 Stamps are ``[y, x]``. Centroids are 0-based indices of the stamp and lengths are in its pixels.
 Angles are in radians from +x towards +y.
 
-The ellipticities of an ellipse with axes ``a >= b`` and position angle ``phi``:
+Measures of the elongation of an ellipse with axes ``a >= b`` and position angle ``phi``:
 
 ==============  ================================================
-eccentricity    ``sqrt(1 - b**2 / a**2)``: ``ellipticity``
-distortion      ``(a**2 - b**2) / (a**2 + b**2)``: ``e1``, ``e2``
+eccentricity    ``sqrt(1 - b**2 / a**2)``: ``eccentricity``
+ellipticity     ``(a**2 - b**2) / (a**2 + b**2)``: ``ellipticity``,
+                of which ``e1``, ``e2`` (distortion) are the components
 reduced shear   ``(a - b) / (a + b)``: ``g1``, ``g2``
 ==============  ================================================
 
@@ -22,6 +23,7 @@ reduced shear   ``(a - b) / (a + b)``: ``g1``, ``g2``
 from __future__ import annotations
 
 import json
+import warnings
 from dataclasses import dataclass
 from typing import Any
 
@@ -59,8 +61,8 @@ class GaussianFit:
         Full widths at half maximum: the geometric mean of both axes, and the width along each axis.
     angle : float
         Angle of the major axis.
-    ellipticity : float
-        ``sqrt(1 - b**2 / a**2)``.
+    eccentricity : float
+        ``sqrt(1 - b**2 / a**2)``. `ellipticity` is its former name.
     background : float or None
         Constant background, if it was fitted.
     residual_rms : float
@@ -84,9 +86,17 @@ class GaussianFit:
     fwhm_major: float
     fwhm_minor: float
     angle: float
-    ellipticity: float
+    eccentricity: float
     background: float | None
     residual_rms: float
+
+    @property
+    def ellipticity(self) -> float:
+        """The former name of `eccentricity`."""
+        warnings.warn(
+            "GaussianFit.ellipticity is now called eccentricity", DeprecationWarning, stacklevel=2
+        )
+        return self.eccentricity
 
 
 @dataclass(frozen=True)
@@ -366,9 +376,10 @@ def measure(
     -------
     dict of str to numpy.ndarray
         A column for each value. From the Gaussian fit: ``flux``, ``x_centroid``, ``y_centroid``,
-        ``fwhm_px``, ``fwhm_major_px``, ``fwhm_minor_px``, ``angle_rad``, ``ellipticity``. From the
-        adaptive moments: ``e1``, ``e2``, ``g1``, ``g2``, ``sigma_px``. Values that could not be
-        measured are NaN, and ``note`` says why. The dict can be given to `astropy.table.Table`.
+        ``fwhm_px``, ``fwhm_major_px``, ``fwhm_minor_px``, ``angle_rad``, ``eccentricity``. From the
+        adaptive moments: ``e1``, ``e2``, ``g1``, ``g2``, ``sigma_px``, ``ellipticity``. Lengths are
+        in pixels of the arrays: divide those of oversampled stamps by the oversampling. Values that
+        could not be measured are NaN, and ``note`` says why. The dict can be given to `astropy.table.Table`.
 
     Examples
     --------

@@ -27,7 +27,6 @@ from psfield import detector, metrics
         ({"memory": 2**70}, ValueError, "memory must be at most"),
         ({"oversample": 2.0}, TypeError, "oversample must be an integer, got 2.0"),
         ({"stamp_size": -3}, ValueError, "stamp_size must be at least 1, got -3"),
-        ({"stamp_size": 2**62}, ValueError, "would fill more than"),
         ({"gpu_adapter": 3}, TypeError, "gpu_adapter must be a string, got 3"),
     ],
 )

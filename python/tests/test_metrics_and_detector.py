@@ -24,12 +24,14 @@ class TestMetrics:
         assert (fit.x, fit.y) == pytest.approx((20.3, 19.8), abs=1e-6)
         assert (fit.fwhm_minor, fit.fwhm_major) == pytest.approx((2.0 * FWHM, 3.0 * FWHM), rel=1e-6)
         assert fit.fwhm == pytest.approx(np.sqrt(6.0) * FWHM, rel=1e-6)
-        assert fit.ellipticity == pytest.approx(np.sqrt(1 - (2 / 3) ** 2), rel=1e-6)
+        assert fit.eccentricity == pytest.approx(np.sqrt(1 - (2 / 3) ** 2), rel=1e-6)
+        with pytest.deprecated_call(match="eccentricity"):
+            assert fit.ellipticity == fit.eccentricity
         assert fit.angle == pytest.approx(np.pi / 2, abs=1e-6)
         assert fit.flux == pytest.approx(1.0, rel=1e-6) and fit.background is None
         lifted = metrics.fit_gaussian(self.stamp + 0.01, background=True, size=31)
         assert lifted.background == pytest.approx(0.01, rel=1e-6)
-        assert metrics.fit_gaussian(self.stamp, round=True).ellipticity == 0.0
+        assert metrics.fit_gaussian(self.stamp, round=True).eccentricity == 0.0
 
     def test_moments(self):
         for moments in (

@@ -23,9 +23,9 @@ const FOUND: f64 = 0.95;
 const MEDIAN: f64 = 0.03;
 /// Largest Kolmogorov-Smirnov distance between the two distributions of the FWHM.
 const KS: f64 = 0.1;
-/// Largest distance for the ellipticity. The 26 stars of the other frame scatter by more than this
+/// Largest distance for the eccentricity. The 26 stars of the other frame scatter by more than this
 /// between draws.
-const KS_ELLIPTICITY: (&str, f64) = (FRAMES[0], 0.1);
+const KS_ECCENTRICITY: (&str, f64) = (FRAMES[0], 0.1);
 
 const FRAMES: [&str; 2] = ["tetra3_Alt60_Azi135", "sep_ngc_256"];
 
@@ -66,10 +66,10 @@ fn round_trip(name: &str) -> Result<(), Failed> {
             ..RoundTripOptions::default()
         };
         let trip = RoundTrip::run(&frame, &options)?;
-        let (fwhm, ellipticity) = (&trip.report.fwhm_px, &trip.report.ellipticity);
+        let (fwhm, eccentricity) = (&trip.report.fwhm_px, &trip.report.eccentricity);
         println!(
             "{name}, seed {seed}: {} of {} stars measured ({}), FWHM median {:.3} against {:.3} pixels (ratio {:.4}), KS {:.3}; \
-             ellipticity KS {:.3}",
+             eccentricity KS {:.3}",
             trip.report.measured,
             trip.report.stars,
             trip.stars.registration.method,
@@ -77,7 +77,7 @@ fn round_trip(name: &str) -> Result<(), Failed> {
             fwhm.frame.median,
             fwhm.median_ratio,
             fwhm.ks_distance,
-            ellipticity.ks_distance
+            eccentricity.ks_distance
         );
         ensure(trip.report.measured >= 20, || {
             format!("only {} stars were measured", trip.report.measured)
@@ -86,9 +86,9 @@ fn round_trip(name: &str) -> Result<(), Failed> {
             (fwhm.median_ratio - 1.0).abs() <= MEDIAN && fwhm.ks_distance <= KS,
             || format!("seed {seed}: {fwhm:?}"),
         )?;
-        let (asked, limit) = KS_ELLIPTICITY;
-        ensure(name != asked || ellipticity.ks_distance <= limit, || {
-            format!("seed {seed}: {ellipticity:?}")
+        let (asked, limit) = KS_ECCENTRICITY;
+        ensure(name != asked || eccentricity.ks_distance <= limit, || {
+            format!("seed {seed}: {eccentricity:?}")
         })?;
     }
     Ok(())

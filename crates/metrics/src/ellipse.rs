@@ -103,7 +103,7 @@ impl Covariance {
 
     /// The eccentricity `e = sqrt(1 - b^2 / a^2)` of the axes `a >= b`: 0 for a circle, close to 1
     /// for a line.
-    pub fn ellipticity(self) -> f64 {
+    pub fn eccentricity(self) -> f64 {
         // 1 - b^2/a^2 = (a^2 - b^2) / a^2 without cancellation for a nearly round ellipse.
         (self.eigenvalue_difference() / self.largest_eigenvalue()).sqrt()
     }

@@ -22,7 +22,7 @@ pub struct GaussianFit {
     fwhm_major_px: f64,
     fwhm_minor_px: f64,
     angle_rad: f64,
-    ellipticity: f64,
+    eccentricity: f64,
     background: Option<f64>,
     residual_rms: f64,
     iterations: usize,
@@ -71,10 +71,16 @@ impl GaussianFit {
         self.angle_rad
     }
 
-    /// The eccentricity `e = sqrt(1 - b^2 / a^2)` of the axes `a >= b`. It is not a distortion: see
+    /// The eccentricity `sqrt(1 - b^2 / a^2)` of the axes `a >= b`. It is not a distortion: see
     /// [`covariance`](Self::covariance) for that.
+    pub fn eccentricity(&self) -> f64 {
+        self.eccentricity
+    }
+
+    /// The former name of [`eccentricity`](Self::eccentricity).
+    #[deprecated = "use `eccentricity`, or `covariance().distortion().length()` for |e|"]
     pub fn ellipticity(&self) -> f64 {
-        self.ellipticity
+        self.eccentricity
     }
 
     /// The constant background, if it was fitted.
@@ -124,7 +130,7 @@ impl GaussianFit {
 /// let fit = GaussianFitter::elliptical().with_window(Window::central(15)).fit(stamp.view())?;
 /// assert!((fit.x_centroid() - 32.2).abs() < 1e-9);
 /// assert!((fit.fwhm_major_px() - 2.0 * FWHM_PER_SIGMA).abs() < 1e-9);
-/// assert!((fit.ellipticity() - (1.0f64 - 2.25 / 4.0).sqrt()).abs() < 1e-9);
+/// assert!((fit.eccentricity() - (1.0f64 - 2.25 / 4.0).sqrt()).abs() < 1e-9);
 /// # Ok::<(), psf_metrics::MetricsError>(())
 /// ```
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -245,7 +251,7 @@ impl GaussianFitter {
             fwhm_major_px: FWHM_PER_SIGMA * covariance.sigma_major_px(),
             fwhm_minor_px: FWHM_PER_SIGMA * covariance.sigma_minor_px(),
             angle_rad: covariance.angle_rad(),
-            ellipticity: covariance.ellipticity(),
+            eccentricity: covariance.eccentricity(),
             background: model.background(&p).map(|b| b * units.scale + units.offset),
             residual_rms: (2.0 * minimum.at.cost / cutout.values.len() as f64).sqrt() * units.scale,
             iterations: minimum.iterations,

@@ -20,12 +20,13 @@
 //! * `FWHM = 2 sqrt(2 ln 2) sigma` ([`FWHM_PER_SIGMA`]).
 //! * Angles run from +x towards +y.
 //!
-//! # Four ellipticities
+//! # Four measures of elongation
 //! For an ellipse with axes `a >= b` and position angle `phi`:
 //!
 //! ```text
-//! eccentricity   e   = sqrt(1 - b^2 / a^2)          Covariance::ellipticity, GaussianFit::ellipticity
-//! distortion     |e| = (a^2 - b^2) / (a^2 + b^2)    Distortion (e1, e2) = |e| (cos 2 phi, sin 2 phi)
+//! eccentricity   e   = sqrt(1 - b^2 / a^2)          Covariance::eccentricity, GaussianFit::eccentricity
+//! ellipticity    |e| = (a^2 - b^2) / (a^2 + b^2)    AdaptiveMoments::ellipticity, Distortion::length
+//! distortion                                        Distortion (e1, e2) = |e| (cos 2 phi, sin 2 phi)
 //! reduced shear  |g| = (a - b) / (a + b)            ReducedShear (g1, g2) = |g| (cos 2 phi, sin 2 phi)
 //! axis ratio     q   = b / a                        from the two widths
 //! ```

@@ -67,6 +67,11 @@ macro_rules! shape_accessors {
                 self.shape.e2
             }
 
+            /// The ellipticity `|e| = sqrt(e1^2 + e2^2)`, the length of the distortion.
+            pub fn ellipticity(&self) -> f64 {
+                self.e1().hypot(self.e2())
+            }
+
             /// Reduced shear along the axes of the grid.
             pub fn g1(&self) -> f64 {
                 self.shape.g1

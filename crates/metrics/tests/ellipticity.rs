@@ -18,7 +18,7 @@ fn known_values() {
     let c = Covariance::new(4.0, 0.0, 1.0).unwrap();
     assert!((c.distortion().e1() - 0.6).abs() < ROUNDING);
     assert!((c.reduced_shear().g1() - 1.0 / 3.0).abs() < ROUNDING);
-    assert!((c.ellipticity() - 0.75f64.sqrt()).abs() < ROUNDING);
+    assert!((c.eccentricity() - 0.75f64.sqrt()).abs() < ROUNDING);
     assert!((c.sigma_px() - 2f64.sqrt()).abs() < ROUNDING);
     // An equal ellipse along the diagonal.
     let c = Covariance::new(2.5, 1.5, 2.5).unwrap();
@@ -84,6 +84,6 @@ proptest! {
         prop_assert!((c.sigma_minor_px() / b - 1.0).abs() < tolerance);
         prop_assert!((c.angle_rad() - angle).abs() < tolerance);
         prop_assert!((c.reduced_shear().length() - (a - b) / (a + b)).abs() < tolerance);
-        prop_assert!((c.ellipticity() - (1.0 - (b / a).powi(2)).sqrt()).abs() < tolerance);
+        prop_assert!((c.eccentricity() - (1.0 - (b / a).powi(2)).sqrt()).abs() < tolerance);
     }
 }

@@ -14,6 +14,12 @@ use thiserror::Error;
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum BasisError {
+    /// The singular value decomposition needs more memory than there is.
+    #[error("not enough memory: the singular value decomposition needs {bytes} bytes more")]
+    Memory {
+        /// The bytes that could not be taken.
+        bytes: usize,
+    },
     /// The singular value decomposition did not converge.
     #[error("the singular value decomposition of a matrix of {samples} x {pixels} values did not converge")]
     NoConvergence {
@@ -77,13 +83,16 @@ pub(crate) const ROUNDING_UNITS: f64 = 16.0;
 /// samples' squared pixels. Both are equal except for rounding.
 const SQUARES_AGREE: f64 = 1e-10;
 
+/// Singular values, and singular vectors `[pixel, k]`.
+type Decomposition = (Vec<f64>, Mat<f64>);
+
 /// Computes the singular value decomposition of samples `[sample, pixel]`. Returns the singular
 /// values in descending order and the singular vectors `[pixel, k]`.
 ///
 /// For some matrices with repeated rows, faer loses singular values without an error. The sum of
 /// the squared singular values is then too small. In this case the decomposition is repeated after
 /// a QR decomposition, and if that also fails, without divide and conquer.
-pub(crate) fn decompose(rows: ArrayView2<'_, f64>) -> Result<(Vec<f64>, Mat<f64>), BasisError> {
+pub(crate) fn decompose(rows: ArrayView2<'_, f64>) -> Result<Decomposition, BasisError> {
     let usual: SvdParams = *Spec::<SvdParams, f64>::default();
     let qr_first = SvdParams {
         qr_ratio_threshold: 0.0,
@@ -94,21 +103,23 @@ pub(crate) fn decompose(rows: ArrayView2<'_, f64>) -> Result<(Vec<f64>, Mat<f64>
         ..qr_first
     };
     let whole: f64 = rows.iter().map(|v| v * v).sum();
-    [usual, qr_first, undivided]
-        .into_iter()
-        .filter_map(|params| decompose_by(rows, params))
-        .find(|(values, _)| {
-            let held: f64 = values.iter().map(|s| s * s).sum();
-            (held - whole).abs() <= SQUARES_AGREE * whole
-        })
-        .map(|(values, vectors)| descending(values, vectors))
-        .ok_or(BasisError::NoConvergence {
-            samples: rows.nrows(),
-            pixels: rows.ncols(),
-        })
+    for params in [usual, qr_first, undivided] {
+        let Some((values, vectors)) = decompose_by(rows, params)? else {
+            continue;
+        };
+        let held: f64 = values.iter().map(|s| s * s).sum();
+        if (held - whole).abs() <= SQUARES_AGREE * whole {
+            return Ok(descending(values, vectors));
+        }
+    }
+    Err(BasisError::NoConvergence {
+        samples: rows.nrows(),
+        pixels: rows.ncols(),
+    })
 }
 
-fn decompose_by(rows: ArrayView2<'_, f64>, params: SvdParams) -> Option<(Vec<f64>, Mat<f64>)> {
+/// Decomposes samples with some parameters of faer. Returns `None` if this does not converge.
+fn decompose_by(rows: ArrayView2<'_, f64>, params: SvdParams) -> Result<Option<Decomposition>, BasisError> {
     let (samples, pixels) = rows.dim();
     let size = samples.min(pixels);
     // Each row (sample) is a column of the pixels x samples matrix in faer's column-major order.
@@ -127,10 +138,11 @@ fn decompose_by(rows: ArrayView2<'_, f64>, params: SvdParams) -> Option<(Vec<f64
         par,
         params.into(),
     );
-    let mut memory = MemBuffer::try_new(scratch).ok()?;
+    let bytes = scratch.unaligned_bytes_required();
+    let mut memory = MemBuffer::try_new(scratch).map_err(|_| BasisError::Memory { bytes })?;
     let mut values = Diag::<f64>::zeros(size);
     let mut vectors = Mat::<f64>::zeros(pixels, size);
-    svd(
+    let converged = svd(
         matrix,
         values.as_mut(),
         Some(vectors.as_mut()),
@@ -139,8 +151,8 @@ fn decompose_by(rows: ArrayView2<'_, f64>, params: SvdParams) -> Option<(Vec<f64
         MemStack::new(&mut memory),
         params.into(),
     )
-    .ok()?;
-    Some((values.column_vector().iter().copied().collect(), vectors))
+    .is_ok();
+    Ok(converged.then(|| (values.column_vector().iter().copied().collect(), vectors)))
 }
 
 /// Sorts the values in descending order, and the vectors with them. faer promises that order but

@@ -79,7 +79,7 @@ pub use fits::image::{
 };
 pub use fits::image_out::{ImageWriter, IntegerKind, write_cube, write_image, write_integers};
 pub use output::temporary::remove_unfinished;
-pub use output::{check_output, write_atomically, write_bytes, write_text};
+pub use output::{OutputLock, check_output, write_atomically, write_bytes, write_text, write_together};
 pub use psf::detect::{FileKind, detect, detect_hdu};
 pub use psf::gridded::GriddedPsf;
 pub use psf::gridded_out::write_gridded;

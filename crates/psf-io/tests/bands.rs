@@ -523,3 +523,32 @@ fn undefined_pixels_are_returned_only_on_request() {
     );
     assert!(reader.read_rows_with_undefined(1..3).is_err());
 }
+
+#[test]
+fn nan_pixels_become_a_number_and_are_counted_once() {
+    let scratch = Scratch::new();
+    let values: Vec<f32> = vec![1.0, f32::NAN, 3.0, 4.0, f32::NAN, f32::NAN];
+    let path = scratch.put("nan.fits", &image(SIMPLE, -32, &[2, 3], &[], &f32s(&values)));
+    let mut reader = ImageReader::open(&path).unwrap().with_nan_as(Some(-7.5));
+    for row in [0, 1, 0, 2, 1] {
+        let read = reader.read_rows::<f64>(row..row + 1).unwrap();
+        let expected = |value: f32| if value.is_nan() { -7.5 } else { f64::from(value) };
+        assert_eq!(
+            read.row(0).to_vec(),
+            [expected(values[2 * row]), expected(values[2 * row + 1])]
+        );
+    }
+    assert_eq!(reader.nan_pixels(), 3);
+    // Infinite pixels stay errors, and without the setting NaN is one.
+    let path = scratch.put(
+        "inf.fits",
+        &image(SIMPLE, -32, &[2, 1], &[], &f32s(&[f32::NAN, f32::INFINITY])),
+    );
+    for nan_as in [None, Some(0.0)] {
+        let mut reader = ImageReader::open(&path).unwrap().with_nan_as(nan_as);
+        assert_eq!(
+            reader.read_rows::<f32>(0..1).unwrap_err().kind(),
+            IoErrorKind::Data
+        );
+    }
+}

@@ -104,8 +104,10 @@ fn readers_of_either_kind_see_the_same_field() {
                 "({x}, {y}): {found}, {expected}"
             );
         }
+        // psfield reads only the samples, not the planes between them.
         let back = read_stpsf(&path, PlaneOrder::Auto).unwrap();
         assert_eq!(back.samples().grid(), samples.grid());
+        assert_eq!(back.samples().len(), samples.len());
         for (sample, position) in samples.positions().as_slice().iter().enumerate() {
             let places = back.samples().positions().as_slice();
             let plane = places
@@ -114,6 +116,28 @@ fn readers_of_either_kind_see_the_same_field() {
                 .expect("every sample is there");
             assert_eq!(back.samples().stamp(plane), samples.stamp(sample));
         }
+    }
+}
+
+#[test]
+fn a_wrong_list_of_grid_lines_is_refused() {
+    let scratch = Scratch::new();
+    let (good, bad) = (scratch.path("good.fits"), scratch.path("bad.fits"));
+    write_gridded(
+        &good,
+        &samples(&[0.0, 10.0], &[0.0, 4.0, 10.0], grid()),
+        &[],
+        false,
+    )
+    .unwrap();
+    let bytes = std::fs::read(&good).unwrap();
+    let place = bytes.windows(13).position(|w| w == b"GRIDLINE= 'by").unwrap() + 11;
+    for wrong in [&b"bb'"[..], b"xxx", b"b  "] {
+        let mut bytes = bytes.clone();
+        bytes[place..place + 3].copy_from_slice(wrong);
+        std::fs::write(&bad, bytes).unwrap();
+        let error = read_stpsf(&bad, PlaneOrder::Auto).unwrap_err().to_string();
+        assert!(error.contains("GRIDLINE"), "{error}");
     }
 }
 

@@ -282,6 +282,34 @@ fn headers_that_break_the_standard_are_refused() {
 }
 
 #[test]
+fn axes_beyond_those_of_cfitsio_are_refused() {
+    let scratch = Scratch::new();
+    let of_axes = |count: usize| image(SIMPLE, 8, &vec![1; count], &[], &[7]);
+    let path = scratch.put("a.fits", &of_axes(99));
+    assert_eq!(pixels(&path).unwrap(), array![[7.0]]);
+    for count in [100, 150, 999] {
+        let path = scratch.put("a.fits", &of_axes(count));
+        assert_error(pixels(&path), IoErrorKind::Header, "must be 0 to 99");
+    }
+}
+
+#[test]
+fn scaling_that_is_no_number_is_refused() {
+    let scratch = Scratch::new();
+    for card in [
+        "BSCALE  = '2.0'",
+        "BZERO   = 'abc'",
+        "BSCALE  = NaN",
+        "BZERO   = T",
+        "BZERO   =",
+        "BSCALE  = 0.0",
+    ] {
+        let path = scratch.put("a.fits", &image(SIMPLE, 16, &[2, 1], &[card], &i16s(&[1, 2])));
+        assert_error(pixels(&path), IoErrorKind::Header, "a finite number");
+    }
+}
+
+#[test]
 fn forged_sizes_are_refused_before_memory_is_taken() {
     let scratch = Scratch::new();
     let big = usize::try_from(i64::MAX).unwrap();

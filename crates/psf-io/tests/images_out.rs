@@ -3,9 +3,9 @@
 mod support;
 
 use ndarray::{Array2, array};
-use psf_io::{Card, CardValue, HeaderCards, IoErrorKind, read_header, read_image, write_image};
+use psf_io::{Card, CardValue, HeaderCards, IoErrorKind, read_header, read_image, write_image, write_text};
 use psf_types::Image;
-use support::{SIMPLE, Scratch, chain, image};
+use support::{SIMPLE, Scratch, assert_error, chain, f32s, image};
 
 #[test]
 fn pixels_come_back_bit_by_bit() {
@@ -129,7 +129,6 @@ fn names_are_taken_literally() {
         " e.fits",
         "~f.fits",
         "mem:",
-        "g.fits.gz",
         "-",
         "é€.fits",
     ] {
@@ -145,6 +144,46 @@ fn names_are_taken_literally() {
         );
         write_image(&path, &image, &HeaderCards::new(), &[], true).unwrap();
     }
+}
+
+#[test]
+fn compressed_files_and_standard_output_are_refused() {
+    let scratch = Scratch::new();
+    let image = Image::new(array![[1.0_f32, 2.0]]).unwrap();
+    let refused = |path: &std::path::Path, expected: &str| {
+        let written = write_image(path, &image, &HeaderCards::new(), &[], true);
+        assert_error(written, IoErrorKind::Request, expected);
+        assert!(!path.exists());
+    };
+    for (ending, tool) in [("gz", "gzip"), ("FZ", "fpack"), ("bz2", "bzip2"), ("xz", "xz")] {
+        let plain = scratch.path("a.fits");
+        let expected = format!("write {} and run {tool} on it", plain.display());
+        refused(&scratch.path(&format!("a.fits.{ending}")), &expected);
+    }
+    refused("-".as_ref(), "standard output is not supported");
+    assert_error(
+        write_text("table.csv.gz", "", false),
+        IoErrorKind::Request,
+        "write table.csv and run gzip",
+    );
+}
+
+#[test]
+fn sections_of_a_raw_frame_are_not_copied() {
+    let scratch = Scratch::new();
+    let sections = ["DATASEC", "TRIMSEC", "BIASSEC", "CCDSEC", "DETSEC", "DATASECB"];
+    let cards: Vec<String> = sections
+        .map(|keyword| format!("{keyword:<8}= '[1:2,1:1]'"))
+        .into();
+    let mut cards: Vec<&str> = cards.iter().map(String::as_str).collect();
+    cards.extend(["CHECKSUM= 'abc'", "DATASUM = '123'", "BUNIT   = 'electron'"]);
+    let path = scratch.put(
+        "raw.fits",
+        &image(SIMPLE, -32, &[2, 1], &cards, &f32s(&[1.0, 2.0])),
+    );
+    let read = read_image::<f32>(&path).unwrap();
+    let kept: Vec<String> = read.header().iter().map(Card::keyword).collect();
+    assert_eq!(kept, ["BUNIT"]);
 }
 
 #[test]

@@ -139,6 +139,17 @@ fn text_tables_come_back() {
 }
 
 #[test]
+fn lines_may_end_in_a_carriage_return_only() {
+    let scratch = Scratch::new();
+    for text in ["x,y\r1,2\r3,4\r", "x y\r1 2\r3 4", "x,y\r\n1,2\r\n3,4\r\n"] {
+        let path = scratch.put("a.csv", text.as_bytes());
+        let found = read_positions(&path).unwrap();
+        let found: Vec<_> = found.iter().map(|p| (p.x(), p.y())).collect();
+        assert_eq!(found, [(1.0, 2.0), (3.0, 4.0)], "{text:?}");
+    }
+}
+
+#[test]
 fn empty_tables_are_no_error() {
     let scratch = Scratch::new();
     assert!(

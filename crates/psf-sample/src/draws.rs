@@ -213,6 +213,62 @@ impl SamplingMethod for UniformSampling {
     }
 }
 
+/// A random number, 0 or above and below 1.
+fn unit(rng: &mut ChaCha8Rng) -> f64 {
+    // 53 random bits: every multiple of 2^-53 in [0, 1) is equally likely.
+    (rng.next_u64() >> 11) as f64 / (1u64 << 53) as f64
+}
+
+/// Smallest distance of a held-out PSF from the samples, as a part of their mean distance. At most 3
+/// % of the field is that close to a sample.
+const HOLD_OUT_DISTANCE: f64 = 0.1;
+/// Tries per held-out PSF, after which the field counts as too small.
+const HOLD_OUT_TRIES: usize = 100;
+
+/// Draws `count` PSFs that are not samples, to check a model between the samples from which it was
+/// made. Their positions are random and uniform over the field. They are no closer to a sample than
+/// a tenth of the samples' mean distance, the square root of the field's area per sample.
+///
+/// ```
+/// use psf_sample::{SamplingMethod, UniformSampling, hold_out};
+/// use psf_types::{NoProgress, PsfSamples, PsfSource};
+///
+/// fn samples_and_truth(psf: &dyn PsfSource) -> Result<[PsfSamples; 2], psf_sample::SampleError> {
+///     let samples = UniformSampling::new(9, 9)?.sample(psf, &NoProgress)?.samples;
+///     let truth = hold_out(psf, samples.positions(), (100, 1), &NoProgress)?;
+///     Ok([samples, truth])
+/// }
+/// ```
+///
+/// # Errors
+/// [`SampleError::Setting`] if `count` is 0 or the field has no room. [`SampleError::Draw`],
+/// [`SampleError::Stamp`] or [`SampleError::NoLight`] when a drawn stamp is not a valid PSF.
+pub fn hold_out(
+    source: &dyn PsfSource,
+    samples: &SamplePositions,
+    (count, seed): (usize, u64),
+    progress: &dyn Progress,
+) -> Result<PsfSamples, SampleError> {
+    let (nx, ny) = (source.field().nx() as f64, source.field().ny() as f64);
+    let apart = HOLD_OUT_DISTANCE * (nx * ny / samples.len() as f64).sqrt();
+    let far = |p: &Position| {
+        let mut others = samples.as_slice().iter();
+        others.all(|s| (s.x() - p.x()).hypot(s.y() - p.y()) > apart)
+    };
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let positions = (0..count.saturating_mul(HOLD_OUT_TRIES))
+        .map(|_| Position::new(unit(&mut rng) * (nx - 1.0), unit(&mut rng) * (ny - 1.0)))
+        .filter(|p| p.as_ref().map_or(true, far))
+        .take(count)
+        .collect::<Result<Vec<_>, _>>()?;
+    let enough = count > 0 && positions.len() == count;
+    let allowed = "at least 1, on a field with room between its samples";
+    SampleError::check(enough, "the number of held-out PSFs", allowed, count)?;
+    progress.start(count as u64);
+    let stamps = draw_all(source, &positions, progress)?;
+    into_samples(source, positions, stamps)
+}
+
 /// Draws every sample again at random sub-pixel shifts, so that a basis learns to represent shifted
 /// PSFs too.
 ///
@@ -262,11 +318,7 @@ impl ShiftAugmentation {
     fn shifts(self, sample: usize) -> impl Iterator<Item = (f64, f64)> {
         let mut rng = ChaCha8Rng::seed_from_u64(self.seed);
         rng.set_stream(sample as u64);
-        let mut uniform = move || {
-            // 53 random bits: every multiple of 2^-53 in [0, 1) is equally likely.
-            let unit = (rng.next_u64() >> 11) as f64 / (1u64 << 53) as f64;
-            (2.0 * unit - 1.0) * self.max_shift_px
-        };
+        let mut uniform = move || (2.0 * unit(&mut rng) - 1.0) * self.max_shift_px;
         (0..self.copies_per_sample).map(move |_| (uniform(), uniform()))
     }
 

@@ -9,7 +9,7 @@
 //!   [`InterpolationError`] (the default of [`SamplingOptions`], 1 %). Both use a
 //!   [`DifferenceMeasure`].
 //!
-//! [`ShiftAugmentation`] draws the samples again at sub-pixel shifts, to train a basis.
+//! [`hold_out`] draws PSFs that are not samples, for checks. [`ShiftAugmentation`] draws the samples again at sub-pixel shifts, to train a basis.
 //!
 //! # The mesh of adaptive sampling
 //!
@@ -47,6 +47,6 @@ pub use criteria::{
     CellProbes, CellStamps, CellVariation, DifferenceMeasure, InterpolationError, NeighbourDifference,
     RefinementCriterion,
 };
-pub use draws::{ShiftAugmentation, ShiftedStamps, UniformSampling};
+pub use draws::{ShiftAugmentation, ShiftedStamps, UniformSampling, hold_out};
 pub use options::{Criterion, SamplingOptions};
 pub use sampling::{CapReached, SampleError, Sampling, SamplingMethod, SamplingOutcome, SamplingReport};

@@ -8,6 +8,7 @@ use common::{Blob, on_threads};
 use ndarray::{Array2, ArrayViewMut2, Axis};
 use psf_sample::{
     AdaptiveSampling, DifferenceMeasure, SampleError, SamplingMethod, ShiftAugmentation, UniformSampling,
+    hold_out,
 };
 use psf_types::{FrameShape, NoProgress, Position, Progress, PsfSource, SourceError, StampGrid};
 
@@ -170,5 +171,44 @@ fn progress_ends_at_its_total() {
         let sampling = method.sample(&source, &count).unwrap();
         assert_eq!(count.total.into_inner(), sampling.report.draws as u64);
         assert_eq!(count.done.into_inner(), sampling.report.draws as u64);
+    }
+}
+
+#[test]
+fn held_out_psfs_lie_between_the_samples() {
+    const COUNT: usize = 400;
+    let source = Blob::new(201, 101, |u, v| 1.0 + u + v);
+    let samples = UniformSampling::new(9, 5).unwrap();
+    let samples = samples.sample(&source, &NoProgress).unwrap().samples;
+    let drawn = |seed| hold_out(&source, samples.positions(), (COUNT, seed), &NoProgress).unwrap();
+    let found = drawn(3);
+    assert_eq!((found.len(), found.grid()), (COUNT, source.grid()));
+    let (mut x, mut y) = (0.0, 0.0);
+    for (k, at) in found.positions().as_slice().iter().enumerate() {
+        assert_eq!(found.stamp(k), source.at(at.x(), at.y()).view());
+        // A tenth of the mean distance, about 21 pixels.
+        for sample in samples.positions().as_slice() {
+            assert!((sample.x() - at.x()).hypot(sample.y() - at.y()) > 2.1);
+        }
+        (x, y) = (x + at.x() / COUNT as f64, y + at.y() / COUNT as f64);
+    }
+    // The mean of uniform positions, with four times its standard error.
+    assert!(
+        (x - 100.0).abs() < 4.0 * 200.0 / (12.0 * COUNT as f64).sqrt(),
+        "{x}"
+    );
+    assert!(
+        (y - 50.0).abs() < 4.0 * 100.0 / (12.0 * COUNT as f64).sqrt(),
+        "{y}"
+    );
+    assert!(drawn(3) == found && drawn(4) != found);
+
+    // A field of one pixel has no room.
+    let point = Blob::new(1, 1, |_, _| 1.0);
+    let sample = UniformSampling::new(1, 1).unwrap();
+    let sample = sample.sample(&point, &NoProgress).unwrap().samples;
+    for (source, samples, count) in [(&point, &sample, 1), (&source, &samples, 0)] {
+        let refused = hold_out(source, samples.positions(), (count, 1), &NoProgress).unwrap_err();
+        assert!(refused.to_string().contains("held-out PSFs"), "{refused}");
     }
 }

@@ -67,11 +67,12 @@ impl BackgroundMesh {
         Ok(Self { filter, ..self })
     }
 
-    /// Estimates the background of `pixels` `[y, x]`.
+    /// Estimates the background of `pixels` `[y, x]`. Pixels that are NaN are ignored. A cell of
+    /// such pixels alone gets the median of the other cells.
     ///
     /// # Errors
     /// [`StarError::NoNoise`] when more than half of the cells have no noise after the median
-    /// filter.
+    /// filter, or when all pixels are NaN.
     pub fn estimate(&self, pixels: ArrayView2<'_, f64>) -> Result<Background, StarError> {
         let (ny, nx) = pixels.dim();
         let (rows, columns) = ((ny / self.cell).max(1), (nx / self.cell).max(1));
@@ -80,17 +81,27 @@ impl BackgroundMesh {
             .into_par_iter()
             .map(|k| {
                 let (y, x) = (cut(k / columns, rows, ny), cut(k % columns, columns, nx));
-                clipped(pixels.slice(s![y, x]).iter().copied().collect())
+                let pixels = pixels.slice(s![y, x]);
+                clipped(pixels.iter().copied().filter(|v| !v.is_nan()).collect())
             })
             .collect();
+        // Cells without pixels are NaN.
+        let filled = |of: fn(&(f64, f64)) -> f64| {
+            let known = cells.iter().map(of).filter(|v| !v.is_nan());
+            let typical = median(&mut known.collect::<Vec<_>>());
+            cells
+                .iter()
+                .map(of)
+                .map(move |v| if v.is_nan() { typical } else { v })
+        };
         let map = |of: fn(&(f64, f64)) -> f64| {
-            let values = cells.iter().map(of).collect();
+            let values = filled(of).collect();
             let map = Array2::from_shape_vec((rows, columns), values).expect("one value per cell");
             median_filtered(&map, self.filter)
         };
         let (level, rms) = (map(|c| c.0), map(|c| c.1));
         let typical_rms = median(&mut rms.iter().copied().collect::<Vec<_>>());
-        if typical_rms <= 0.0 {
+        if typical_rms.is_nan() || typical_rms <= 0.0 {
             return Err(StarError::NoNoise);
         }
         // A spline may undershoot the values that it interpolates, but noise must stay above 0.
@@ -102,7 +113,7 @@ impl BackgroundMesh {
         let level = interpolated(&level, (ny, nx));
         let mut rms = interpolated(&rms, (ny, nx));
         rms.mapv_inplace(|v| v.max(least));
-        let typical_level = median(&mut cells.iter().map(|c| c.0).collect::<Vec<_>>());
+        let typical_level = median(&mut filled(|c| c.0).collect::<Vec<_>>());
         Ok(Background {
             level,
             rms,
@@ -139,6 +150,13 @@ impl Background {
     /// The standard deviation of the background's noise at every pixel `[y, x]`, above 0.
     pub fn rms(&self) -> ArrayView2<'_, f64> {
         self.rms.view()
+    }
+
+    /// Subtracts the level from a frame `[y, x]` of the same shape. NaN pixels become 0.
+    pub(crate) fn subtracted_from(&self, frame: ArrayView2<'_, f64>) -> Array2<f64> {
+        let mut excess = &frame - &self.level;
+        excess.mapv_inplace(|v| if v.is_nan() { 0.0 } else { v });
+        excess
     }
 
     /// The median level over the cells of the mesh.
@@ -196,6 +214,9 @@ fn clipped(mut values: Vec<f64>) -> (f64, f64) {
 /// Mean, median and standard deviation of sorted values.
 fn moments(sorted: &[f64]) -> (f64, f64, f64) {
     let n = sorted.len();
+    if n == 0 {
+        return (f64::NAN, f64::NAN, f64::NAN);
+    }
     let median = f64::midpoint(sorted[(n - 1) / 2], sorted[n / 2]);
     // The sums are taken about the median, so that a high background causes no cancellation.
     let (mut first, mut second) = (0.0, 0.0);

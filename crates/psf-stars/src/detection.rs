@@ -75,7 +75,8 @@ impl Detection {
         self.kernel_fwhm_px
     }
 
-    /// Finds the peaks in a frame `[y, x]`, the most significant first.
+    /// Finds the peaks in a frame `[y, x]`, the most significant first. NaN pixels count as
+    /// background.
     ///
     /// # Panics
     /// When the background and the frame have different shapes.
@@ -96,7 +97,7 @@ impl Detection {
             .map(|i| (-0.5 * ((i as f64 - reach as f64) / sigma).powi(2)).exp())
             .collect();
         let (ny, nx) = frame.dim();
-        let excess = (&frame - &background.level()) / background.rms();
+        let excess = background.subtracted_from(frame) / background.rms();
         let along_x = filtered_rows(&excess, &kernel);
         let both = filtered_rows(
             &along_x.reversed_axes().as_standard_layout().into_owned(),

@@ -24,7 +24,9 @@ pub(crate) fn aperture_px(fwhm_px: f64) -> f64 {
 
 /// A frame with its background.
 pub(crate) struct FrameView {
+    /// NaN in masked pixels.
     pub(crate) pixels: Array2<f64>,
+    /// The values above the background, 0 in masked pixels.
     pub(crate) excess: Array2<f64>,
     pub(crate) background: Background,
     pub(crate) saturation: Saturation,
@@ -35,6 +37,10 @@ impl FrameView {
     pub(crate) fn shape(&self) -> FrameShape {
         let (ny, nx) = self.pixels.dim();
         FrameShape::new(nx, ny).expect("an image has a valid shape")
+    }
+
+    pub(crate) fn is_masked(&self, column: usize, row: usize) -> bool {
+        self.pixels[[row, column]].is_nan()
     }
 
     /// The pixels `(column, row)` whose centres lie within `radius` of (`x`, `y`).
@@ -100,10 +106,14 @@ impl FrameView {
         let core = self.disc(peak.column as f64, peak.row as f64, fwhm_px.max(1.5));
         let brightest = core
             .map(|(column, row)| self.pixels[[row, column]])
-            .fold(f64::NEG_INFINITY, f64::max);
+            .fold(f64::NAN, f64::max);
         let mut rejected = Rejections::default();
         if self.saturation.reached_by(brightest) {
             rejected.insert(Rejection::Saturated);
+        }
+        let mut fitted = self.disc(x, y, radius.max(reach as f64));
+        if fitted.any(|(column, row)| self.is_masked(column, row)) {
+            rejected.insert(Rejection::Masked);
         }
         let background_rms = self.background.rms()[[peak.row, peak.column]];
         Source {
@@ -168,7 +178,8 @@ impl FrameView {
             .flat_map(|row| columns.clone().map(move |column| (column, row)))
             .map(|(column, row)| {
                 let (px, py) = (column as f64, row as f64);
-                let usable = !self.saturation.reached_by(self.pixels[[row, column]])
+                let usable = !self.is_masked(column, row)
+                    && !self.saturation.reached_by(self.pixels[[row, column]])
                     && ownership.allows(index, source.flux, px, py);
                 StarPixel {
                     x: px,
@@ -200,7 +211,7 @@ pub(crate) struct StarPixel {
     pub(crate) value: f64,
     /// The noise of the background.
     pub(crate) rms: f64,
-    /// The factor on its weight: 0 if it is saturated or belongs to a neighbour, below 1 for
+    /// The factor on its weight: 0 if it is masked, saturated or belongs to a neighbour, below 1 for
     /// outliers.
     pub(crate) trust: f64,
 }

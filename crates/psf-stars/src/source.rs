@@ -30,11 +30,15 @@ pub enum Rejection {
     Elongated,
     /// It does not agree with the oversampled PSF fitted to all stars.
     PsfMismatch,
+    /// It is left out for a check ([`StarSampling::with_hold_out`](crate::StarSampling::with_hold_out)).
+    HeldOut,
+    /// A pixel of its core is masked.
+    Masked,
 }
 
 impl Rejection {
     /// All reasons, in the order in which tables list them.
-    pub const ALL: [Self; 9] = [
+    pub const ALL: [Self; 11] = [
         Self::Saturated,
         Self::Edge,
         Self::LowSnr,
@@ -44,6 +48,8 @@ impl Rejection {
         Self::TooBroad,
         Self::Elongated,
         Self::PsfMismatch,
+        Self::HeldOut,
+        Self::Masked,
     ];
 
     /// The short name used in tables.
@@ -58,6 +64,8 @@ impl Rejection {
             Self::TooBroad => "too-broad",
             Self::Elongated => "elongated",
             Self::PsfMismatch => "psf-mismatch",
+            Self::HeldOut => "held-out",
+            Self::Masked => "masked",
         }
     }
 }

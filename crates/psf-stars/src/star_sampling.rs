@@ -1,6 +1,6 @@
 //! All steps from a frame to PSF samples.
 
-use ndarray::{Array2, Array3, Axis};
+use ndarray::{Array2, Axis, stack};
 use psf_types::{Image, Position, PsfSamples, Real, SamplePositions, StampGrid};
 use rayon::prelude::*;
 
@@ -51,6 +51,7 @@ pub struct StarSampling {
     camera: Camera,
     selection: Selection,
     registration: Registration,
+    hold_out: (usize, u64),
 }
 
 /// A stamp of unit flux, and the star's flux.
@@ -93,22 +94,49 @@ impl StarSampling {
         Self { registration, ..self }
     }
 
+    /// Leaves `count` of the accepted stars out of the samples, to check a model between the samples
+    /// from which it was made. `seed` chooses them. Their own pixels become
+    /// [`StarSamples::held_out`].
+    #[must_use]
+    pub fn with_hold_out(self, count: usize, seed: u64) -> Self {
+        Self {
+            hold_out: (count, seed),
+            ..self
+        }
+    }
+
     /// Makes PSF samples from the stars of `frame`.
     ///
     /// # Errors
     /// [`StarError`] when the frame is too small or without noise, when no source is found or
-    /// suitable, when the requested distance from the edge is less than half a stamp, or when there
-    /// are too few stars for an oversampled PSF that was requested explicitly.
+    /// suitable, when the requested distance from the edge is less than half a stamp, when there are
+    /// too few stars for an oversampled PSF that was requested explicitly, or when stars cannot be
+    /// held out because there are too few or they are undersampled.
     pub fn run<T: Real>(&self, frame: &Image<T>) -> Result<StarSamples, StarError> {
-        let shape = frame.shape();
-        if shape.nx().min(shape.ny()) < LEAST_PIXELS {
+        self.run_masked(frame.pixels().mapv(T::as_f64))
+    }
+
+    /// Works like [`run`](Self::run) for the pixels `[y, x]` of a frame in which NaN stands for a
+    /// masked pixel. The background and its noise ignore masked pixels. A star with a masked pixel
+    /// near its core is rejected ([`Rejection::Masked`]). Farther out, stamps do not use masked
+    /// pixels.
+    ///
+    /// # Errors
+    /// The errors of [`run`](Self::run), and [`StarError`] for an infinite pixel or if all pixels
+    /// are masked.
+    pub fn run_masked(&self, pixels: Array2<f64>) -> Result<StarSamples, StarError> {
+        let (ny, nx) = pixels.dim();
+        if nx.min(ny) < LEAST_PIXELS {
             return Err(StarError::NoSamples(format!(
-                "a frame of {shape} pixels is too small: at least {LEAST_PIXELS} pixels along each axis are needed"
+                "a frame of {nx} x {ny} pixels is too small: at least {LEAST_PIXELS} pixels along each axis are needed"
             )));
         }
-        let pixels = frame.pixels().mapv(T::as_f64);
+        if pixels.iter().all(|v| v.is_nan()) || pixels.iter().any(|v| v.is_infinite()) {
+            const UNUSABLE: &str = "every pixel of the frame is masked, or a pixel is infinite: unmask good pixels, mask infinite ones";
+            return Err(StarError::NoSamples(UNUSABLE.to_owned()));
+        }
         let background = self.background.estimate(pixels.view())?;
-        let excess = &pixels - &background.level();
+        let excess = background.subtracted_from(pixels.view());
         let view = FrameView {
             saturation: self
                 .camera
@@ -132,11 +160,36 @@ impl StarSampling {
 
         let reach = self.registration.reach(fwhm_px);
         self.selection.check_edge(reach)?;
-        self.selection.apply(&mut sources, shape, reach, fwhm_px);
+        self.selection.apply(&mut sources, view.shape(), reach, fwhm_px);
+        self.hold_out(&mut sources)?;
         let accepted = sources.iter().filter(|s| s.rejected.is_empty()).count();
         let grid = self.registration.grid(fwhm_px, accepted);
         let registered = self.register(&view, &mut sources, grid, fwhm_px)?;
         view.collected(sources, registered, fwhm_px)
+    }
+
+    /// Rejects the stars that are held out.
+    fn hold_out(&self, sources: &mut [Source]) -> Result<(), StarError> {
+        let (count, seed) = self.hold_out;
+        let accepted = (0..sources.len()).filter(|&k| sources[k].rejected.is_empty());
+        let mut chosen: Vec<usize> = accepted.collect();
+        if count > 0 && count >= chosen.len() {
+            return Err(StarError::NoSamples(format!(
+                "{count} stars cannot be held out, because only {} can serve as PSF samples: hold out fewer",
+                chosen.len()
+            )));
+        }
+        // A random order: by a hash of the seed and the star's index (SplitMix64).
+        chosen.sort_by_key(|&k| {
+            let mut hash = seed.wrapping_add((k as u64 + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15));
+            hash = (hash ^ (hash >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+            hash = (hash ^ (hash >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+            hash ^ (hash >> 31)
+        });
+        for &k in chosen.iter().take(count) {
+            sources[k].rejected.insert(Rejection::HeldOut);
+        }
+        Ok(())
     }
 
     /// The most frequent FWHM of bright sources, or `otherwise` if there is none.
@@ -162,6 +215,22 @@ impl StarSampling {
             .map(|(k, c)| view.star(k, c, &ownership, grid))
             .collect();
         let method = self.registration.resolve(fwhm_px, stars.len(), grid.scale)?;
+        if self.hold_out.0 > 0 && method == RegistrationMethod::Epsf {
+            return Err(StarError::NoSamples(
+                "stars cannot be held out with the method epsf, because an undersampled star does not contain its PSF: compare the model with the stars of another frame, or use the method stamps"
+                    .to_owned(),
+            ));
+        }
+        let own = |k: usize| {
+            let Source { x, y, flux, .. } = sources[k];
+            let trusted = |x, y| !view.is_masked(x, y) && ownership.allows(k, flux, x as f64, y as f64);
+            own_stamp(view.excess.view(), (x, y), trusted, grid)
+        };
+        let held_out = sources.iter().enumerate();
+        let held_out = held_out.filter(|(_, s)| s.rejected.contains(Rejection::HeldOut));
+        let held_out = held_out
+            .filter_map(|(k, s)| Some(((s.x, s.y), own(k)?.0)))
+            .collect();
         let mut report = RegistrationReport {
             method,
             oversampling: grid.scale,
@@ -185,18 +254,7 @@ impl StarSampling {
                 .collect();
             (epsf.stars, stamps)
         } else {
-            let stamps = stars
-                .par_iter()
-                .map(|star| {
-                    let own = &sources[star.source];
-                    own_stamp(
-                        view.excess.view(),
-                        (star.x, star.y),
-                        |x, y| ownership.allows(star.source, own.flux, x as f64, y as f64),
-                        grid,
-                    )
-                })
-                .collect();
+            let stamps = stars.par_iter().map(|star| own(star.source)).collect();
             (stars, stamps)
         };
         let mut samples = Vec::new();
@@ -208,6 +266,7 @@ impl StarSampling {
         }
         Ok(Registered {
             samples,
+            held_out,
             grid,
             report,
         })
@@ -217,6 +276,8 @@ impl StarSampling {
 /// Stars with their samples `[y, x]` of unit flux and their fluxes.
 struct Registered {
     samples: Vec<(Star, Array2<f64>, f64)>,
+    /// Positions and stamps of the stars that are held out.
+    held_out: Vec<((f64, f64), Array2<f64>)>,
     grid: FineGrid,
     report: RegistrationReport,
 }
@@ -247,22 +308,35 @@ impl FrameView {
             )));
         }
         let side = registered.grid.side();
-        let mut stamps = Array3::zeros((registered.samples.len(), side, side));
-        let mut positions = Vec::with_capacity(registered.samples.len());
-        for (k, (star, stamp, flux)) in registered.samples.iter().enumerate() {
-            stamps.index_axis_mut(Axis(0), k).assign(stamp);
-            positions.push(Position::new(star.x, star.y)?);
+        let grid = StampGrid::new(side, side)?.with_oversampling(registered.grid.scale as f64)?;
+        let samples_of = |stars: &[((f64, f64), &Array2<f64>)]| -> Result<PsfSamples, StarError> {
+            let stamps: Vec<_> = stars.iter().map(|(_, stamp)| stamp.view()).collect();
+            let positions = stars.iter().map(|&((x, y), _)| Position::new(x, y));
+            let positions = SamplePositions::new(positions.collect::<Result<_, _>>()?, Some(shape))?;
+            let stamps = stack(Axis(0), &stamps).expect("stamps have one shape");
+            Ok(PsfSamples::new(stamps, positions, grid)?)
+        };
+        let own = registered.samples.iter();
+        let samples = samples_of(&own.map(|(s, stamp, _)| ((s.x, s.y), stamp)).collect::<Vec<_>>())?;
+        let held_out: Vec<_> = registered
+            .held_out
+            .iter()
+            .map(|(at, stamp)| (*at, stamp))
+            .collect();
+        let held_out = (!held_out.is_empty())
+            .then(|| samples_of(&held_out))
+            .transpose()?;
+        for (k, (star, _, flux)) in registered.samples.iter().enumerate() {
             let source = &mut sources[star.source];
             (source.x, source.y, source.flux) = (star.x, star.y, *flux);
             source.sample = Some(k);
         }
         self.measure_psf_fluxes(&mut sources, &registered, fwhm_px);
-        let coverage = CoverageMap::new(&positions, shape);
-        let grid = StampGrid::new(side, side)?.with_oversampling(registered.grid.scale as f64)?;
         Ok(StarSamples {
-            samples: PsfSamples::new(stamps, SamplePositions::new(positions, Some(shape))?, grid)?,
+            coverage: CoverageMap::new(samples.positions().as_slice(), shape),
+            samples,
+            held_out,
             sources,
-            coverage,
             fwhm_px,
             saturation: self.saturation,
             background: self.background,
@@ -296,7 +370,8 @@ impl FrameView {
                 };
                 let (mut product, mut power) = (0.0, 0.0);
                 for (column, row) in self.disc(source.x, source.y, radius) {
-                    if self.saturation.reached_by(self.pixels[[row, column]]) {
+                    let pixel = self.pixels[[row, column]];
+                    if self.is_masked(column, row) || self.saturation.reached_by(pixel) {
                         continue;
                     }
                     let at = |pixel: usize, centre: f64| middle + scale * (pixel as f64 - centre);
@@ -317,6 +392,9 @@ impl FrameView {
 pub struct StarSamples {
     /// The samples, of unit flux, in the order of their sources.
     pub samples: PsfSamples,
+    /// The stamps of the stars that were held out ([`StarSampling::with_hold_out`]), with their
+    /// noise. None if there are none.
+    pub held_out: Option<PsfSamples>,
     /// Every source found, the most significant first. Rejected sources are included with their
     /// reasons.
     pub sources: Vec<Source>,

@@ -123,6 +123,9 @@ pub struct FrameShape {
 
 read_through_new!(RawFrameShape => FrameShape { nx: usize, ny: usize });
 
+/// The largest number of pixels of a frame, for the address space.
+const MAX_PIXELS: usize = isize::MAX as usize / 16;
+
 impl FrameShape {
     /// A frame of `nx` columns and `ny` rows.
     ///
@@ -134,7 +137,7 @@ impl FrameShape {
             return Err(DataError::EmptyFrame { nx, ny });
         }
         match nx.checked_mul(ny) {
-            Some(pixels) if pixels <= isize::MAX as usize / 16 => Ok(Self { nx, ny }),
+            Some(pixels) if pixels <= MAX_PIXELS => Ok(Self { nx, ny }),
             _ => Err(DataError::FrameTooLarge { nx, ny }),
         }
     }
@@ -305,7 +308,9 @@ pub enum DataError {
         ny: usize,
     },
     /// A frame too large for memory.
-    #[error("a frame of {nx} x {ny} pixels is too large for memory")]
+    #[error(
+        "a frame of {nx} x {ny} pixels is too large for memory: at most {MAX_PIXELS} pixels are possible"
+    )]
     FrameTooLarge {
         /// Columns.
         nx: usize,

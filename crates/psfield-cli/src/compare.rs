@@ -94,7 +94,7 @@ impl CompareArgs {
 
 /// Reads a cube, or an image as a cube of one plane. Returns whether it is a cube.
 fn read(path: &Path, extension: Option<&HduChoice>) -> anyhow::Result<(Array3<f64>, bool)> {
-    Ok(match psf_io::detect(path)? {
+    Ok(match psf_io::detect_hdu(path, extension)? {
         FileKind::PsfModel => anyhow::bail!(
             "{} is a PSF model: compare its PSFs at chosen positions (psfield evaluate writes them)",
             path.display()

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use anyhow::Context as _;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use psf_io::{Card, IoError, Precision};
+use psf_io::{Card, IoError, Place, Precision};
 use psf_types::{Progress, PsfSamples};
 use psfield::PsfieldError;
 use psfield_lab::LabError;
@@ -50,13 +50,21 @@ pub(crate) fn with_option(text: impl std::fmt::Display, setting: Option<&str>) -
     }
 }
 
+/// Adds the setting that accepts NaN to an error about a pixel.
+pub(crate) fn with_nan_setting(error: IoError, setting: &'static str) -> IoError {
+    match error.place() {
+        Some(Place::Pixel { .. }) => error.with_setting(setting),
+        _ => error,
+    }
+}
+
 /// The option for a setting of the library.
 fn option_of(setting: &str) -> Option<String> {
     Some(match setting {
         // No option sets these: world coordinates come from a header, and the command line always
         // simulates the whole frame.
         "sky" | "region" => return None,
-        "hdu" | "table" => "--extension".to_owned(),
+        "hdu" => "--extension".to_owned(),
         "plane_order" => "--psf-order".to_owned(),
         "wavelength_um" => "--psf-wavelength".to_owned(),
         "pixel_scale_arcsec" => "--pixel-scale".to_owned(),
@@ -64,6 +72,7 @@ fn option_of(setting: &str) -> Option<String> {
         "pixel_response_included" => "--pixel-response".to_owned(),
         "at" => "--grid".to_owned(),
         "degree" => "--to psfex=DEGREE".to_owned(),
+        "nan_is_masked" => "--nan-is-masked, or --mask for other bad pixels".to_owned(),
         _ => format!("--{}", setting.replace('_', "-")),
     })
 }

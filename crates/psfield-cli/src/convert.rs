@@ -5,13 +5,15 @@ use std::str::FromStr;
 
 use anyhow::Context as _;
 use psf_types::FrameShape;
+use psfield::Psf;
 use psfield::convert::{PsfFormat, SamplesAt, is_on_grid};
-use psfield::{Psf, check_outputs};
 
 use super::UsageError;
 use super::context::{Context, object, signature};
+use super::files::OutputFile;
 use super::values::{Pair, Precision};
 use crate::psf_args::{PsfArgs, notes_of};
+use crate::table_args::TableArgs;
 
 /// Convert a PSF file to another format
 ///
@@ -29,7 +31,7 @@ pub(crate) struct ConvertArgs {
     input: PathBuf,
     /// File to write
     #[arg(short, long, value_name = "OUTPUT")]
-    output: PathBuf,
+    output: OutputFile,
     /// Format: psf-samples, psf-model, psfex=DEGREE or gridded [default: psfex if OUTPUT ends in
     /// .psf, else required]
     ///
@@ -54,6 +56,8 @@ pub(crate) struct ConvertArgs {
     /// CSV or FITS table with columns x, y (0-based pixels).
     #[arg(long, value_name = "POSITIONS.csv")]
     at: Option<PathBuf>,
+    #[command(flatten)]
+    table: TableArgs,
     /// For psf-samples: precision of the stamps [default: f32]
     #[arg(long, value_enum)]
     precision: Option<Precision>,
@@ -112,15 +116,15 @@ impl ConvertArgs {
     pub(crate) fn run(self, context: &Context) -> anyhow::Result<()> {
         let target = self.target()?;
         self.check_usage(target)?;
-        let mut inputs = self.fit.files(&self.input);
-        inputs.extend(self.at.as_deref());
-        check_outputs(&inputs, &[&self.output], self.overwrite)?;
+        self.table.check(self.at.as_deref())?;
         let at = match (self.grid, &self.at) {
             (Some(Pair(nx, ny)), _) => {
                 FrameShape::new(nx, ny).map_err(|e| UsageError(format!("--grid: {e}")))?;
                 SamplesAt::Grid { nx, ny }
             }
-            (None, Some(path)) => SamplesAt::Positions(psf_io::read_positions(path)?),
+            (None, Some(path)) => {
+                SamplesAt::Positions(psf_io::read_positions_with(path, &self.table.options())?)
+            }
             (None, None) => SamplesAt::Own,
         };
         let psf = self.fit.open(&self.input, context)?;

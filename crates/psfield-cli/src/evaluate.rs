@@ -3,11 +3,13 @@
 use std::path::PathBuf;
 
 use anyhow::Context as _;
-use psfield::{EvaluateOptions, OutputGrid, check_outputs};
+use psfield::{EvaluateOptions, OutputGrid};
 
 use super::context::{Context, object, signature};
 use super::values::{Precision, stamp_size};
+use crate::files::OutputFile;
 use crate::psf_args::{PsfArgs, notes_of};
+use crate::table_args::TableArgs;
 
 /// Write the PSF at given positions
 #[derive(Debug, clap::Args)]
@@ -18,9 +20,11 @@ pub(crate) struct EvaluateArgs {
     /// Positions: CSV or FITS table with columns x, y (0-based pixels)
     #[arg(long, value_name = "POSITIONS.csv")]
     at: PathBuf,
+    #[command(flatten)]
+    table: TableArgs,
     /// Stamps to write, in the layout of PSF samples
     #[arg(short, long, value_name = "STAMPS.fits")]
-    output: PathBuf,
+    output: OutputFile,
     /// Replace the output if it exists
     #[arg(long)]
     overwrite: bool,
@@ -50,13 +54,10 @@ enum Grid {
 
 impl EvaluateArgs {
     pub(crate) fn run(self, context: &Context) -> anyhow::Result<()> {
-        let mut inputs = self.fit.files(&self.psf);
-        inputs.push(&self.at);
-        check_outputs(&inputs, &[&self.output], self.overwrite)?;
         if self.sub_pixel && matches!(self.grid, Grid::Model) {
             return Err(super::UsageError("--sub-pixel needs --grid native".to_owned()).into());
         }
-        let positions = psf_io::read_positions(&self.at)?;
+        let positions = psf_io::read_positions_with(&self.at, &self.table.options())?;
         let psf = self.fit.open(&self.psf, context)?;
         let spinner = context.spinner("evaluating");
         psf.model()

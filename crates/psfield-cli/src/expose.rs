@@ -1,6 +1,6 @@
 //! `psfield expose`.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::Instant;
 
 use detector::{Detector, DetectorError, DetectorParams};
@@ -10,6 +10,7 @@ use psfield::{ExposureFiles, read_bad_pixel_mask};
 
 use super::UsageError;
 use super::context::{Context, object, signature};
+use super::files::OutputFile;
 use super::values::{Precision, above_zero, at_least_zero};
 
 /// Add sky, noise and other effects of a detector to a noise-free image
@@ -33,13 +34,13 @@ pub(crate) struct ExposeArgs {
     extension: Option<HduChoice>,
     /// Exposure to write (whole numbers if it is digitised)
     #[arg(short, long, value_name = "RAW.fits")]
-    output: PathBuf,
+    output: OutputFile,
     /// Also write the noise-free image with sky, dark charge and bias, in the unit of the exposure
     #[arg(long, value_name = "TRUTH.fits")]
-    truth: Option<PathBuf>,
+    truth: Option<OutputFile>,
     /// Also write flags of each pixel: sums of 1 dead, 2 hot, 4 bad column, 8 saturated
     #[arg(long, value_name = "QUALITY.fits", hide_short_help = true)]
-    quality: Option<PathBuf>,
+    quality: Option<OutputFile>,
     /// Replace outputs that exist
     #[arg(long)]
     overwrite: bool,
@@ -82,28 +83,28 @@ struct Settings {
     #[arg(long)]
     photon_noise: bool,
     /// Electrons in the exposure per unit of the image's flux [electrons_per_flux]
-    #[arg(long, value_name = "E", value_parser = above_zero, allow_negative_numbers = true)]
+    #[arg(long, value_name = "E", value_parser = above_zero)]
     electrons_per_flux: Option<f64>,
     /// Sky in the whole exposure (electrons per pixel) [sky_e]
-    #[arg(long, value_name = "E", value_parser = at_least_zero, allow_negative_numbers = true)]
+    #[arg(long, value_name = "E", value_parser = at_least_zero)]
     sky: Option<f64>,
     /// Exposure time (s), for the dark current [exposure_s]
-    #[arg(long, value_name = "S", value_parser = at_least_zero, allow_negative_numbers = true)]
+    #[arg(long, value_name = "S", value_parser = at_least_zero)]
     exposure: Option<f64>,
     /// Dark current (electrons per pixel and second), needs --exposure [dark_e_per_s]
-    #[arg(long, value_name = "E_PER_S", value_parser = at_least_zero, allow_negative_numbers = true)]
+    #[arg(long, value_name = "E_PER_S", value_parser = at_least_zero)]
     dark: Option<f64>,
     /// Full well: the largest charge of a pixel (electrons) [full_well_e]
-    #[arg(long, value_name = "E", value_parser = above_zero, allow_negative_numbers = true, hide_short_help = true)]
+    #[arg(long, value_name = "E", value_parser = above_zero, hide_short_help = true)]
     full_well: Option<f64>,
     /// Read noise, r.m.s. (electrons) [read_noise_e]
-    #[arg(long, value_name = "E", value_parser = at_least_zero, allow_negative_numbers = true)]
+    #[arg(long, value_name = "E", value_parser = at_least_zero)]
     read_noise: Option<f64>,
     /// Gain (electrons per ADU) [gain_e_per_adu]
-    #[arg(long, value_name = "E_PER_ADU", value_parser = above_zero, allow_negative_numbers = true)]
+    #[arg(long, value_name = "E_PER_ADU", value_parser = above_zero)]
     gain: Option<f64>,
     /// Level of a pixel without charge (ADU) [bias_adu]
-    #[arg(long, value_name = "ADU", allow_negative_numbers = true)]
+    #[arg(long, value_name = "ADU")]
     bias: Option<f64>,
     /// Digitise to whole numbers from 0 to 2^N - 1, N at most 24 [bits]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=24))]
@@ -146,15 +147,11 @@ impl ExposeArgs {
 
     fn run_in<T: Real>(self, detector: &Detector, context: &Context) -> anyhow::Result<()> {
         let files = ExposureFiles {
-            raw: self.output,
-            truth: self.truth,
-            quality: self.quality,
+            raw: self.output.to_path_buf(),
+            truth: self.truth.as_deref().cloned(),
+            quality: self.quality.as_deref().cloned(),
             overwrite: self.overwrite,
         };
-        let inputs = [Some(&self.image), self.detector.as_ref(), self.mask.as_ref()];
-        let inputs: Vec<&Path> = inputs.into_iter().flatten().map(PathBuf::as_path).collect();
-        files.check(&inputs)?;
-
         let spinner = context.spinner("exposing");
         let clock = Instant::now();
         let (light, header) = psf_io::read_image_hdu::<T>(&self.image, self.extension.as_ref())?.into_parts();

@@ -4,11 +4,13 @@ use std::path::PathBuf;
 
 use anyhow::Context as _;
 use psf_io::FileKind;
+use psfield::FitReport;
 use psfield::convert::PsfFormat;
-use psfield::{FitReport, check_outputs};
 
 use super::context::{Context, signature};
+use crate::files::OutputFile;
 use crate::psf_args::{FIT_HEADING, PsfArgs};
+use crate::values::at_least_zero;
 
 /// Fit a PSF model (basis and coefficient fields) to samples
 #[derive(Debug, clap::Args)]
@@ -22,12 +24,18 @@ pub(crate) struct FitCommandArgs {
     samples: PathBuf,
     /// Model to write
     #[arg(short, long, value_name = "MODEL.fits")]
-    output: PathBuf,
+    output: OutputFile,
     /// Replace the output if it exists
     #[arg(long)]
     overwrite: bool,
     #[command(flatten)]
     fit: PsfArgs,
+    /// Noise per pixel of the samples (standard deviation) [default: estimated]
+    ///
+    /// SIGMA has the unit of the samples after --normalise has scaled them. --rank auto and elbow
+    /// drop components below this noise. 0: no noise.
+    #[arg(long, value_name = "SIGMA", value_parser = at_least_zero, help_heading = FIT_HEADING)]
+    sample_noise: Option<f64>,
 }
 
 /// Shows in the short help the options that this command needs most, and hides the options that it
@@ -42,9 +50,12 @@ fn for_fit(arg: clap::Arg) -> clap::Arg {
     }
 }
 
+/// The error of a sample above which a model without components is suspicious.
+const WORTH_A_COMPONENT: f64 = 1e-6;
+
 impl FitCommandArgs {
-    pub(crate) fn run(self, context: &Context) -> anyhow::Result<()> {
-        check_outputs(&self.fit.files(&self.samples), &[&self.output], self.overwrite)?;
+    pub(crate) fn run(mut self, context: &Context) -> anyhow::Result<()> {
+        self.fit.fit.sample_noise = self.sample_noise;
         let spinner = context.spinner("fitting");
         let psf = self.fit.open(&self.samples, context)?;
         let in_file = || format!("in {}", self.samples.display());
@@ -63,6 +74,13 @@ impl FitCommandArgs {
         let report = fitted.report().with_context(in_file)?;
         psf.write(&self.output, &PsfFormat::Model, &signature(), self.overwrite)?;
         drop(spinner);
+        if report.rank == 0 && report.max_error > WORTH_A_COMPONENT {
+            context.warn(&format!(
+                "the model keeps no component, so its PSF is the same everywhere, but the samples differ from it by up to {:.1e} \
+                 (relative L2): check --sample-noise and --rank",
+                report.max_error
+            ));
+        }
         context.report(&report, || text(&report, &self.output.display().to_string()))
     }
 }

@@ -3,15 +3,26 @@
 use clap::{Command, CommandFactory};
 
 /// Commands by purpose. All others are listed under [`LAST_GROUP`].
-const GROUPS: [(&str, &[&str]); 2] = [
-    ("Make a PSF", &["sample", "fit", "convert"]),
-    ("Simulate", &["simulate", "expose", "batch"]),
+const GROUPS: [(&str, &[&str]); 3] = [
+    ("Make a PSF", &["sample", "fit", "convert", "evaluate"]),
+    ("Simulate", &["simulate", "expose", "batch", "demo"]),
+    (
+        "Look and check",
+        &["preview", "measure", "compare", "validate", "roundtrip"],
+    ),
 ];
-const LAST_GROUP: &str = "Look and check";
+const LAST_GROUP: &str = "Measure psfield itself";
 
 /// Builds the command line with its help texts.
 pub(crate) fn command<C: CommandFactory>() -> Command {
-    let command = C::command();
+    // Without this, a negative number is taken for an unknown option.
+    let names = C::command()
+        .get_subcommands()
+        .map(|c| c.get_name().to_owned())
+        .collect::<Vec<_>>();
+    let command = names.into_iter().fold(C::command(), |command, name| {
+        command.mut_subcommand(name, |subcommand| subcommand.allow_negative_numbers(true))
+    });
     let template = format!(
         "{{about-with-newline}}\n{{usage-heading}} {{usage}}\n\n{}Options:\n{{options}}\n\n\
          psfield COMMAND -h shows the main options of a command, psfield COMMAND --help shows all.\n",

@@ -10,11 +10,14 @@ mod demo;
 mod devices;
 mod evaluate;
 mod expose;
+mod files;
 mod fit;
 mod help;
 #[cfg(unix)]
 mod interrupts;
 mod measure;
+mod old_names;
+mod out_of_memory;
 mod preview;
 mod psf_args;
 mod report_folder;
@@ -23,14 +26,16 @@ mod round_trip;
 mod sample;
 mod simulate;
 mod star_args;
+mod table_args;
 mod validate;
 mod values;
 
 use std::process::ExitCode;
 
 use anyhow::Context as _;
-use clap::{FromArgMatches, Parser, Subcommand};
+use clap::{CommandFactory as _, FromArgMatches, Parser, Subcommand};
 use context::{Context, UsageError, message_of};
+use files::NamedFiles;
 
 /// Astronomical images with a point spread function that varies over the field
 ///
@@ -70,7 +75,7 @@ struct GlobalArgs {
     #[arg(short, long, global = true)]
     quiet: bool,
     /// Number of threads, without effect on the result [default: one per core]
-    #[arg(long, global = true, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
+    #[arg(long, global = true, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: Option<u16>,
 }
 
@@ -97,20 +102,30 @@ enum Command {
 }
 
 impl Cli {
-    /// Runs the command.
-    fn run(self) -> anyhow::Result<()> {
+    /// Runs the command. `files`: the files that its arguments name. `notes`: notes to print.
+    fn run(self, files: Result<NamedFiles, UsageError>, notes: &[String]) -> anyhow::Result<()> {
+        let mut files = files?;
+        match &self.command {
+            Command::Sample(args) => files.outputs.extend(args.hold_out_file()),
+            Command::Simulate(args) => files.outputs.extend(args.default_truth()),
+            Command::Preview(args) => files.outputs.extend(args.default_picture()),
+            _ => {}
+        }
+        files.check()?;
         #[cfg(unix)]
         interrupts::handle().context("cannot install the handlers for Ctrl-C and termination signals")?;
-        if let Some(threads) = self.global.threads {
-            rayon::ThreadPoolBuilder::new()
-                .num_threads(usize::from(threads))
-                .build_global()?;
-        }
+        // 0: one thread per core.
+        let threads = self.global.threads.map_or(0, usize::from);
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads);
+        pool.build_global().context("cannot start the threads")?;
         let context = Context {
             json: self.global.json == bench::JsonTo::Output,
             quiet: self.global.quiet,
             part: String::new(),
         };
+        for note in notes {
+            context.note(note);
+        }
         match self.command {
             Command::Demo(args) => args.run(&context),
             Command::Sample(args) => args.run(&context),
@@ -133,10 +148,14 @@ impl Cli {
 }
 
 fn main() -> ExitCode {
-    let given = help::command::<Cli>().get_matches();
+    let (arguments, notes) = old_names::replaced(std::env::args_os());
+    let given = help::command::<Cli>().get_matches_from(arguments);
     let cli = Cli::from_arg_matches(&given)
         .unwrap_or_else(|error| error.format(&mut help::command::<Cli>()).exit());
-    let Err(error) = cli.run() else {
+    let (name, arguments) = given.subcommand().expect("clap requires a command");
+    let command = Cli::command();
+    let command = command.find_subcommand(name).expect("clap found this command");
+    let Err(error) = cli.run(NamedFiles::of(command, arguments), &notes) else {
         return ExitCode::SUCCESS;
     };
     if let Some(usage) = error.downcast_ref::<UsageError>() {

@@ -8,15 +8,20 @@ use psfield::{MEASUREMENT_COLUMNS, MeasureOptions, Measurement};
 
 use super::UsageError;
 use super::context::{Context, object};
+use super::files::OutputFile;
+use super::table_args::TableArgs;
 
 /// Measure size, shape and flux of PSFs
 ///
 /// Writes CSV. From an elliptical Gaussian fit: flux, x_centroid, y_centroid, fwhm_px,
-/// fwhm_major_px, fwhm_minor_px, angle_rad, ellipticity = sqrt(1 - b^2/a^2). From adaptive moments:
-/// e1, e2 (distortion), g1, g2 (reduced shear), sigma_px. Also x, y and note.
+/// fwhm_major_px, fwhm_minor_px, angle_rad, eccentricity = sqrt(1 - b^2/a^2). From adaptive
+/// moments: e1, e2 (distortion), g1, g2 (reduced shear), sigma_px, ellipticity = sqrt(e1^2 + e2^2).
+/// Also x, y and note.
 ///
-/// Lengths are in pixels of the input: stamp pixels for stamps. In a cube, centroids are 0-based
-/// pixels of the stamp. The cell of a failed measurement is empty, and the note says why.
+/// Lengths are in pixels of the frame: for oversampled PSF samples, they and the flux take the
+/// oversampling into account. The oversampling of a cube or an image is unknown, so its lengths are
+/// in its own pixels. In samples and cubes, centroids are 0-based pixels of the stamp. The cell of
+/// a failed measurement is empty, and the note says why.
 #[derive(Debug, clap::Args)]
 pub(crate) struct MeasureArgs {
     /// PSF samples, cube of stamps, image with --at, or image that is a single stamp
@@ -29,7 +34,9 @@ pub(crate) struct MeasureArgs {
     /// Positions in an image: CSV or FITS table with columns x, y (0-based pixels)
     #[arg(long, value_name = "POSITIONS.csv")]
     at: Option<PathBuf>,
-    /// Fit the Gaussian to the N x N pixels around the centre [default: the whole stamp; with --at:
+    #[command(flatten)]
+    table: TableArgs,
+    /// Fit the Gaussian to the N x N pixels (of the stamp) around the centre [default: the whole stamp; with --at:
     /// 15]
     ///
     /// With --at, the adaptive moments use these pixels, too. Otherwise they use the whole stamp.
@@ -40,7 +47,7 @@ pub(crate) struct MeasureArgs {
     background: bool,
     /// Table to write
     #[arg(short, long, value_name = "TABLE.csv")]
-    output: PathBuf,
+    output: OutputFile,
     /// Replace the output if it exists
     #[arg(long)]
     overwrite: bool,
@@ -48,11 +55,11 @@ pub(crate) struct MeasureArgs {
 
 impl MeasureArgs {
     pub(crate) fn run(self, context: &Context) -> anyhow::Result<()> {
-        psf_io::check_output(&self.output, self.overwrite)?;
         let spinner = context.spinner("measuring");
         let rows = self.measure(&self.input)?;
         psf_io::write_csv(&self.output, &MEASUREMENT_COLUMNS, &rows, self.overwrite)?;
         drop(spinner);
+        let failed = rows.iter().filter(|row| row.has_failed()).count();
         let with_notes = rows.iter().filter(|row| !row.note.is_empty()).count();
         let report = object! {
             output: self.output,
@@ -67,7 +74,13 @@ impl MeasureArgs {
                 String::new()
             };
             format!("{}: {} rows{failed}", report.output.display(), report.measured)
-        })
+        })?;
+        anyhow::ensure!(
+            failed < rows.len(),
+            "{} was written, but all measurements failed: the column note says why",
+            report.output.display()
+        );
+        Ok(())
     }
 
     fn measure(&self, path: &Path) -> anyhow::Result<Vec<Measurement>> {
@@ -75,7 +88,8 @@ impl MeasureArgs {
             window: self.window.map(usize::from),
             background: self.background,
         };
-        let kind = psf_io::detect(path)?;
+        self.table.check(self.at.as_deref())?;
+        let kind = psf_io::detect_hdu(path, self.extension.as_ref())?;
         if self.at.is_some() && kind != FileKind::Image {
             let path = path.display();
             return Err(UsageError(format!("--at needs an image, but {path} is {kind}: omit --at")).into());
@@ -85,10 +99,11 @@ impl MeasureArgs {
                 "{} is a PSF model: measure its PSFs at chosen positions (psfield evaluate writes them)",
                 path.display()
             ),
-            FileKind::PsfSamples => {
-                let samples = psf_io::read_samples(path)?;
-                options.cube(samples.stamps(), Some(samples.positions().as_slice()))
+            FileKind::PsfSamples if self.extension.is_some() => {
+                let text = "--extension does not apply to PSF samples: they have one cube of stamps";
+                return Err(UsageError(text.to_owned()).into());
             }
+            FileKind::PsfSamples => options.samples(&psf_io::read_samples(path)?),
             FileKind::Cube => options.cube(
                 psf_io::read_cube_hdu::<f64>(path, self.extension.as_ref())?.view(),
                 None,
@@ -98,7 +113,15 @@ impl MeasureArgs {
                     .into_parts()
                     .0;
                 match &self.at {
-                    Some(at) => options.image(image.pixels(), &psf_io::read_positions(at)?),
+                    Some(at) => {
+                        let positions = psf_io::read_positions_with(at, &self.table.options())?;
+                        anyhow::ensure!(
+                            !positions.is_empty(),
+                            "{}: the table has no positions",
+                            at.display()
+                        );
+                        options.image(image.pixels(), &positions)
+                    }
                     None => options.cube(image.pixels().insert_axis(Axis(0)), None),
                 }
             }

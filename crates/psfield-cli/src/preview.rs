@@ -1,18 +1,18 @@
 //! `psfield preview`.
 
 use std::fmt::Write as _;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use anyhow::Context as _;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use psf_io::{HduChoice, ImageReader, IoErrorKind};
-use psfield::check_outputs;
 use psfield_lab::preview::{
     BinnedImage, Colormap, LimitRule, Limits, Percentiles, Picture, PreviewError, Stretch,
 };
 
 use super::UsageError;
 use super::context::{Context, object};
+use super::files::OutputFile;
 
 /// Show a FITS image as a PNG picture
 ///
@@ -30,7 +30,7 @@ pub(crate) struct PreviewArgs {
     image: PathBuf,
     /// Picture to write [default: IMAGE.png next to the image]
     #[arg(short, long, value_name = "IMAGE.png")]
-    output: Option<PathBuf>,
+    output: Option<OutputFile>,
     /// Replace the picture if it exists
     #[arg(long)]
     overwrite: bool,
@@ -71,8 +71,8 @@ pub(crate) struct PreviewArgs {
 
 impl PreviewArgs {
     pub(crate) fn run(self, context: &Context) -> anyhow::Result<()> {
-        let output = self.output.clone().unwrap_or_else(|| picture_of(&self.image));
-        check_outputs(&[&self.image], &[&output], self.overwrite)?;
+        let named = self.output.as_deref().cloned();
+        let output = named.or(self.default_picture()).expect("one of the two names");
         let named_for = image::ImageFormat::from_path(&output);
         if named_for.is_ok_and(|format| format != image::ImageFormat::Png) {
             let text = format!(
@@ -134,6 +134,15 @@ impl PreviewArgs {
         })
     }
 
+    /// The picture to write if no name is given: `a/b.fits.gz` gives `a/b.png`.
+    pub(crate) fn default_picture(&self) -> Option<PathBuf> {
+        let unpacked = match self.image.extension() {
+            Some(extension) if extension == "gz" || extension == "fz" => self.image.with_extension(""),
+            _ => self.image.clone(),
+        };
+        self.output.is_none().then(|| unpacked.with_extension("png"))
+    }
+
     fn rule(&self) -> LimitRule {
         match self.range {
             Some(limits) => LimitRule::Range(limits),
@@ -150,17 +159,5 @@ fn with_option(error: PreviewError) -> anyhow::Error {
         PreviewError::Constant { .. } => anyhow::anyhow!("{error} (--range)"),
         PreviewError::EqualLimits { .. } => anyhow::anyhow!("{error} (--percentile 0,100 or --range)"),
         other => other.into(),
-    }
-}
-
-/// The name of the picture, next to the image: `a/b.fits.gz` gives `a/b.png`.
-fn picture_of(image: &Path) -> PathBuf {
-    let packed = image
-        .extension()
-        .is_some_and(|extension| extension == "gz" || extension == "fz");
-    if packed {
-        image.with_extension("").with_extension("png")
-    } else {
-        image.with_extension("png")
     }
 }

@@ -10,7 +10,7 @@ use psfield::{ErrorKind, FitChoices, FitOptions, Psf, PsfFileOptions, PsfieldErr
 
 use crate::UsageError;
 use crate::context::{Context, with_option};
-use crate::values::{above_zero, at_least_zero, number, numbers};
+use crate::values::{above_zero, number, numbers};
 
 /// The heading of the fit options in help texts.
 pub(crate) const FIT_HEADING: &str = "Fit options (a model accepts only --outside and --normalise)";
@@ -33,12 +33,9 @@ pub(crate) struct FitArgs {
     /// Subtract the mean stamp before the decomposition (mean) or not (none) [default: mean]
     #[arg(long, value_name = "mean|none", hide_short_help = true)]
     centring: Option<Centring>,
-    /// Noise per pixel of the samples (standard deviation) [default: estimated]
-    ///
-    /// SIGMA has the unit of the samples after --normalise has scaled them. --rank auto and elbow
-    /// drop components below this noise. 0: no noise.
-    #[arg(long, value_name = "SIGMA", value_parser = at_least_zero, allow_negative_numbers = true, hide_short_help = true)]
-    noise: Option<f64>,
+    /// The noise of the samples, an option of `psfield fit` alone.
+    #[arg(skip)]
+    pub(crate) sample_noise: Option<f64>,
     /// Interpolation of the coefficients over the field [default: auto]
     ///
     /// auto, delaunay, natural-neighbour, idw, idw=POWER (inverse distance weighting),
@@ -79,7 +76,7 @@ impl FitArgs {
         FitChoices {
             rank: self.rank,
             centring: self.centring,
-            noise: self.noise.map(PixelNoise::Known),
+            noise: self.sample_noise.map(PixelNoise::Known),
             interpolation: self.interpolation,
             outside: self.outside,
             normalisation: self.normalise,
@@ -93,13 +90,6 @@ impl FitArgs {
 }
 
 impl PsfArgs {
-    /// The files that are read for a PSF: its own file, and the table of positions if one is given.
-    pub(crate) fn files<'a>(&'a self, psf: &'a Path) -> Vec<&'a Path> {
-        std::iter::once(psf)
-            .chain(self.file.psf_positions.as_deref())
-            .collect()
-    }
-
     /// Opens any PSF file and prints notes on how it was read.
     pub(crate) fn open(&self, path: &Path, context: &Context) -> anyhow::Result<Psf> {
         let psf = Psf::open_with(path, &self.file.options()?, &self.fit.choices()).map_err(as_usage)?;
@@ -151,10 +141,10 @@ pub(crate) struct PsfFileArgs {
     psf_order: Option<PlaneOrder>,
     /// ScopeSim: use the PSFs nearest to this wavelength (micrometres, required if there are
     /// several)
-    #[arg(long, value_name = "UM", value_parser = above_zero, allow_negative_numbers = true, hide_short_help = true)]
+    #[arg(long, value_name = "UM", value_parser = above_zero, hide_short_help = true)]
     psf_wavelength: Option<f64>,
     /// ScopeSim: size of a frame pixel (arcsec, required)
-    #[arg(long, value_name = "ARCSEC", value_parser = above_zero, allow_negative_numbers = true, hide_short_help = true)]
+    #[arg(long, value_name = "ARCSEC", value_parser = above_zero, hide_short_help = true)]
     pixel_scale: Option<f64>,
     /// ScopeSim: where the centre of the PSF's field lies on the frame (0-based pixels, required)
     #[arg(long, value_name = "X,Y", allow_hyphen_values = true, hide_short_help = true)]
@@ -166,7 +156,7 @@ pub(crate) struct PsfFileArgs {
     psf_positions: Option<PathBuf>,
     /// Cube or single stamp without positions: stamp pixels per frame pixel [default: card
     /// OVERSAMP, else required]
-    #[arg(long, value_name = "S", value_parser = above_zero, allow_negative_numbers = true, hide_short_help = true)]
+    #[arg(long, value_name = "S", value_parser = above_zero, hide_short_help = true)]
     psf_oversampling: Option<f64>,
     /// Cube or single stamp without positions: centre of the PSF in a stamp (0-based stamp pixels)
     ///

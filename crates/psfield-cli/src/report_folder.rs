@@ -1,13 +1,14 @@
 //! The folder of a report.
 
 use std::collections::BTreeMap;
-use std::path::{Display, Path, PathBuf};
+use std::path::{Display, Path};
 
 use anyhow::Context as _;
 use psfield_lab::report::{Document, OBJECT_COLUMNS, ObjectRow};
 use serde::Serialize;
 
 use crate::context::{Bar, Context, object};
+use crate::files::OutputFolder;
 
 /// The folder in which a report is written.
 #[derive(Debug, clap::Args)]
@@ -16,7 +17,7 @@ pub(super) struct ReportFolder {
     ///
     /// It is made if it does not exist. It must be empty unless --overwrite is given.
     #[arg(long, value_name = "DIR")]
-    report: PathBuf,
+    report: OutputFolder,
     /// Replace files that exist in the folder
     #[arg(long)]
     overwrite: bool,
@@ -32,7 +33,7 @@ impl ReportFolder {
         check(&self.report, &[PAGE, NUMBERS], self.overwrite)?;
         // The names of tables and figures are not known yet. Without `--overwrite`, the folder must
         // therefore be empty.
-        let held = match std::fs::read_dir(&self.report) {
+        let held = match std::fs::read_dir(&*self.report) {
             Ok(mut found) => found.next().is_some(),
             Err(_) => false,
         };

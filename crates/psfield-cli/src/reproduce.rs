@@ -13,7 +13,7 @@ use super::values::Pair;
 /// Variable Point-spread Functions" (doi:10.3847/1538-3881/ad9b2e).
 ///
 /// Uses the built-in survey telescope and no data. Shows singular values, sampling, FWHM and
-/// ellipticity of simulated and true objects, errors over the field and at several tolerances, an
+/// eccentricity (the paper's ellipticity) of simulated and true objects, errors over the field and at several tolerances, an
 /// extended galaxy convolved by psfield and by patches of constant PSF, and Table 1. Takes some 10
 /// minutes on two cores, with --quick less than 3.
 #[derive(Debug, clap::Args)]
@@ -40,7 +40,7 @@ pub(crate) struct ReproduceArgs {
     galaxy_side: Option<u16>,
     /// Threshold of the non-uniform sampling, which is shown next to the uniform sampling (relative
     /// L2) [default: 1e-3, with --quick 4e-3]
-    #[arg(long, value_name = "X", value_parser = super::values::above_zero, allow_negative_numbers = true, hide_short_help = true)]
+    #[arg(long, value_name = "X", value_parser = super::values::above_zero, hide_short_help = true)]
     adaptive_threshold: Option<f64>,
 }
 

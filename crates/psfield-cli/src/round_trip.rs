@@ -10,6 +10,7 @@ use psfield_lab::plot::{Axis, Curve, Curves, Figure, PlotError, curve_panels};
 use psfield_lab::{ROUND_TRIP_COLUMNS, RoundTrip, RoundTripOptions};
 
 use super::context::{Context, object, signature, with_window_hint, write_samples};
+use super::files::OutputFolder;
 use super::report_folder;
 use super::sample::{warn_of, write_coverage};
 use super::star_args::StarArgs;
@@ -20,10 +21,10 @@ use crate::psf_args::FitArgs;
 ///
 /// Makes PSF samples from the frame's stars, fits a model, and simulates the frame: all sources
 /// found, at their measured positions and fluxes, on the measured background. Then compares FWHM
-/// and ellipticity of the same stars in the frame and in the simulation.
+/// and eccentricity of the same stars in the frame and in the simulation.
 ///
 /// The frame is simulated several times (--realisations), each time with other noise, because noise
-/// widens the distributions of FWHM and ellipticity. The noise is that of the background, and with
+/// widens the distributions of FWHM and eccentricity. The noise is that of the background, and with
 /// --gain also the photon noise of the stars. The simulated distributions contain the stars of all
 /// simulated frames.
 ///
@@ -38,11 +39,11 @@ pub(crate) struct RoundTripArgs {
     frame: PathBuf,
     /// Folder for tables, figures, frames, samples and model
     #[arg(long, value_name = "DIR")]
-    report: PathBuf,
+    report: OutputFolder,
     /// Replace files that exist
     #[arg(long)]
     overwrite: bool,
-    #[arg(long, value_name = "X", value_parser = above_zero, allow_negative_numbers = true, help = format!("Detection threshold (sigma) [default: {}]", Detection::DEFAULT_THRESHOLD))]
+    #[arg(long, value_name = "X", value_parser = above_zero, help = format!("Detection threshold (sigma) [default: {}]", Detection::DEFAULT_THRESHOLD))]
     threshold: Option<f64>,
     /// Measure stars in N x N pixels [default: four FWHM, at least 7]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(5..))]
@@ -124,8 +125,8 @@ impl RoundTripArgs {
                 figures.measured,
                 figures.drawn,
                 figures.realisations,
-                line("FWHM (px):  ", &figures.fwhm_px),
-                line("ellipticity:", &figures.ellipticity),
+                line("FWHM (px):   ", &figures.fwhm_px),
+                line("eccentricity:", &figures.eccentricity),
             )
         })
     }
@@ -158,7 +159,7 @@ impl RoundTripArgs {
     }
 }
 
-/// Draws the cumulative distributions of FWHM and ellipticity, for the stars of the frame and for
+/// Draws the cumulative distributions of FWHM and eccentricity, for the stars of the frame and for
 /// the simulated stars.
 fn distributions(trip: &RoundTrip) -> Result<Figure, PlotError> {
     let both =
@@ -184,10 +185,10 @@ fn distributions(trip: &RoundTrip) -> Result<Figure, PlotError> {
             &trip.simulated_fwhm_px,
         ),
         panel(
-            "ellipticity",
-            "ellipticity sqrt(1 - b^2 / a^2)",
-            rows().filter_map(|row| row.ellipticity_frame).collect(),
-            &trip.simulated_ellipticity,
+            "eccentricity",
+            "eccentricity sqrt(1 - b^2 / a^2)",
+            rows().filter_map(|row| row.eccentricity_frame).collect(),
+            &trip.simulated_eccentricity,
         ),
     ])
 }

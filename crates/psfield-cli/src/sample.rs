@@ -8,13 +8,16 @@ use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use ndarray::{Axis, stack};
 use psf_io::{Card, FileKind, IoErrorKind};
 use psf_optics::Telescope;
-use psf_sample::{Criterion, DifferenceMeasure, SampleError, Sampling, SamplingOptions, SamplingOutcome};
+use psf_sample::{
+    Criterion, DifferenceMeasure, SampleError, Sampling, SamplingOptions, SamplingOutcome, hold_out,
+};
 use psf_stars::{CoverageMap, Detection, SOURCE_COLUMNS, StarSamples};
-use psf_types::PsfSource;
+use psf_types::{PsfSamples, PsfSource};
 
 use crate::UsageError;
 use crate::context::{Context, object, signature, write_samples};
-use crate::star_args::StarArgs;
+use crate::files::OutputFile;
+use crate::star_args::{MaskArgs, StarArgs};
 use crate::values::{Pair, above_zero};
 
 /// Sample the PSF of a telescope over its field, or of the stars in a real frame
@@ -33,6 +36,8 @@ use crate::values::{Pair, above_zero};
 /// psfield sample --preset survey-2m -o samples.fits
 ///
 /// psfield sample frame.fits -o samples.fits --gain 1.5 --sources sources.csv
+///
+/// psfield sample telescope.toml -o samples.fits --hold-out 200
 #[derive(Debug, clap::Args)]
 pub(crate) struct SampleArgs {
     /// Telescope file (aperture, wavefront over the field, seeing, detector), or image with stars
@@ -40,7 +45,7 @@ pub(crate) struct SampleArgs {
     input: Option<PathBuf>,
     /// Samples to write
     #[arg(short, long, value_name = "SAMPLES.fits")]
-    output: PathBuf,
+    output: OutputFile,
     /// Replace outputs that exist
     #[arg(long)]
     overwrite: bool,
@@ -48,7 +53,6 @@ pub(crate) struct SampleArgs {
         long,
         value_name = "X",
         value_parser = above_zero,
-        allow_negative_numbers = true,
         help = format!(
             "Telescope: limit of --criterion, relative to the PSF [default: {}]. Frame: detection threshold (sigma) [default: {}]",
             defaults().threshold,
@@ -56,27 +60,72 @@ pub(crate) struct SampleArgs {
         )
     )]
     threshold: Option<f64>,
+    /// Also write N PSFs that are not samples to SAMPLES_holdout.fits, for psfield validate
+    ///
+    /// Telescope: PSFs at random positions between the samples. Frame: N of the stars, with their
+    /// noise. They are left out of the samples.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
+    hold_out: Option<u16>,
+    /// Seed that chooses the PSFs of --hold-out
+    #[arg(long, value_name = "N", default_value_t = 1, requires = "hold_out")]
+    seed: u64,
     #[command(flatten)]
     telescope: TelescopeArgs,
     #[command(flatten)]
     frame: FrameArgs,
     #[command(flatten)]
     stars: StarArgs,
+    #[command(flatten)]
+    mask: MaskArgs,
 }
 
 impl SampleArgs {
     pub(crate) fn run(self, context: &Context) -> anyhow::Result<()> {
-        psf_io::check_output(&self.output, self.overwrite)?;
         match &self.input {
             Some(path) if is_frame(path, self.stars.extension.is_some())? => {
                 refuse(self.telescope.given(), "a frame", "telescopes")?;
                 self.frame.run(path, &self, context)
             }
             _ => {
-                refuse(self.frame.given().or(self.stars.given()), "a telescope", "frames")?;
+                let given = self.frame.given().or(self.stars.given()).or(self.mask.given());
+                refuse(given, "a telescope", "frames")?;
                 self.telescope.run(&self, context)
             }
         }
+    }
+}
+
+impl SampleArgs {
+    /// The file of the PSFs that are not samples, next to the output.
+    pub(crate) fn hold_out_file(&self) -> Option<PathBuf> {
+        self.hold_out.map(|_| {
+            let stem = self.output.file_stem().unwrap_or_default().to_string_lossy();
+            self.output.with_file_name(format!("{stem}_holdout.fits"))
+        })
+    }
+
+    /// Writes the samples, and the PSFs that are not samples.
+    fn write(&self, samples: &PsfSamples, held_out: Option<&PsfSamples>) -> anyhow::Result<()> {
+        psf_io::write_together(|| -> anyhow::Result<()> {
+            write_samples(&self.output, samples, self.overwrite)?;
+            if let (Some(path), Some(held_out)) = (self.hold_out_file(), held_out) {
+                write_samples(&path, held_out, self.overwrite)?;
+            }
+            Ok(())
+        })
+    }
+
+    /// A line of text about the PSFs that are not samples.
+    fn held_out_text(&self, held_out: Option<&PsfSamples>) -> String {
+        self.hold_out_file()
+            .zip(held_out)
+            .map_or_else(String::new, |(path, held_out)| {
+                let path = path.display();
+                format!(
+                    "\n{path}: {} PSFs that are not samples, for psfield validate --truth",
+                    held_out.len()
+                )
+            })
     }
 }
 
@@ -210,11 +259,20 @@ impl TelescopeArgs {
         };
         let threshold = asked.threshold.unwrap_or(defaults().threshold);
         let sampling = self.draw(&telescope, threshold, context)?;
-        write_samples(&asked.output, &sampling.samples, asked.overwrite)?;
+        let positions = sampling.samples.positions();
+        let held_out = asked.hold_out.map(|count| {
+            let drawn = (usize::from(count), asked.seed);
+            hold_out(&telescope, positions, drawn, &context.bar("holding out"))
+        });
+        let held_out = held_out.transpose()?;
+        let held_out = held_out.as_ref();
+        asked.write(&sampling.samples, held_out)?;
         let found = &sampling.report;
         let report = object! {
             output: &asked.output,
             samples: sampling.samples.len(),
+            hold_out: asked.hold_out_file(),
+            held_out: held_out.map(PsfSamples::len),
             // PSFs drawn: the samples, and the points used only by the criterion.
             draws: found.draws,
             cells: found.cells,
@@ -246,11 +304,12 @@ impl TelescopeArgs {
                 .threshold
                 .map_or_else(String::new, |t| format!(" (threshold {t})"));
             format!(
-                "{}: {} samples, {} PSFs drawn, largest variation {:.2e}{limit}",
+                "{}: {} samples, {} PSFs drawn, largest variation {:.2e}{limit}{}",
                 report.output.display(),
                 report.samples,
                 report.draws,
-                report.worst
+                report.worst,
+                asked.held_out_text(held_out)
             )
         })
     }
@@ -298,13 +357,13 @@ impl TelescopeArgs {
 struct FrameArgs {
     /// Also write a table of all sources found, with the reasons for rejecting them
     #[arg(long, value_name = "SOURCES.csv")]
-    sources: Option<PathBuf>,
+    sources: Option<OutputFile>,
     /// Also write a coverage map of the field
     ///
     /// Three planes over the cells of the map: number of samples, distance to the nearest sample
     /// (pixels), and 1 inside the convex hull of the samples or 0 outside.
     #[arg(long, value_name = "COVERAGE.fits", hide_short_help = true)]
-    coverage: Option<PathBuf>,
+    coverage: Option<OutputFile>,
 }
 
 impl FrameArgs {
@@ -315,21 +374,22 @@ impl FrameArgs {
     }
 
     fn run(&self, path: &Path, asked: &SampleArgs, context: &Context) -> anyhow::Result<()> {
-        for path in [&self.sources, &self.coverage].into_iter().flatten() {
-            psf_io::check_output(path, asked.overwrite)?;
-        }
         let spinner = context.spinner("finding stars");
-        let (frame, _, sampling) = asked.stars.open(path, asked.threshold)?;
+        let (frame, sampling) = asked.stars.open_masked(path, asked.threshold, &asked.mask)?;
         let found = sampling
-            .run(&frame)
+            .with_hold_out(asked.hold_out.map_or(0, usize::from), asked.seed)
+            .run_masked(frame)
             .with_context(|| format!("in {}", path.display()))?;
-        write_samples(&asked.output, &found.samples, asked.overwrite)?;
-        if let Some(path) = &self.sources {
-            psf_io::write_csv(path, &SOURCE_COLUMNS, &found.sources, asked.overwrite)?;
-        }
-        if let Some(path) = &self.coverage {
-            write_coverage(path, &found.coverage, asked.overwrite)?;
-        }
+        psf_io::write_together(|| -> anyhow::Result<()> {
+            asked.write(&found.samples, found.held_out.as_ref())?;
+            if let Some(path) = &self.sources {
+                psf_io::write_csv(path, &SOURCE_COLUMNS, &found.sources, asked.overwrite)?;
+            }
+            if let Some(path) = &self.coverage {
+                write_coverage(path, &found.coverage, asked.overwrite)?;
+            }
+            Ok(())
+        })?;
         drop(spinner);
         warn_of(&found, context);
         // Number of rejected sources for each reason. A source may be rejected for several reasons.
@@ -338,6 +398,8 @@ impl FrameArgs {
         let report = object! {
             output: &asked.output,
             samples: found.samples.len(),
+            hold_out: asked.hold_out_file(),
+            held_out: found.held_out.as_ref().map(PsfSamples::len),
             sources: found.sources.len(),
             rejected: &rejected,
             fwhm_px: found.fwhm_px,
@@ -362,16 +424,16 @@ impl FrameArgs {
             });
             format!(
                 "{}: {} samples of {} sources\n\
-                 rejected:     {} (a source may be rejected for several reasons)\n\
+                 rejected:     {} (one source may have several reasons)\n\
                  FWHM:         {:.2} pixels\n\
                  background:   {:.2}, r.m.s. {:.2}\n\
                  saturation:   {saturation}\n\
                  registration: {}, stamps of {} x {} pixels, {} per frame pixel{degree}\n\
-                 coverage:     {:.0} % of the field is outside the outermost samples, largest distance to a sample {:.0} pixels",
+                 coverage:     {:.0} % of the field is outside the outermost samples, largest distance to a sample {:.0} pixels{}",
                 report.output.display(),
                 report.samples,
                 report.sources,
-                rejected.join(", "),
+                if rejected.is_empty() { "none".to_owned() } else { rejected.join(", ") },
                 report.fwhm_px,
                 report.background,
                 report.background_rms,
@@ -381,6 +443,7 @@ impl FrameArgs {
                 registration.oversampling,
                 100.0 * report.coverage.outside_hull,
                 report.coverage.largest_gap_px,
+                asked.held_out_text(found.held_out.as_ref()),
             )
         })
     }

@@ -1,14 +1,16 @@
 //! Options for turning the stars of a frame into samples.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
-use psf_io::{Card, CardValue, HduChoice, HeaderCards, Place};
+use ndarray::{Array2, Zip};
+use psf_io::{Card, CardValue, HduChoice, HeaderCards, ImageReader, Place};
 use psf_stars::{
     BackgroundMesh, Camera, Detection, Registration, RegistrationMethod, Selection, StarError, StarSampling,
 };
 use psf_types::Image;
 
 use super::UsageError;
+use super::context::with_nan_setting;
 use super::values::{above_zero, at_least_zero};
 
 /// Settings for finding and selecting stars.
@@ -20,33 +22,33 @@ pub(crate) struct StarArgs {
     #[arg(long, value_name = "N|NAME")]
     pub(crate) extension: Option<HduChoice>,
     /// Smallest signal-to-noise ratio of a star [default: 10]
-    #[arg(long, value_name = "X", value_parser = at_least_zero, allow_negative_numbers = true)]
+    #[arg(long, value_name = "X", value_parser = at_least_zero)]
     snr: Option<f64>,
     /// Value at and above which pixels are saturated [default: the SATURATE card]
     ///
     /// A card that is not above the background is ignored. Without a level, the largest value of
     /// the frame counts as saturated if at least two pixels have it.
-    #[arg(long, value_name = "LEVEL", allow_negative_numbers = true)]
+    #[arg(long, value_name = "LEVEL")]
     saturation: Option<f64>,
     /// Gain (electrons per unit of the frame)
     ///
     /// With it, the signal-to-noise ratio includes the photon noise of the star.
-    #[arg(long, value_name = "E/ADU", value_parser = above_zero, allow_negative_numbers = true)]
+    #[arg(long, value_name = "E/ADU", value_parser = above_zero)]
     pub(crate) gain: Option<f64>,
     /// Read noise (electrons), needs --gain
     ///
     /// If the background noise measured in the frame is lower, the read noise replaces it.
-    #[arg(long, value_name = "E", requires = "gain", value_parser = at_least_zero, allow_negative_numbers = true, hide_short_help = true)]
+    #[arg(long, value_name = "E", requires = "gain", value_parser = at_least_zero, hide_short_help = true)]
     read_noise: Option<f64>,
     /// Smallest distance to other sources (pixels) [default: 2.5 FWHM]
     ///
     /// Only sources with more than a fifth of the star's flux count.
-    #[arg(long, value_name = "PIXELS", value_parser = at_least_zero, allow_negative_numbers = true, hide_short_help = true)]
+    #[arg(long, value_name = "PIXELS", value_parser = at_least_zero, hide_short_help = true)]
     isolation: Option<f64>,
     /// Smallest distance from the frame's edge (pixels) [default: half a stamp]
     ///
     /// A smaller value than half a stamp is an error.
-    #[arg(long, value_name = "PIXELS", value_parser = at_least_zero, allow_negative_numbers = true, hide_short_help = true)]
+    #[arg(long, value_name = "PIXELS", value_parser = at_least_zero, hide_short_help = true)]
     edge: Option<f64>,
     /// Side of a sample's stamp (frame pixels) [default: 3 FWHM to each side of the star, at least
     /// 11 in total]
@@ -73,6 +75,65 @@ pub(crate) struct StarArgs {
     background_mesh: Option<usize>,
 }
 
+/// Bad pixels of a frame.
+#[derive(Debug, Default, clap::Args)]
+#[command(next_help_heading = "Bad pixels of a frame")]
+pub(crate) struct MaskArgs {
+    /// Mask of the frame: an image of its shape, in which pixels other than 0 are bad
+    ///
+    /// The background and its noise ignore bad pixels. Stars with bad pixels near their core are
+    /// rejected (masked).
+    #[arg(long, value_name = "MASK.fits")]
+    mask: Option<PathBuf>,
+    /// NaN and infinite pixels of the frame are bad pixels [default: they are an error]
+    #[arg(long)]
+    nan_is_masked: bool,
+}
+
+impl MaskArgs {
+    /// Returns the name of the first option that was given.
+    pub(crate) fn given(&self) -> Option<&'static str> {
+        let mask = self.mask.is_some().then_some("--mask");
+        mask.or(self.nan_is_masked.then_some("--nan-is-masked"))
+    }
+
+    /// Reads the pixels of a frame. Bad pixels are NaN.
+    fn read(&self, reader: &mut ImageReader, path: &Path) -> anyhow::Result<Array2<f64>> {
+        let (shape, rows) = (reader.shape(), 0..reader.shape().ny());
+        let mut frame = reader.read_rows_with_undefined(rows.clone())?;
+        if self.nan_is_masked {
+            frame.mapv_inplace(|v| if v.is_finite() { v } else { f64::NAN });
+        }
+        let mut undefined = frame.mapv(|v| !v.is_finite() && !self.nan_is_masked);
+        if let Some(mask) = &self.mask {
+            let mut mask_reader = ImageReader::open(mask)?;
+            if mask_reader.shape() != shape {
+                let (mask, path, masked) = (mask.display(), path.display(), mask_reader.shape());
+                anyhow::bail!(
+                    "{mask}: the mask has {masked} pixels, but {path} has {shape}: give a mask of the frame's shape (option --mask)"
+                );
+            }
+            let bad = mask_reader
+                .read_rows_with_undefined(rows.clone())?
+                .mapv(|v| v != 0.0);
+            Zip::from(&mut frame)
+                .and(&mut undefined)
+                .and(&bad)
+                .for_each(|value, undefined, &bad| {
+                    if bad {
+                        (*value, *undefined) = (f64::NAN, false);
+                    }
+                });
+        }
+        if undefined.iter().any(|&undefined| undefined) {
+            // Reading again gives the error with the place of the first such pixel.
+            let read = reader.read_rows::<f64>(rows);
+            read.map_err(|error| with_nan_setting(error, "nan_is_masked"))?;
+        }
+        Ok(frame)
+    }
+}
+
 impl StarArgs {
     /// Returns the name of the first option that was given.
     pub(crate) fn given(&self) -> Option<&'static str> {
@@ -93,8 +154,20 @@ impl StarArgs {
         .find_map(|(name, given)| given.then_some(name))
     }
 
-    /// Reads a frame with its header and builds the settings. The header may hold the saturation
-    /// level.
+    /// Reads a frame, in which bad pixels are NaN, and builds the settings. The header of the frame
+    /// may hold the saturation level.
+    pub(crate) fn open_masked(
+        &self,
+        path: &Path,
+        threshold: Option<f64>,
+        mask: &MaskArgs,
+    ) -> anyhow::Result<(Array2<f64>, StarSampling)> {
+        let mut reader = ImageReader::open_hdu(path, self.extension.as_ref())?;
+        let sampling = self.sampling_of(reader.header(), threshold)?;
+        Ok((mask.read(&mut reader, path)?, sampling))
+    }
+
+    /// Reads a frame without bad pixels and its header, and builds the settings.
     pub(crate) fn open(
         &self,
         path: &Path,
@@ -104,20 +177,23 @@ impl StarArgs {
         let (frame, header) = read
             .map_err(|error| match error.place() {
                 Some(Place::Pixel { .. }) => anyhow::Error::new(error).context(
-                    "this frame has bad pixels: set them to a value at or above the saturation level (card SATURATE, or --saturation of sample and roundtrip), so that psfield leaves out the stars there",
+                    "this frame has bad pixels: set them to a value at or above the saturation level (card SATURATE, or --saturation), so that psfield leaves out the stars there",
                 ),
                 _ => error.into(),
             })?
             .into_parts();
+        let sampling = self.sampling_of(&header, threshold)?;
+        Ok((frame, header, sampling))
+    }
+
+    fn sampling_of(&self, header: &HeaderCards, threshold: Option<f64>) -> anyhow::Result<StarSampling> {
         let in_header = match header.get("SATURATE").and_then(Card::value) {
             Some(CardValue::Real(level)) => Some(level),
             Some(CardValue::Integer(level)) => Some(level as f64),
             _ => None,
         };
-        let sampling = self
-            .sampling(threshold, in_header)
-            .map_err(|e| UsageError(e.to_string()))?;
-        Ok((frame, header, sampling))
+        let sampling = self.sampling(threshold, in_header);
+        Ok(sampling.map_err(|e| UsageError(e.to_string()))?)
     }
 
     fn sampling(&self, threshold: Option<f64>, in_header: Option<f64>) -> Result<StarSampling, StarError> {

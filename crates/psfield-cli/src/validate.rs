@@ -11,13 +11,17 @@ use super::UsageError;
 use super::context::{Context, command_text, with_window_hint};
 use super::report_folder::ReportFolder;
 use super::reproduce::targets_text;
-use super::star_args::StarArgs;
+use super::star_args::{MaskArgs, StarArgs};
 use crate::psf_args::{PsfArgs, notes_of};
 
 /// Compare a PSF model with known PSFs, or with the stars of a frame
 ///
-/// Measures FWHM, ellipticity, mean absolute error (MAE) and mean squared error (MSE) at the
+/// Measures FWHM, eccentricity, mean absolute error (MAE) and mean squared error (MSE) at the
 /// positions of the true PSFs, and draws the same figures as psfield reproduce.
+///
+/// The truth should not contain the PSFs from which the model was made: psfield sample --hold-out
+/// writes others. A warning counts the PSFs of the truth that lie closer than half a pixel to a
+/// sample of the model. A PSFEx file does not hold its samples, so it cannot be checked.
 ///
 /// For a frame, psfield selects stars as psfield sample does by default. With the model, it draws
 /// each star at the measured position and with the measured flux. It compares the drawn star with
@@ -36,6 +40,8 @@ pub(crate) struct ValidateArgs {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(5..))]
     window: Option<u16>,
     #[command(flatten)]
+    mask: MaskArgs,
+    #[command(flatten)]
     fit: PsfArgs,
 }
 
@@ -50,16 +56,17 @@ impl ValidateArgs {
         let of_truth = || format!("against {}", self.truth.display());
         let measured = match psf_io::detect(&self.truth)? {
             FileKind::Image => {
-                let (frame, _, sampling) = StarArgs::default().open(&self.truth, None)?;
-                Validation::of_frame(model, &frame, &sampling, self.window.map(usize::from))
+                let (frame, sampling) = StarArgs::default().open_masked(&self.truth, None, &self.mask)?;
+                Validation::of_frame(model, frame, &sampling, self.window.map(usize::from))
                     .map_err(with_window_hint)
                     .with_context(of_truth)?
             }
             _ => match Psf::open(&self.truth)?.samples() {
                 Some((samples, _)) => {
-                    if self.window.is_some() {
-                        let text = "--window applies only to frames: PSFs are compared on all their pixels";
-                        return Err(UsageError(text.to_owned()).into());
+                    if let Some(option) = self.window.map(|_| "--window").or(self.mask.given()) {
+                        let text =
+                            format!("{option} applies only to frames: PSFs are compared on all their pixels");
+                        return Err(UsageError(text).into());
                     }
                     Validation::of_samples(model, samples).with_context(of_truth)?
                 }
@@ -69,6 +76,23 @@ impl ValidateArgs {
                 ),
             },
         };
+        // The nodes of a PSFEx model are not the stars from which it was made.
+        let measured = match psf.record() {
+            Ok(record) if psf.kind() != Some(FileKind::Psfex) => {
+                measured.with_training(record.coefficients().positions().as_slice())
+            }
+            _ => measured,
+        };
+        if measured.at_samples > 0 {
+            context.warn(&format!(
+                "{} of {} objects of {} lie at positions of the samples from which {} was made: their errors do not show the error between \
+                 the samples (psfield sample --hold-out N writes PSFs that are not samples)",
+                measured.at_samples,
+                measured.objects.summary.objects,
+                self.truth.display(),
+                self.model.display()
+            ));
+        }
         let inputs = vec![
             ("PSF model", self.model.display().to_string()),
             ("truth", self.truth.display().to_string()),
@@ -80,19 +104,19 @@ impl ValidateArgs {
         self.folder
             .publish(&document, of_psf, &tables, speaking, |folder| {
                 let summary = &measured.objects.summary;
-                let finer = measured.oversampling;
-                let fwhm = format!("difference of FWHM (pixels, {finer} per frame pixel)");
                 let line = |name: &str, spread: Option<psfield_lab::report::Spread>| {
                     spread.map_or_else(String::new, |s| {
                         format!("{name}: 90 % below {:.1e}, largest {:.1e}\n", s.q90, s.largest)
                     })
                 };
                 format!(
-                    "{} objects compared, {} could not be measured\n{}{}{}{}{folder}: open report.html first",
+                    "{} objects compared, {} could not be measured\n{}{}{}{}{}{}{folder}: open report.html first",
                     summary.objects,
                     summary.failed,
-                    line("difference of ellipticity", summary.ellipticity),
-                    line(&fwhm, summary.fwhm_px),
+                    line("difference of eccentricity sqrt(1 - b^2/a^2)", summary.eccentricity),
+                    line("difference of e1 (distortion)", summary.e1),
+                    line("difference of e2 (distortion)", summary.e2),
+                    line("difference of FWHM (pixels of the frame)", summary.fwhm_px),
                     line("MAE / mean of the window", summary.mae_over_mean),
                     targets_text(&measured.targets),
                 )

@@ -1,6 +1,7 @@
 //! The memory of the system and of this process (Linux).
 
 use std::fs;
+use std::path::Path;
 
 /// The largest number of bytes that this process has held since it started, or since a benchmark
 /// last reset the system's record. None if the system does not report it.
@@ -8,9 +9,44 @@ pub fn peak_memory_bytes() -> Option<u64> {
     kibibytes("/proc/self/status", "VmHWM:")
 }
 
-/// The bytes of memory that are free for use. None if the system does not report them.
+/// The bytes of memory that this process may still take: the free memory, or less if a limit of the
+/// process (`ulimit -v`) or of its control groups allows less. None if the system does not report
+/// them.
 pub fn available_memory_bytes() -> Option<u64> {
-    kibibytes("/proc/meminfo", "MemAvailable:")
+    let free = kibibytes("/proc/meminfo", "MemAvailable:")?;
+    Some(
+        [address_space_left(), control_groups_left()]
+            .into_iter()
+            .flatten()
+            .fold(free, u64::min),
+    )
+}
+
+/// The bytes that the limit of the address space leaves, if there is a limit.
+fn address_space_left() -> Option<u64> {
+    let limits = fs::read_to_string("/proc/self/limits").ok()?;
+    let line = limits
+        .lines()
+        .find_map(|line| line.strip_prefix("Max address space"))?;
+    let limit: u64 = line.split_whitespace().next()?.parse().ok()?;
+    Some(limit.saturating_sub(kibibytes("/proc/self/status", "VmSize:")?))
+}
+
+/// The bytes that the control groups of this process leave (version 2), if one of them has a limit.
+fn control_groups_left() -> Option<u64> {
+    let groups = fs::read_to_string("/proc/self/cgroup").ok()?;
+    let path = groups.lines().find_map(|line| line.strip_prefix("0::/"))?;
+    let number = |folder: &Path, name| fs::read_to_string(folder.join(name)).ok()?.trim().parse().ok();
+    let left = |folder: &Path| -> Option<u64> {
+        let (limit, used): (u64, u64) = (number(folder, "memory.max")?, number(folder, "memory.current")?);
+        Some(limit.saturating_sub(used))
+    };
+    // Without a limit, the file holds the word max.
+    Path::new("/sys/fs/cgroup")
+        .join(path)
+        .ancestors()
+        .filter_map(left)
+        .min()
 }
 
 fn kibibytes(file: &str, key: &str) -> Option<u64> {

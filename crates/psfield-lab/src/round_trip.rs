@@ -21,7 +21,7 @@ use crate::LabError;
 /// 2. Frames are simulated. Every source found is drawn by the model as a point source, at its
 ///    measured position and with its measured flux, on the measured background. If the
 ///    saturation level is known, values above it are set to that level.
-/// 3. FWHM and ellipticity of the stars that became samples are measured in the same way in the
+/// 3. FWHM and eccentricity of the stars that became samples are measured in the same way in the
 ///    frame and in the simulated frames. An elliptical Gaussian and a constant background are
 ///    fitted in a small window around the same pixel.
 ///
@@ -50,8 +50,8 @@ pub struct RoundTrip {
     pub rows: Vec<RoundTripRow>,
     /// FWHM of the stars in all simulated frames.
     pub simulated_fwhm_px: Vec<f64>,
-    /// Ellipticity of the stars in all simulated frames.
-    pub simulated_ellipticity: Vec<f64>,
+    /// Eccentricity `sqrt(1 - b^2 / a^2)` of the stars in all simulated frames.
+    pub simulated_eccentricity: Vec<f64>,
     /// The results in numbers.
     pub report: RoundTripReport,
 }
@@ -125,15 +125,15 @@ impl RoundTrip {
         let with_noise = options.realisations.max(1);
         let count = if options.noise { with_noise } else { 1 };
         let mut first = None;
-        let (mut simulated_fwhm_px, mut simulated_ellipticity) = (Vec::new(), Vec::new());
+        let (mut simulated_fwhm_px, mut simulated_eccentricity) = (Vec::new(), Vec::new());
         for realisation in 0..count {
             let simulated = simulated_frame(&light, &stars, options, realisation);
             let measured = measuring.image(simulated.view(), &positions);
             // A simulated star counts only if the star can also be measured in the frame.
             for (a, b) in in_frame.iter().zip(&measured) {
-                if let (Some(_), Some((fwhm, ellipticity))) = (shape(a), shape(b)) {
+                if let (Some(_), Some((fwhm, eccentricity))) = (shape(a), shape(b)) {
                     simulated_fwhm_px.push(fwhm);
-                    simulated_ellipticity.push(ellipticity);
+                    simulated_eccentricity.push(eccentricity);
                 }
             }
             first.get_or_insert((simulated, measured));
@@ -167,7 +167,7 @@ impl RoundTrip {
             noise: options.noise,
             rank: record.basis().rank(),
             fwhm_px: agreement(|s| s.0, &simulated_fwhm_px)?,
-            ellipticity: agreement(|s| s.1, &simulated_ellipticity)?,
+            eccentricity: agreement(|s| s.1, &simulated_eccentricity)?,
             residual_over_noise: (deviations.sum::<f64>() / residual.len() as f64).sqrt(),
         };
         Ok(Self {
@@ -178,15 +178,15 @@ impl RoundTrip {
             residual: Image::new(residual)?,
             rows,
             simulated_fwhm_px,
-            simulated_ellipticity,
+            simulated_eccentricity,
             report,
         })
     }
 }
 
-/// Returns FWHM and ellipticity of the Gaussian fit. None if it failed.
+/// Returns FWHM and eccentricity of the Gaussian fit. None if it failed.
 fn shape(measurement: &Measurement) -> Option<(f64, f64)> {
-    measurement.fwhm_px.zip(measurement.ellipticity)
+    measurement.fwhm_px.zip(measurement.eccentricity)
 }
 
 /// The rows of the stars that became samples, in the order of the sources.
@@ -201,8 +201,8 @@ fn rows(stars: &StarSamples, in_frame: &[Measurement], in_simulated: &[Measureme
             snr: source.snr,
             fwhm_frame_px: a.fwhm_px,
             fwhm_simulated_px: b.fwhm_px,
-            ellipticity_frame: a.ellipticity,
-            ellipticity_simulated: b.ellipticity,
+            eccentricity_frame: a.eccentricity,
+            eccentricity_simulated: b.eccentricity,
             e1_frame: a.e1,
             e1_simulated: b.e1,
             e2_frame: a.e2,
@@ -227,8 +227,8 @@ table_row! {
         snr: f64,
         fwhm_frame_px: Option<f64>,
         fwhm_simulated_px: Option<f64>,
-        ellipticity_frame: Option<f64>,
-        ellipticity_simulated: Option<f64>,
+        eccentricity_frame: Option<f64>,
+        eccentricity_simulated: Option<f64>,
         e1_frame: Option<f64>,
         e1_simulated: Option<f64>,
         e2_frame: Option<f64>,
@@ -318,8 +318,8 @@ pub struct RoundTripReport {
     pub rank: usize,
     /// FWHM in pixels (Gaussian fit, geometric mean of the axes).
     pub fwhm_px: Agreement,
-    /// Ellipticity `sqrt(1 - b^2 / a^2)` of the Gaussian fit.
-    pub ellipticity: Agreement,
+    /// Eccentricity `sqrt(1 - b^2 / a^2)` of the Gaussian fit.
+    pub eccentricity: Agreement,
     /// R.m.s. of the difference between the frame and the first simulated frame, in units of the
     /// background noise.
     pub residual_over_noise: f64,

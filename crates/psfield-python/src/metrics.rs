@@ -60,7 +60,7 @@ pub(crate) fn fit_gaussian<'py>(
         ("fwhm_major", fit.fwhm_major_px()),
         ("fwhm_minor", fit.fwhm_minor_px()),
         ("angle", fit.angle_rad()),
-        ("ellipticity", fit.ellipticity()),
+        ("eccentricity", fit.eccentricity()),
         ("residual_rms", fit.residual_rms()),
     ];
     let found = by_name(py, &named)?;

@@ -6,7 +6,7 @@ use detector::{BadPixelMask, Detector, Exposure, ExposureReport};
 use psf_io::{Card, CardError, HeaderCards, IntegerKind};
 use psf_types::{Image, Real};
 
-use crate::{ErrorKind, PsfieldError, check_outputs};
+use crate::{ErrorKind, PsfieldError};
 
 /// Keywords that describe an exposure. [`ExposureFiles::write`] does not copy their cards from the
 /// header of the exposed image.
@@ -28,7 +28,6 @@ const KEYWORDS: [&str; 24] = [
 /// let ccd = Detector::new(DetectorParams { photon_noise: true, sky_e: 30.0, bits: Some(16), ..Default::default() })?;
 /// let image = Image::<f32>::zeros(FrameShape::new(50, 40)?);
 /// let files = ExposureFiles { raw: at("raw.fits"), truth: Some(at("truth.fits")), quality: None, overwrite: false };
-/// files.check(&[])?;
 /// let exposure = ccd.expose(&image, 1)?;
 /// files.write(&exposure, &image, &ccd, &HeaderCards::new(), &[])?;
 /// assert_eq!(read_image::<f32>(at("truth.fits"))?.image().pixels()[[0, 0]], 30.0);
@@ -47,19 +46,9 @@ pub struct ExposureFiles {
 }
 
 impl ExposureFiles {
-    /// Checks that all files can be written, as far as this can be known before the work is done.
-    ///
-    /// # Errors
-    /// The errors of [`check_outputs`].
-    pub fn check(&self, inputs: &[&Path]) -> Result<(), PsfieldError> {
-        let outputs = [Some(&self.raw), self.truth.as_ref(), self.quality.as_ref()];
-        let outputs: Vec<&Path> = outputs.into_iter().flatten().map(PathBuf::as_path).collect();
-        check_outputs(inputs, &outputs, self.overwrite)
-    }
-
     /// Writes an exposure of `light`. The headers hold first `header` (the cards of the image that
-    /// was exposed), then `added`, then [`exposure_cards`]. The counts are written last: if they
-    /// exist, the other files are complete.
+    /// was exposed), then `added`, then [`exposure_cards`]. All files appear, or none
+    /// ([`write_together`](psf_io::write_together)).
     ///
     /// # Errors
     /// The errors of [`Detector::truth`] and of [`write_image`](psf_io::write_image).
@@ -75,28 +64,30 @@ impl ExposureFiles {
         for keyword in KEYWORDS {
             header.remove(keyword);
         }
-        if let Some(path) = &self.truth {
-            let cards = [added, &truth_cards(detector)?].concat();
-            psf_io::write_image(path, &detector.truth(light)?, &header, &cards, self.overwrite)?;
-        }
-        if let Some(path) = &self.quality {
-            let mut header = header.clone();
-            header.remove("BUNIT");
-            let meaning = Card::comment("Sums of flags: 1 dead, 2 hot, 4 bad column, 8 saturated");
-            let cards = [added, &[meaning]].concat();
-            let kind = IntegerKind::Unsigned8;
-            psf_io::write_integers(path, exposure.flags(), kind, &header, &cards, self.overwrite)?;
-        }
-        let cards = [added, &exposure_cards(detector, exposure.report())?].concat();
-        let counts = exposure.counts();
-        if let Some(bits) = detector.params().bits {
-            let integers = counts.pixels().mapv(|count| count.as_f64() as i32);
-            let kind = IntegerKind::of_bits(bits);
-            psf_io::write_integers(&self.raw, integers.view(), kind, &header, &cards, self.overwrite)?;
-        } else {
-            psf_io::write_image(&self.raw, counts, &header, &cards, self.overwrite)?;
-        }
-        Ok(())
+        psf_io::write_together(|| {
+            if let Some(path) = &self.truth {
+                let cards = [added, &truth_cards(detector)?].concat();
+                psf_io::write_image(path, &detector.truth(light)?, &header, &cards, self.overwrite)?;
+            }
+            if let Some(path) = &self.quality {
+                let mut header = header.clone();
+                header.remove("BUNIT");
+                let meaning = Card::comment("Sums of flags: 1 dead, 2 hot, 4 bad column, 8 saturated");
+                let cards = [added, &[meaning]].concat();
+                let kind = IntegerKind::Unsigned8;
+                psf_io::write_integers(path, exposure.flags(), kind, &header, &cards, self.overwrite)?;
+            }
+            let cards = [added, &exposure_cards(detector, exposure.report())?].concat();
+            let counts = exposure.counts();
+            if let Some(bits) = detector.params().bits {
+                let integers = counts.pixels().mapv(|count| count.as_f64() as i32);
+                let kind = IntegerKind::of_bits(bits);
+                psf_io::write_integers(&self.raw, integers.view(), kind, &header, &cards, self.overwrite)?;
+            } else {
+                psf_io::write_image(&self.raw, counts, &header, &cards, self.overwrite)?;
+            }
+            Ok(())
+        })
     }
 }
 

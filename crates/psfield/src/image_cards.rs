@@ -1,5 +1,7 @@
 //! Header cards of simulated images.
 
+use std::time::{SystemTime, UNIX_EPOCH};
+
 use conv_core::ConvReal;
 use psf_io::{Card, CardError, HeaderCards};
 
@@ -8,7 +10,14 @@ use crate::{Preparation, Simulator, SpotCheck};
 /// The keyword that holds the digest of a batch job's options, in the files that the job made.
 pub const JOB_KEYWORD: &str = "PSFJOB";
 
-/// Cards of a file's origin: the version of psfield, and the `command` as a line of HISTORY.
+/// The keyword that holds the name of the PSF's file.
+pub const PSF_FILE_KEYWORD: &str = "PSFFILE";
+
+/// Cards of a file's origin: the version of psfield, the date, and the `command` as a line of
+/// HISTORY.
+///
+/// `DATE` is the time of the call (UTC). If the environment variable `SOURCE_DATE_EPOCH` is set, it
+/// holds the time instead, in seconds since 1970. Files can then be compared byte by byte.
 pub fn provenance_cards(command: &str) -> Vec<Card> {
     vec![
         Card::new(
@@ -17,8 +26,41 @@ pub fn provenance_cards(command: &str) -> Vec<Card> {
             "version of psfield that wrote this",
         )
         .expect("a valid card"),
+        Card::new("DATE", utc(now()), "when this was written (UTC)").expect("a valid card"),
         Card::history(command),
     ]
+}
+
+/// Seconds from 1970 to `SOURCE_DATE_EPOCH` if that is set, else to now.
+fn now() -> u64 {
+    /// The first second of the year 10000, which FITS cannot write.
+    const END: u64 = 253_402_300_800;
+    let set = std::env::var("SOURCE_DATE_EPOCH")
+        .ok()
+        .and_then(|text| text.trim().parse().ok());
+    let clock = || {
+        SystemTime::now()
+            .duration_since(UNIX_EPOCH)
+            .map_or(0, |passed| passed.as_secs())
+    };
+    set.unwrap_or_else(clock).min(END - 1)
+}
+
+/// The date `YYYY-MM-DDThh:mm:ss` of a number of seconds since 1970.
+fn utc(seconds: u64) -> String {
+    const DAYS_IN_400_YEARS: u64 = 146_097;
+    let (days, time) = (seconds / 86_400, seconds % 86_400);
+    // Years begin in March here, so that the leap day is the last. Day 0 is 0000-03-01.
+    let days = days + 719_468;
+    let (era, day) = (days / DAYS_IN_400_YEARS, days % DAYS_IN_400_YEARS);
+    let year = (day - day / 1460 + day / 36_524 - day / (DAYS_IN_400_YEARS - 1)) / 365;
+    let day = day - (365 * year + year / 4 - year / 100);
+    let month = (5 * day + 2) / 153;
+    let day = day - (153 * month + 2) / 5 + 1;
+    let month = if month < 10 { month + 3 } else { month - 9 };
+    let year = 400 * era + year + u64::from(month <= 2);
+    let (hour, minute, second) = (time / 3600, time / 60 % 60, time % 60);
+    format!("{year:04}-{month:02}-{day:02}T{hour:02}:{minute:02}:{second:02}")
 }
 
 impl<T: ConvReal> Simulator<T> {
@@ -68,7 +110,7 @@ impl<T: ConvReal> Simulator<T> {
     }
 
     /// Converts the header of a scene to cards for the image of the scene. World coordinates then
-    /// refer to the frame's pixels. The cards of an earlier spot check and of a batch job are
+    /// refer to the frame's pixels. The cards of an earlier spot check, batch job and PSF file are
     /// removed. If `of_image` is true, the world coordinates of `header` refer to pixels of the
     /// scene's image. Otherwise they refer to frame pixels.
     pub fn carried_header(&self, header: &HeaderCards, of_image: bool) -> HeaderCards {
@@ -79,9 +121,10 @@ impl<T: ConvReal> Simulator<T> {
         } else {
             header.shifted_origin(frame.x0(), frame.y0())
         };
-        // The scene may be an image that psfield made. Its spot check and its batch job do not
+        // The scene may be an image that psfield made. Its spot check, batch job and PSF do not
         // apply to the new image.
-        for keyword in SpotCheck::KEYWORDS.into_iter().chain([JOB_KEYWORD]) {
+        let others = [JOB_KEYWORD, PSF_FILE_KEYWORD];
+        for keyword in SpotCheck::KEYWORDS.into_iter().chain(others) {
             header.remove(keyword);
         }
         header

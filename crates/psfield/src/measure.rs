@@ -2,12 +2,12 @@
 
 use metrics::{AdaptiveMomentFinder, GaussianFitter, Window};
 use ndarray::{ArrayView2, ArrayView3};
-use psf_types::{Position, Real};
+use psf_types::{Position, PsfSamples, Real};
 use rayon::prelude::*;
 use serde::Serialize;
 
 /// The columns of a table of [`Measurement`]s.
-pub const MEASUREMENT_COLUMNS: [&str; 16] = [
+pub const MEASUREMENT_COLUMNS: [&str; 17] = [
     "x",
     "y",
     "flux",
@@ -17,22 +17,23 @@ pub const MEASUREMENT_COLUMNS: [&str; 16] = [
     "fwhm_major_px",
     "fwhm_minor_px",
     "angle_rad",
-    "ellipticity",
+    "eccentricity",
     "e1",
     "e2",
     "g1",
     "g2",
     "sigma_px",
+    "ellipticity",
     "note",
 ];
 
 /// The measurements of one PSF. A field is None if its measurement failed. In this case, `note`
 /// says why. `x` and `y` are the given position, None if there is none.
 ///
-/// Lengths are in pixels of the array. The fields from `flux` to `ellipticity` are from the fit of
-/// an elliptical Gaussian (`fwhm_px` is the geometric mean, `ellipticity = sqrt(1 - b^2 / a^2)`).
-/// The fields from `e1` to `sigma_px` are from adaptive moments (`e`: distortion, `g`: reduced
-/// shear).
+/// The fields from `flux` to `eccentricity` are from the fit of an elliptical Gaussian (`fwhm_px` is
+/// the geometric mean, `eccentricity = sqrt(1 - b^2 / a^2)`). The fields from `e1` to `ellipticity`
+/// are from adaptive moments (`e`: distortion, `g`: reduced shear, `ellipticity = |e1 + i e2|`).
+/// Lengths are in pixels of the array, for [`MeasureOptions::samples`] in pixels of the frame.
 #[derive(Debug, Clone, PartialEq, Default, Serialize)]
 #[non_exhaustive]
 #[allow(missing_docs, reason = "the columns of the table, described above")]
@@ -46,12 +47,13 @@ pub struct Measurement {
     pub fwhm_major_px: Option<f64>,
     pub fwhm_minor_px: Option<f64>,
     pub angle_rad: Option<f64>,
-    pub ellipticity: Option<f64>,
+    pub eccentricity: Option<f64>,
     pub e1: Option<f64>,
     pub e2: Option<f64>,
     pub g1: Option<f64>,
     pub g2: Option<f64>,
     pub sigma_px: Option<f64>,
+    pub ellipticity: Option<f64>,
     pub note: String,
 }
 
@@ -69,6 +71,26 @@ pub struct MeasureOptions {
 impl MeasureOptions {
     /// The size of the window about each position of an image, in pixels, if the caller gives none.
     pub const IMAGE_WINDOW: usize = 15;
+
+    /// Measures the stamps of samples, `window` in pixels of the stamp. Lengths and fluxes are those
+    /// on the frame: divided by the oversampling, and by its square. Centroids are 0-based stamp
+    /// indices.
+    pub fn samples(self, samples: &PsfSamples) -> Vec<Measurement> {
+        let mut rows = self.cube(samples.stamps(), Some(samples.positions().as_slice()));
+        let (grid, scale) = (samples.grid(), samples.grid().oversampling());
+        for row in &mut rows {
+            row.flux = row.flux.map(|flux| grid.flux_of_sum(flux));
+            for length in [
+                &mut row.fwhm_px,
+                &mut row.fwhm_major_px,
+                &mut row.fwhm_minor_px,
+                &mut row.sigma_px,
+            ] {
+                *length = length.map(|pixels| pixels / scale);
+            }
+        }
+        rows
+    }
 
     /// Measures every plane of a cube `[plane, y, x]`. `positions` has one position per plane.
     /// Centroids are 0-based stamp indices. Adaptive moments use the whole plane.
@@ -144,18 +166,24 @@ impl MeasureOptions {
             fwhm_major_px: fit.map(metrics::GaussianFit::fwhm_major_px),
             fwhm_minor_px: fit.map(metrics::GaussianFit::fwhm_minor_px),
             angle_rad: fit.map(metrics::GaussianFit::angle_rad),
-            ellipticity: fit.map(metrics::GaussianFit::ellipticity),
+            eccentricity: fit.map(metrics::GaussianFit::eccentricity),
             e1: moments.map(metrics::AdaptiveMoments::e1),
             e2: moments.map(metrics::AdaptiveMoments::e2),
             g1: moments.map(metrics::AdaptiveMoments::g1),
             g2: moments.map(metrics::AdaptiveMoments::g2),
             sigma_px: moments.map(metrics::AdaptiveMoments::sigma_px),
+            ellipticity: moments.map(metrics::AdaptiveMoments::ellipticity),
             note: notes.join("; "),
         }
     }
 }
 
 impl Measurement {
+    /// Returns whether neither the Gaussian fit nor the adaptive moments gave a result.
+    pub fn has_failed(&self) -> bool {
+        self.flux.is_none() && self.sigma_px.is_none()
+    }
+
     fn failed(at: Position, note: String) -> Self {
         Self {
             x: Some(at.x()),

@@ -394,13 +394,16 @@ impl<T: ConvReal> Simulator<T> {
         let stars = scene.stars().iter().map(|star| star.flux());
         let mut fluxes = stars.chain(scene.galaxies().iter().map(|galaxy| galaxy.flux()));
         if let Some(flux) = fluxes.find(|&flux| !T::nearest(flux).as_f64().is_finite()) {
-            let message = format!("a flux of {flux:e} is beyond single precision: choose f64");
+            let message = format!("a flux of {flux:e} is beyond single precision (3.4e38): choose f64");
             return Err(PsfieldError::new(ErrorKind::Data, message).with_setting("precision"));
         }
         let (shape, s) = (self.geometry.shape, self.geometry.oversample);
         if !rows && scene.image().is_none() && shape.pixel_count() > Self::MAX_PIXELS {
             let (nx, ny) = (shape.nx() / s, shape.ny() / s);
-            let message = format!("{nx} x {ny} frame pixels without an image exceed 2^30 scene pixels");
+            let message = format!(
+                "{nx} x {ny} frame pixels without an image are too many: at most 2^30 = {} scene pixels are possible",
+                Self::MAX_PIXELS
+            );
             return Err(PsfieldError::new(ErrorKind::TooLarge, message).with_setting("shape"));
         }
         Ok(())

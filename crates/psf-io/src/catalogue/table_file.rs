@@ -45,7 +45,8 @@ impl TableFile {
         take: impl Fn(&[String]) -> Result<R, IoError>,
     ) -> Result<(R, AnyTable<'_>), IoError> {
         let structure = match self {
-            Self::Text(table) => return Ok((take(&table.names)?, AnyTable::Text(table))),
+            Self::Text(table) if choice.is_none() => return Ok((take(&table.names)?, AnyTable::Text(table))),
+            Self::Text(table) => return Err(table.has_no_hdus()),
             Self::Fits(structure) => structure,
         };
         if let Some(choice) = choice {

@@ -39,6 +39,12 @@ impl TextTable {
         if text.starts_with(BYTE_ORDER_MARK) {
             text.drain(..BYTE_ORDER_MARK.len());
         }
+        // Lines that end in a carriage return only, as old spreadsheets write them.
+        if !text.contains(&b'\n') {
+            for byte in text.iter_mut().filter(|byte| **byte == b'\r') {
+                *byte = b'\n';
+            }
+        }
         let mut comments = Vec::new();
         let mut first = (text.len(), text.len(), 1);
         for (number, start, end) in lines(&text) {
@@ -73,6 +79,13 @@ impl TextTable {
             first_line: number,
             text,
         })
+    }
+
+    /// The error for a choice among the tables of this file.
+    pub(crate) fn has_no_hdus(&self) -> IoError {
+        const TEXT: &str =
+            "this is a text file, which has one table: only a FITS file has tables to choose from";
+        IoError::new(&self.path, IoErrorKind::Setting, TEXT).with_setting("table")
     }
 
     /// Reads the columns with these names. Case is ignored.

@@ -67,7 +67,8 @@ impl Hdu {
             "must be 8, 16, 32, 64, -32 or -64",
         )?;
         let axis_count = hdu.structural("NAXIS", None)?;
-        hdu.ensure((0..=999).contains(&axis_count), "NAXIS", "must be 0 to 999")?;
+        // CFITSIO writes beyond its arrays if there are more axes.
+        hdu.ensure((0..=99).contains(&axis_count), "NAXIS", "must be 0 to 99")?;
         for axis in 1..=axis_count {
             let length = hdu.structural_count(&format!("NAXIS{axis}"), None)?;
             hdu.axes.push(length);

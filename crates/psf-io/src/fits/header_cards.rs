@@ -16,6 +16,9 @@ const STRUCTURE: &[&str] = &[
 const NUMBERED_STRUCTURE: &[&str] = &[
     "NAXIS", "ZNAXIS", "ZTILE", "ZNAME", "ZVAL", "PTYPE", "PSCAL", "PZERO",
 ];
+/// Keywords about the sections of a raw frame, which a computed or cut image does not have, without
+/// the letter of an amplifier.
+const SECTIONS: &[&str] = &["DATASEC", "TRIMSEC", "BIASSEC", "CCDSEC", "DETSEC", "AMPSEC"];
 /// Keywords about the table of a compressed image, without the number at their end.
 const NUMBERED_TABLE: &[&str] = &[
     "TTYPE", "TFORM", "TUNIT", "TNULL", "TSCAL", "TZERO", "TDISP", "TDIM",
@@ -40,7 +43,8 @@ const STANDARD_COMMENTS: [&str; 2] = [
 /// The cards of a FITS header, in order, which may be copied from an input to an output.
 ///
 /// Headers returned by [`read_image`](crate::read_image) lack the cards about the structure of the
-/// input file (SIMPLE, BITPIX, NAXISn, BSCALE, CHECKSUM ...). The output has its own.
+/// input file (SIMPLE, BITPIX, NAXISn, BSCALE, CHECKSUM ...). The output has its own. They also lack
+/// the cards about the sections of a raw frame (DATASEC, TRIMSEC ...).
 ///
 /// ```
 /// use psf_io::{Card, HeaderCards};
@@ -191,6 +195,10 @@ impl HeaderCards {
             let standard = keyword == "COMMENT" && STANDARD_COMMENTS.contains(&card.comment_text().as_str());
             !standard
                 && !STRUCTURE.contains(&keyword.as_str())
+                && !SECTIONS.iter().any(|stem| {
+                    let rest = keyword.strip_prefix(stem);
+                    rest.is_some_and(|letter| letter.len() <= 1)
+                })
                 && !NUMBERED_STRUCTURE.iter().any(|stem| numbered(stem))
                 && !of_table(card, &numbered)
         };

@@ -201,7 +201,8 @@ pub(crate) fn bad_rows(path: &Path, rows: &Range<usize>, ny: usize) -> IoError {
 
 /// The error for a value that single precision cannot hold.
 pub(crate) fn beyond_single(path: &Path) -> IoError {
-    const BEYOND: &str = "a value is beyond single precision: use double precision, or smaller values";
+    const BEYOND: &str =
+        "a value is beyond single precision (3.4e38): use double precision, or smaller values";
     IoError::new(path, IoErrorKind::Limit, BEYOND)
 }
 
@@ -235,6 +236,10 @@ pub struct ImageReader {
     origin: usize,
     shape: FrameShape,
     header: HeaderCards,
+    /// The value that replaces NaN.
+    nan_as: Option<f64>,
+    /// Number of NaN that were replaced, and the row up to which they were counted.
+    replaced: (usize, usize),
 }
 
 impl ImageReader {
@@ -297,7 +302,22 @@ impl ImageReader {
             origin,
             shape: FrameShape::new(nx, ny).map_err(invalid(path))?,
             header: structure.cards(hdu),
+            nan_as: None,
+            replaced: (0, 0),
         })
+    }
+
+    /// Sets a value that replaces each NaN and `BLANK` pixel read. Without it, such pixels are
+    /// errors. Infinite pixels stay errors.
+    #[must_use]
+    pub fn with_nan_as(self, nan_as: Option<f64>) -> Self {
+        Self { nan_as, ..self }
+    }
+
+    /// The number of pixels that [`with_nan_as`](Self::with_nan_as) has replaced so far. If rows
+    /// are read from the first on, pixels of rows that are read again are counted once.
+    pub fn nan_pixels(&self) -> usize {
+        self.replaced.0
     }
 
     /// Columns and rows of the whole image.
@@ -343,10 +363,19 @@ impl ImageReader {
             return Err(band_width(self.pixels.fits.path(), self.shape.nx(), nx));
         }
         let first = self.origin + first_row * nx;
-        let clean = match band.as_slice_mut() {
+        let mut clean = match band.as_slice_mut() {
             Some(values) => self.pixels.load(first, values)?,
-            None => self.load_scattered(first, band)?,
+            None => self.load_scattered(first, band.view_mut())?,
         };
+        if let (false, Some(value)) = (clean, self.nan_as) {
+            let counted = self.replaced.1;
+            for ((y, _), pixel) in band.indexed_iter_mut().filter(|(_, pixel)| pixel.is_nan()) {
+                *pixel = T::nearest(value);
+                self.replaced.0 += usize::from(first_row + y >= counted);
+            }
+            clean = band.iter().all(|pixel| pixel.is_finite());
+        }
+        self.replaced.1 = self.replaced.1.max(first_row + ny);
         if clean {
             Ok(())
         } else {
@@ -398,6 +427,9 @@ impl ImageReader {
 /// Number of values that are tested together for NaN, few enough to stay in cache.
 const CHUNK: usize = 4096;
 
+/// The values that BSCALE and BZERO may have, for errors.
+const FINITE: &str = "a finite number (BSCALE: other than 0)";
+
 /// The pixels of an image HDU, open for reading.
 #[derive(Debug)]
 struct Pixels {
@@ -414,6 +446,13 @@ impl Pixels {
     /// holds the data of the HDU.
     fn open(hdu: &Hdu) -> Result<Self, IoError> {
         tiles::check(hdu)?;
+        // CFITSIO takes other values for 1 and 0, without an error.
+        for keyword in ["BSCALE", "BZERO"] {
+            let value = hdu.optional::<f64>(keyword, FINITE)?;
+            if !value.is_none_or(f64::is_finite) || (keyword == "BSCALE" && value == Some(0.0)) {
+                return Err(hdu.keyword_error(keyword, FINITE));
+            }
+        }
         let mut fits = Fits::open(&hdu.source)?;
         fits.move_to(hdu.index)?;
         Ok(Self {

@@ -50,7 +50,10 @@ impl<'a> HeaderRecords<'a> {
             hdu: self.hdu,
             keyword: "END".to_owned(),
         };
-        Err(IoError::new(self.path, IoErrorKind::Header, "the keyword is missing").at(place))
+        let problem = format!(
+            "the keyword is missing in the first {HEADER_BLOCK_LIMIT} blocks of 2880 bytes, the most that are read"
+        );
+        Err(IoError::new(self.path, IoErrorKind::Header, problem).at(place))
     }
 
     /// Makes the HDU of this header.

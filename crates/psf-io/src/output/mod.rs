@@ -1,11 +1,14 @@
 //! Output files that appear complete or not at all.
 
+mod lock;
 pub(crate) mod temporary;
 
+use std::cell::RefCell;
 use std::fs::{self, File};
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
+pub use lock::OutputLock;
 use temporary::{Temporary, directory_of, entries};
 
 use crate::error::{IoError, IoErrorKind, unwritable};
@@ -18,8 +21,8 @@ use crate::fits::structure::NOT_A_FILE;
 /// open, truncate or replace. The name ends like `path`, so that libraries which look at the
 /// extension choose the right format. When `write` fails, the temporary file is removed and an old
 /// file at `path` stays untouched. The content is flushed to the disk (fsync) before the renaming.
-/// So a loss of power leaves either the old file or the new one. On Unix, temporary files that a
-/// killed process has left for this output are removed, if the file system supports locks. A
+/// So a loss of power leaves either the old file or the new one. On Unix, temporary files that
+/// killed processes have left in the directory are removed, if the file system supports locks. A
 /// program that handles signals should call [`remove_unfinished`](crate::remove_unfinished) before
 /// it ends. The new file has the permissions of any new file (umask). A symbolic link to a file is
 /// followed: this file is replaced, and the link stays.
@@ -69,14 +72,52 @@ pub fn write_bytes(path: impl AsRef<Path>, content: &[u8], overwrite: bool) -> R
     })
 }
 
+thread_local! {
+    /// The complete files that wait for the end of [`write_together`], if it runs on this thread.
+    static TOGETHER: RefCell<Option<Vec<PendingFile>>> = const { RefCell::new(None) };
+}
+
+/// Writes several files that belong together: all of them appear, or none.
+///
+/// `write` calls functions of this crate that write files. Until `write` returns, files that are
+/// complete keep their temporary names. Then all files get their final names, in the order in which
+/// they were written, within a few milliseconds. If `write` fails or the process ends before that,
+/// no file appears. `write` must not read these files, and must write them on the thread that calls
+/// it.
+///
+/// ```
+/// # let directory = tempfile::tempdir()?;
+/// # let [image, truth] = ["image.txt", "truth.txt"].map(|name| directory.path().join(name));
+/// psf_io::write_together(|| {
+///     psf_io::write_text(&truth, "1", false)?;
+///     assert!(!truth.exists());
+///     psf_io::write_text(&image, "2", false)
+/// })?;
+/// assert!(image.exists() && truth.exists());
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+///
+/// # Errors
+/// Any error of `write`, and [`IoErrorKind::Write`] or [`IoErrorKind::Exists`] if a file cannot get
+/// its final name. Files that have their names by then are kept.
+pub fn write_together<R, E: From<IoError>>(write: impl FnOnce() -> Result<R, E>) -> Result<R, E> {
+    TOGETHER.set(Some(Vec::new()));
+    let written = write();
+    let files = TOGETHER.take().unwrap_or_default();
+    let result = written?;
+    files.into_iter().try_for_each(PendingFile::rename)?;
+    Ok(result)
+}
+
 /// Checks that `path` can be written. Call it before long work.
 ///
 /// Its directory must exist. The file must be new, or a regular file that may be replaced. A write
 /// may still fail later, for example because the disk is full.
 ///
 /// # Errors
-/// [`IoErrorKind::NotFound`] if the directory does not exist, [`IoErrorKind::Format`] if `path` is
-/// not a regular file, [`IoErrorKind::Exists`] if the file exists and `overwrite` is false, or
+/// [`IoErrorKind::Request`] for `-` (standard output) or the name of a compressed file (`.gz`,
+/// `.fz`, `.bz2`, `.xz`), [`IoErrorKind::NotFound`] if the directory does not exist,
+/// [`IoErrorKind::Format`] if `path` is not a regular file, [`IoErrorKind::Exists`] if the file exists and `overwrite` is false, or
 /// [`IoErrorKind::Write`] if the system does not tell whether the file exists.
 pub fn check_output(path: impl AsRef<Path>, overwrite: bool) -> Result<(), IoError> {
     checked_target(path.as_ref(), overwrite).map(drop)
@@ -85,6 +126,9 @@ pub fn check_output(path: impl AsRef<Path>, overwrite: bool) -> Result<(), IoErr
 /// Does the checks of [`check_output`]. Returns the file that the output will replace: `path`, or
 /// the target of a symbolic link.
 pub(crate) fn checked_target(path: &Path, overwrite: bool) -> Result<PathBuf, IoError> {
+    if let Some(problem) = unsupported(path) {
+        return Err(IoError::new(path, IoErrorKind::Request, problem));
+    }
     let not_a_file = || Err(IoError::new(path, IoErrorKind::Format, NOT_A_FILE));
     if path.file_name().is_none() {
         return not_a_file();
@@ -105,6 +149,23 @@ pub(crate) fn checked_target(path: &Path, overwrite: bool) -> Result<PathBuf, Io
         Err(e) if e.kind() == ErrorKind::NotFound => Ok(path.to_owned()),
         Err(source) => Err(unwritable(path)(source)),
     }
+}
+
+/// The reason why a path does not stand for a file that this crate can write.
+fn unsupported(path: &Path) -> Option<String> {
+    const COMPRESSORS: [(&str, &str); 4] = [("gz", "gzip"), ("fz", "fpack"), ("bz2", "bzip2"), ("xz", "xz")];
+    if path.as_os_str() == "-" {
+        return Some("standard output is not supported: give the name of a file".to_owned());
+    }
+    let ending = path.extension()?;
+    let (_, tool) = COMPRESSORS
+        .iter()
+        .find(|(packed, _)| ending.eq_ignore_ascii_case(packed))?;
+    let plain = path.with_extension("");
+    Some(format!(
+        "compressed files are not written: write {} and run {tool} on it",
+        plain.display()
+    ))
 }
 
 fn exists(path: &Path) -> IoError {
@@ -156,9 +217,29 @@ impl PendingFile {
         self.temporary.path()
     }
 
-    /// Flushes the content to the disk and gives the file its final name. If another process has
-    /// created a file of that name in the meantime, that file is kept unless `overwrite` is true.
+    /// Flushes the content to the disk and gives the file its final name, at once or at the end of
+    /// [`write_together`](crate::write_together).
     pub(crate) fn commit(self) -> Result<(), IoError> {
+        // Without the flush a loss of power after the renaming could leave an empty file in the
+        // place of the old one. A full disk may be reported only here.
+        File::options()
+            .write(true)
+            .open(self.temporary())
+            .and_then(|file| file.sync_all())
+            .map_err(unwritable(&self.path))?;
+        let alone = TOGETHER.with_borrow_mut(|together| match together {
+            Some(files) => {
+                files.push(self);
+                None
+            }
+            None => Some(self),
+        });
+        alone.map_or(Ok(()), Self::rename)
+    }
+
+    /// Gives the file its final name. If another process has created a file of that name in the
+    /// meantime, that file is kept unless `overwrite` is true.
+    fn rename(self) -> Result<(), IoError> {
         let Self {
             temporary,
             claim,
@@ -166,13 +247,6 @@ impl PendingFile {
             target,
             overwrite,
         } = self;
-        // Without the flush a loss of power after the renaming could leave an empty file in the
-        // place of the old one. A full disk may be reported only here.
-        File::options()
-            .write(true)
-            .open(temporary.path())
-            .and_then(|file| file.sync_all())
-            .map_err(unwritable(&path))?;
         let renamed = temporary.rename(|temporary| {
             let renamed = if overwrite {
                 temporary.persist(&target)
@@ -231,13 +305,35 @@ mod tests {
     #[test]
     fn temporary_files_of_killed_processes_are_removed() {
         let directory = tempfile::tempdir().unwrap();
-        let left = directory.path().join(".psfield-99-abcdef-a.png");
+        // No process has a number of ten digits.
+        let left = directory.path().join(".psfield-9999999999-abcdef-a.png");
         fs::write(&left, "half").unwrap();
         put(&directory.path().join("b.png"), "b", false).unwrap();
-        assert!(left.exists());
-        put(&directory.path().join("a.png"), "a", false).unwrap();
         assert!(!left.exists());
-        assert_eq!(fs::read_dir(directory.path()).unwrap().count(), 2);
+        assert_eq!(fs::read_dir(directory.path()).unwrap().count(), 1);
+    }
+
+    #[test]
+    fn files_of_one_group_appear_together_or_not_at_all() {
+        let directory = tempfile::tempdir().unwrap();
+        let at = |name: &str| directory.path().join(name);
+        let count = || fs::read_dir(directory.path()).unwrap().count();
+        let failed = write_together(|| {
+            put(&at("a"), "a", false)?;
+            put(Path::new("/"), "b", false)
+        });
+        assert!(failed.is_err());
+        assert_eq!(count(), 0);
+        write_together(|| {
+            put(&at("a"), "a", false)?;
+            put(&at("b"), "b", false)?;
+            assert!(!at("a").exists() && !at("b").exists());
+            Ok::<(), IoError>(())
+        })
+        .unwrap();
+        assert!(at("a").exists() && at("b").exists());
+        put(&at("c"), "c", false).unwrap();
+        assert_eq!(count(), 3);
     }
 
     #[test]

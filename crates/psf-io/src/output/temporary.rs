@@ -1,6 +1,6 @@
 //! The temporary files of outputs. A program that is told to stop can remove the temporary files of
-//! its own process. The files of a killed process are removed by the next process that writes the
-//! same output.
+//! its own process. The files of a killed process are removed by the next process that writes in the
+//! same folder.
 //!
 //! A temporary file is called `.psfield-PROCESS-RANDOM-OUTPUT` and lies next to its output. The
 //! process that writes it holds an advisory lock on it. The system releases the lock when the
@@ -10,7 +10,7 @@
 //! Unpacked copies of gzip files are temporary files too. They lie in the system's folder for
 //! temporary files and have no lock, so the copy of a killed process stays there.
 
-use std::collections::HashMap;
+use std::collections::BTreeSet;
 use std::ffi::{OsStr, OsString};
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
@@ -104,8 +104,7 @@ pub fn remove_unfinished<R>(then: impl FnOnce(&[PathBuf]) -> R) -> R {
     let mut entries = entries();
     let mut outputs = Vec::new();
     for (temporary, output) in entries.drain(..) {
-        // A file that cannot be removed stays. The next run that writes the same output tries
-        // again.
+        // A file that cannot be removed stays. The next run that writes in the folder tries again.
         let _ = fs::remove_file(temporary);
         outputs.extend(output);
     }
@@ -113,6 +112,8 @@ pub fn remove_unfinished<R>(then: impl FnOnce(&[PathBuf]) -> R) -> R {
 }
 
 const MARK: &str = ".psfield-";
+/// The first part of the name of a lock ([`OutputLock`](super::OutputLock)).
+pub(crate) const LOCK_MARK: &str = ".psfield-lock-";
 /// Number of characters that [`tempfile`] puts between prefix and suffix.
 const RANDOM: usize = 6;
 /// The longest name of an output, in bytes, that the temporary name repeats. Some file systems
@@ -169,54 +170,51 @@ pub(crate) fn claim(temporary: &Path) -> Option<File> {
     }
 }
 
-/// Removes the temporary files that killed processes have left for `target`. A file that cannot be
-/// removed does no harm.
+/// Removes the temporary files and locks that killed processes have left in the folder of `target`.
+/// A file that cannot be removed does no harm.
 pub(crate) fn remove_left(target: &Path) {
-    /// The temporary files found in each folder when this process first wrote there. A folder may
-    /// hold tens of thousands of files, too many to list again for every output.
-    static SEEN: Mutex<Option<HashMap<PathBuf, Vec<OsString>>>> = Mutex::new(None);
+    /// The folders in which this process has written. A folder may hold tens of thousands of files,
+    /// too many to list again for every output.
+    static SEEN: Mutex<BTreeSet<PathBuf>> = Mutex::new(BTreeSet::new());
 
-    if !cfg!(unix) {
-        return;
-    }
     let directory = directory_of(target);
     let Ok(absolute) = std::path::absolute(directory) else {
         return;
     };
-    let mut seen = SEEN.lock().unwrap_or_else(PoisonError::into_inner);
-    let names = seen
-        .get_or_insert_default()
-        .entry(absolute)
-        .or_insert_with(|| temporaries_in(directory));
-    let suffix = suffix(target);
-    names.retain(|name| {
-        let ours = is_of(name, &suffix);
-        if ours {
+    if !cfg!(unix)
+        || !SEEN
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .insert(absolute)
+    {
+        return;
+    }
+    let names = fs::read_dir(directory).into_iter().flatten().flatten();
+    for name in names.map(|entry| entry.file_name()) {
+        if is_lock(&name) || process_of(&name).is_some_and(|process| !is_running(process)) {
             remove_if_abandoned(&directory.join(name));
         }
-        !ours
-    });
+    }
 }
 
-fn temporaries_in(directory: &Path) -> Vec<OsString> {
-    fs::read_dir(directory)
-        .into_iter()
-        .flatten()
-        .flatten()
-        .map(|entry| entry.file_name())
-        .filter(|name| name.as_encoded_bytes().starts_with(MARK.as_bytes()))
-        .collect()
+fn is_lock(name: &OsStr) -> bool {
+    name.as_encoded_bytes().starts_with(LOCK_MARK.as_bytes())
 }
 
-/// Returns whether a name is `.psfield-PROCESS-RANDOM` followed by this suffix.
-fn is_of(name: &OsStr, suffix: &OsStr) -> bool {
-    let rest = name.as_encoded_bytes().strip_prefix(MARK.as_bytes());
-    let Some(middle) = rest.and_then(|rest| rest.strip_suffix(suffix.as_encoded_bytes())) else {
-        return false;
-    };
-    let digits = middle.iter().take_while(|c| c.is_ascii_digit()).count();
-    let random = middle[digits..].strip_prefix(b"-");
-    digits > 0 && random.is_some_and(|r| r.len() == RANDOM && r.iter().all(u8::is_ascii_alphanumeric))
+/// The number of the process that made a temporary file: the name is `.psfield-PROCESS-RANDOM`,
+/// followed by the name of an output. `None` if the name is of another form.
+fn process_of(name: &OsStr) -> Option<&str> {
+    let rest = name.to_str()?.strip_prefix(MARK)?;
+    let (process, rest) = rest.split_once('-')?;
+    let random = rest.split('-').next()?;
+    let is_random = random.len() == RANDOM && random.bytes().all(|c| c.is_ascii_alphanumeric());
+    (is_random && !process.is_empty() && process.bytes().all(|c| c.is_ascii_digit())).then_some(process)
+}
+
+/// Returns whether a process of this machine has this number. A running process locks its file a
+/// moment after it has made it, so a file without a lock may still be in use.
+fn is_running(process: &str) -> bool {
+    Path::new("/proc").join(process).exists()
 }
 
 fn remove_if_abandoned(temporary: &Path) {
@@ -237,32 +235,36 @@ mod tests {
     use super::*;
 
     #[test]
-    fn names_tell_the_output() {
-        let suffix = suffix(Path::new("night/image.fits"));
-        for (name, ours) in [
-            (".psfield-4711-aB3xYz-image.fits", true),
-            (".psfield-4711-aB3xYz-other.fits", false),
-            (".psfield-4711-aB3xYz-my-image.fits", false),
-            (".psfield-aB3xYz-image.fits", false),
-            (".psfield-4711-aB3-image.fits", false),
-            (".psfield-image.fits", false),
-            ("psfield-4711-aB3xYz-image.fits", false),
+    fn names_tell_the_process() {
+        for (name, process) in [
+            (".psfield-4711-aB3xYz-image.fits", Some("4711")),
+            (".psfield-4711-aB3xYz-my-image.fits", Some("4711")),
+            (".psfield-4711-aB3xYz", Some("4711")),
+            (".psfield-aB3xYz-image.fits", None),
+            (".psfield-4711-aB3-image.fits", None),
+            (".psfield--aB3xYz-image.fits", None),
+            (".psfield-image.fits", None),
+            ("psfield-4711-aB3xYz-image.fits", None),
         ] {
-            assert_eq!(is_of(OsStr::new(name), &suffix), ours, "{name}");
+            assert_eq!(process_of(OsStr::new(name)), process, "{name}");
         }
         let long = PathBuf::from("n".repeat(200) + ".fits");
-        assert_eq!(super::suffix(&long), "-long-name.fits");
+        assert_eq!(suffix(&long), "-long-name.fits");
     }
 
     #[cfg(unix)]
     #[test]
-    fn only_unlocked_files_of_the_output_are_removed() {
+    fn only_abandoned_files_are_removed() {
         let directory = tempfile::tempdir().unwrap();
         let at = |name: &str| directory.path().join(name);
+        // No process has a number of ten digits.
+        let running = format!(".psfield-{}-abcdef-a.fits", std::process::id());
         let names = [
-            ".psfield-99-abcdef-a.fits",
-            ".psfield-99-ghijkl-a.fits",
-            ".psfield-99-abcdef-b.fits",
+            ".psfield-9999999999-abcdef-a.fits",
+            ".psfield-9999999999-ghijkl-a.fits",
+            ".psfield-9999999999-abcdef-b.fits",
+            ".psfield-lock-0123",
+            &running,
             "a.fits",
         ];
         for name in names {
@@ -270,7 +272,9 @@ mod tests {
         }
         let held = claim(&at(names[1])).unwrap();
         remove_left(&at("a.fits"));
-        assert_eq!(names.map(|name| at(name).exists()), [false, true, true, true]);
+        let left = names.map(|name| at(name).exists());
+        let expected = [false, true, false, false, cfg!(target_os = "linux"), true];
+        assert_eq!(left, expected);
         drop(held);
     }
 }

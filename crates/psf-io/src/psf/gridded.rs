@@ -81,6 +81,14 @@ pub(crate) fn middle(n: usize) -> f64 {
     (n as f64 - 1.0) / 2.0
 }
 
+/// The distinct values in ascending order.
+pub(crate) fn ascending(values: impl Iterator<Item = f64>) -> Vec<f64> {
+    let mut values: Vec<f64> = values.collect();
+    values.sort_by(f64::total_cmp);
+    values.dedup();
+    values
+}
+
 /// The grid of stamps whose reference point is in the middle.
 pub(crate) fn centred_grid(nx: usize, ny: usize, oversampling: f64) -> Result<StampGrid, DataError> {
     StampGrid::new(nx, ny)?

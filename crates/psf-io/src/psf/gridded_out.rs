@@ -9,8 +9,8 @@ use crate::error::{IoError, IoErrorKind, bad_card};
 use crate::fits::card::{Card, padded, text_records};
 use crate::fits::header_cards::HeaderCards;
 use crate::fits::image_out::{cards, write_fits, write_image_header};
-use crate::psf::gridded::middle;
-use crate::psf::stpsf::{PLANE_ORDER, POSITION};
+use crate::psf::gridded::{ascending, middle};
+use crate::psf::stpsf::{GRID_LINES, PLANE_ORDER, POSITION};
 
 /// The smallest side of a stamp through which a cubic spline can be fitted.
 const MIN_SIZE: usize = 4;
@@ -33,7 +33,8 @@ const MIN_SIZE: usize = 4;
 /// every crossing of all these coordinates. (A single sample is always written as a single plane.)
 /// A plane between samples is interpolated bilinearly. A plane outside the grid of the samples is
 /// the PSF at the nearest point of this grid. Readers interpolate in the same way, so the PSF is
-/// unchanged everywhere.
+/// unchanged everywhere. The card `GRIDLINE` says which planes are samples, and
+/// [`read_stpsf`](crate::read_stpsf) returns only these.
 ///
 /// ```
 /// # let directory = tempfile::tempdir()?;
@@ -151,6 +152,16 @@ fn own_cards(
         own.push(card.map_err(bad_card(path))?);
     }
     if square.is_refined() {
+        let axes = square.lines.iter().map(|line| {
+            match [&square.xs, &square.ys].map(|samples| samples.contains(line)) {
+                [true, true] => 'b',
+                [true, false] => 'x',
+                _ => 'y',
+            }
+        });
+        let axes: String = axes.collect();
+        let comment = "axes of the samples, for each coordinate";
+        own.push(Card::new(GRID_LINES, axes, comment).map_err(bad_card(path))?);
         own.push(Card::comment(&format!(
             "The samples were on a grid with {} coordinates in x and {} others in y. A gridded library needs equal coordinates along \
              both axes, so this file uses all of them along x and along y. Its planes are interpolated bilinearly from the samples.",
@@ -284,14 +295,6 @@ impl SquareGrid {
         }
         stamp
     }
-}
-
-/// The distinct values in ascending order.
-fn ascending(values: impl Iterator<Item = f64>) -> Vec<f64> {
-    let mut values: Vec<f64> = values.collect();
-    values.sort_by(f64::total_cmp);
-    values.dedup();
-    values
 }
 
 /// The indices of the lines below and above a value, and the weight of the line above. Beyond the

@@ -15,6 +15,7 @@
 //! | `DETECTOR` | name of the detector, not required |
 //! | `VERSION`, `DATE` | version of the software and date of the calculation, from which the order of the planes is found |
 //! | `PLANEORD` | `cards` or `sorted`: the order of the planes, written by psfield |
+//! | `GRIDLINE` | a letter for each coordinate of the planes, ascending: `x`, `y` or `b` (both), the axes on which samples have it; all other planes were interpolated by psfield and are not read |
 //!
 //! Stamps are centred at index `(n - 1) / 2`, include the response of a pixel and sum to about
 //! `OVERSAMP^2`. Positions need not form a grid. If a PSF was made for an even number of detector
@@ -36,6 +37,7 @@
 
 use std::path::Path;
 
+use ndarray::Axis;
 use psf_types::{Position, named};
 
 use crate::error::{IoError, IoErrorKind, invalid};
@@ -43,7 +45,7 @@ use crate::fits::card::{Card, FromValue};
 use crate::fits::hdu::HduChoice;
 use crate::fits::image::read_stack;
 use crate::fits::structure::FitsStructure;
-use crate::psf::gridded::{GriddedPsf, LibraryCards, Planes, cube_shape};
+use crate::psf::gridded::{GriddedPsf, LibraryCards, Planes, ascending, cube_shape};
 
 /// The stem of the keywords that hold positions.
 pub(crate) const POSITION: &str = "DET_YX";
@@ -103,15 +105,48 @@ pub fn read_stpsf_hdu(
     let oversampling = oversampling(cards, shape.2)?;
     let (positions, note) = assign(cards, order, positions)?;
     let detector = cards.text("DETECTOR", "the name of the detector, a string")?;
+    let (mut stamps, mut positions, mut notes) = (read_stack(hdu, shape)?, positions, vec![note]);
+    let numbers = sample_planes(cards, &positions)?;
+    if numbers.len() < shape.0 {
+        notes.push(format!(
+            "planes: only {} of {} are read, because psfield interpolated the others from these",
+            numbers.len(),
+            shape.0
+        ));
+        stamps = stamps.select(Axis(0), &numbers);
+        positions = numbers.iter().map(|&plane| positions[plane]).collect();
+    }
     let planes = Planes {
-        stamps: read_stack(hdu, shape)?,
-        numbers: (0..shape.0).collect(),
+        stamps,
+        numbers,
         positions,
         oversampling: oversampling as f64,
         detector,
-        notes: vec![note],
+        notes,
     };
     GriddedPsf::new(path, planes)
+}
+
+/// The keyword in psfield's own files that states which planes are samples.
+pub(crate) const GRID_LINES: &str = "GRIDLINE";
+
+/// The planes that are samples. psfield may have added others, interpolated between the samples.
+fn sample_planes(cards: &LibraryCards<'_>, positions: &[Position]) -> Result<Vec<usize>, IoError> {
+    const EXPECTED: &str = "a letter x, y or b for each coordinate of the planes";
+    let Some(axes) = cards.text(GRID_LINES, EXPECTED)? else {
+        return Ok((0..positions.len()).collect());
+    };
+    let lines = ascending(positions.iter().map(|p| p.x()));
+    let on = |axis: u8, value: f64| {
+        let letter = axes.as_bytes().get(lines.partition_point(|&line| line < value));
+        letter.is_some_and(|&letter| letter == axis || letter == b'b')
+    };
+    let is_sample = |&plane: &usize| on(b'x', positions[plane].x()) && on(b'y', positions[plane].y());
+    let planes: Vec<usize> = (0..positions.len()).filter(is_sample).collect();
+    if axes.len() != lines.len() || planes.is_empty() {
+        return Err(cards.bad_value(GRID_LINES, EXPECTED, axes));
+    }
+    Ok(planes)
 }
 
 /// The plane number in the keyword of a position card.

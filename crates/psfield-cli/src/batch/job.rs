@@ -1,23 +1,21 @@
 //! A job of a batch: its parsed options, and the state of its files.
 
 use std::any::TypeId;
-use std::collections::HashMap;
 use std::ffi::OsString;
 use std::hash::Hasher;
 use std::path::{Path, PathBuf};
 
-use clap::{ArgAction, ArgMatches, Args, Command, FromArgMatches};
-use psf_io::{Card, CardValue};
-use psfield::{JOB_KEYWORD, SpotCheck, resolved};
+use clap::{ArgAction, Args, Command, FromArgMatches};
+use psf_io::{Card, CardValue, IoError, OutputLock};
+use psfield::{JOB_KEYWORD, SpotCheck};
 
 use crate::UsageError;
 use crate::batch::jobs_file::{JobsFile, Setting, Settings};
+use crate::files::{FileUses, NamedFiles, OutputFile};
 use crate::simulate::{JobMark, SimulateArgs};
 
 /// The option of the scene, which has no long name on the command line.
 const SCENE: &str = "scene";
-/// The options of the files that a job writes. The first one is always given.
-const OUTPUTS: [&str; 3] = ["output", "truth", "quality"];
 /// Options that do not change the results.
 const WITHOUT_EFFECT_ON_RESULTS: [&str; 1] = ["stream"];
 
@@ -67,19 +65,18 @@ impl Job {
         let mut command = SimulateArgs::augment_args(Command::new("simulate"))
             .no_binary_name(true)
             .disable_help_flag(true);
-        let mut taken = Places::default();
-        taken
-            .reads
-            .insert(resolved(&file.path), "the jobs file".to_owned());
-        if let Some(log) = log {
-            taken.reads.insert(resolved(log), "the log".to_owned());
-        }
+        let mut uses = FileUses::default();
+        uses.read(&file.path, "the jobs file");
         let mut jobs = Vec::with_capacity(file.jobs.len());
         for (k, (place, settings)) in file.jobs.into_iter().enumerate() {
             let job = Self::new(k + 1, settings.or(&defaults), &mut command)
-                .and_then(|job| taken.add(&job, &place).map(|()| job))
+                .and_then(|job| job.record(&mut uses, &place).map(|()| job))
                 .map_err(|what| UsageError(format!("{}: {place}: {what}", file.path.display())))?;
             jobs.push(job);
+        }
+        if let Some(log) = log {
+            uses.write(log, "the log")
+                .map_err(|what| UsageError(format!("--log: {what}")))?;
         }
         Ok(jobs)
     }
@@ -94,29 +91,40 @@ impl Job {
         let mut matches = command
             .try_get_matches_from_mut(&arguments)
             .map_err(|e| in_one_line(&e))?;
-        let path = |matches: &ArgMatches, id: &str| matches.get_one::<PathBuf>(id).cloned();
-        let mut files: Vec<PathBuf> = OUTPUTS.iter().filter_map(|id| path(&matches, id)).collect();
-        let inputs = command
-            .get_arguments()
-            .filter(|arg| is_path(arg) && !OUTPUTS.contains(&arg.get_id().as_str()))
-            .filter_map(|arg| path(&matches, arg.get_id().as_str()))
-            .collect();
-        let output = path(&matches, OUTPUTS[0]).ok_or("output is missing")?;
+        let mut files = NamedFiles::of(command, &matches).map_err(|e| e.to_string())?;
         let args = SimulateArgs::from_arg_matches_mut(&mut matches).map_err(|e| in_one_line(&e))?;
-        files.extend(args.truth_beside().filter(|truth| !files.contains(truth)));
+        files.outputs.extend(args.default_truth());
         if let Some(what) = args.misused() {
             return Err(what);
         }
         Ok(Self {
             number,
             name: name.unwrap_or_default(),
-            output,
-            files,
+            output: args.output.to_path_buf(),
+            files: files.outputs,
             digest: digest(&settings, command),
-            inputs,
+            inputs: files.inputs,
             args,
             arguments,
         })
+    }
+
+    /// Locks the job's output against other batches. `None` if another batch works on the job.
+    /// Returns an error if a file of the job cannot be written.
+    pub(super) fn lock(&self) -> Result<Option<OutputLock>, IoError> {
+        for file in &self.files {
+            psf_io::check_output(file, true)?;
+        }
+        OutputLock::acquire(&self.output)
+    }
+
+    /// Records the files of the job. `place`: the place of the job in the jobs file.
+    fn record(&self, uses: &mut FileUses, place: &str) -> Result<(), String> {
+        for input in &self.inputs {
+            uses.read(input, &format!("an input of {place}"));
+        }
+        let mut outputs = self.files.iter();
+        outputs.try_for_each(|file| uses.write(file, &format!("an output of {place}")))
     }
 
     /// Returns the arguments that run the job. Its files will carry its mark.
@@ -133,40 +141,16 @@ impl Job {
     }
 }
 
-/// The files that the jobs so far read and write. For messages, a text with each file says what
-/// uses it.
-#[derive(Default)]
-struct Places {
-    reads: HashMap<PathBuf, String>,
-    writes: HashMap<PathBuf, String>,
-}
-
-impl Places {
-    fn add(&mut self, job: &Job, place: &str) -> Result<(), String> {
-        for input in &job.inputs {
-            self.reads
-                .entry(resolved(input))
-                .or_insert_with(|| format!("an input of {place}"));
-        }
-        for file in &job.files {
-            let at = resolved(file);
-            if let Some(whose) = self.reads.get(&at) {
-                return Err(format!("{} is an output, but also {whose}", file.display()));
-            }
-            if let Some(other) = self.writes.insert(at, place.to_owned()) {
-                return Err(format!("{} is also an output of {other}", file.display()));
-            }
-        }
-        Ok(())
-    }
-}
-
 fn is_flag(arg: &clap::Arg) -> bool {
     matches!(arg.get_action(), ArgAction::SetTrue)
 }
 
 fn is_path(arg: &clap::Arg) -> bool {
-    arg.get_value_parser().type_id() == TypeId::of::<PathBuf>()
+    is_output(arg) || arg.get_value_parser().type_id() == TypeId::of::<PathBuf>()
+}
+
+fn is_output(arg: &clap::Arg) -> bool {
+    arg.get_value_parser().type_id() == TypeId::of::<OutputFile>()
 }
 
 /// Returns the option of this name.
@@ -222,8 +206,9 @@ fn arguments(settings: &Settings, command: &Command) -> Result<Vec<OsString>, St
 fn digest(settings: &Settings, command: &Command) -> String {
     let mut hasher = fnv::FnvHasher::default();
     for (name, setting) in settings.iter() {
-        let off = option(command, name).is_some_and(is_flag) && setting.value == "false";
-        if off || OUTPUTS.contains(&name) || WITHOUT_EFFECT_ON_RESULTS.contains(&name) {
+        let known = option(command, name);
+        let off = known.is_some_and(is_flag) && setting.value == "false";
+        if off || known.is_some_and(is_output) || WITHOUT_EFFECT_ON_RESULTS.contains(&name) {
             continue;
         }
         for text in [name, &setting.value] {
@@ -252,6 +237,8 @@ fn in_one_line(error: &clap::Error) -> String {
 #[derive(Debug)]
 pub(super) enum JobState {
     Missing,
+    /// Another process works on the job.
+    InProgress,
     /// Some of the files exist, and this job made them.
     Partial,
     Done,

@@ -28,7 +28,7 @@ use crate::simulate::{Report, Simulators};
 /// failed jobs are printed. With --quiet --json, the lines of all jobs are printed.
 ///
 /// A batch that is run again continues where it was interrupted: a job whose files exist is
-/// skipped. Images carry a digest of the options of their job (PSFJOB). A job whose options have
+/// skipped, and so is a job on which another batch works. Images carry a digest of the options of their job (PSFJOB). A job whose options have
 /// changed since then fails unless --overwrite is given. Changes in the content of input files are
 /// not detected.
 #[derive(Debug, clap::Args)]
@@ -88,7 +88,7 @@ and one in CSV, run as psfield batch jobs.csv --set psf=telescope.fits --set sha
   field2.fits,field2.csv,2,camera.toml
 
 A job's line has the keys job (counted from 1), name, output, status (done, skipped or failed),
-error, reused (true if model and plan were made for an earlier job), seconds, and report (the
+reason (of a skipped job: exists, or in progress if another batch works on it), error, reused (true if model and plan were made for an earlier job), seconds, and report (the
 object of simulate --json)."#;
 
 impl BatchArgs {
@@ -148,19 +148,27 @@ fn report_of<'a>(
         name: &job.name,
         output: &job.output,
         status: Status::Failed,
+        reason: None,
         error: None,
         reused: None,
         seconds: 0.0,
         report: None,
     };
-    let state = if overwrite {
-        JobState::Partial
-    } else {
-        JobState::of(job)
+    // Held until the files of the job are written.
+    let lock = job.lock();
+    let state = match &lock {
+        Err(error) => JobState::Refused(error.to_string()),
+        Ok(None) => JobState::InProgress,
+        Ok(Some(_)) if overwrite => JobState::Partial,
+        Ok(Some(_)) => JobState::of(job),
     };
     let replace = matches!(state, JobState::Partial);
     match state {
-        JobState::Done => report.status = Status::Skipped,
+        JobState::Done | JobState::InProgress => {
+            report.status = Status::Skipped;
+            let done = matches!(state, JobState::Done);
+            report.reason = Some(if done { "exists" } else { "in progress" });
+        }
         JobState::Refused(why) => report.error = Some(why),
         JobState::Missing | JobState::Partial => {
             let context = context.for_part(&format!("job {} ({})", job.number, job.name));
@@ -197,6 +205,9 @@ struct JobReport<'a> {
     name: &'a str,
     output: &'a Path,
     status: Status,
+    /// For a skipped job: `exists`, or `in progress` if another process works on it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    reason: Option<&'static str>,
     error: Option<String>,
     /// True if model and plan were made for an earlier job. Null if nothing was simulated.
     reused: Option<bool>,

@@ -3,6 +3,7 @@
 mod report;
 mod settings;
 
+use std::ffi::OsString;
 use std::num::{NonZeroU16, NonZeroUsize};
 use std::ops::RangeInclusive;
 use std::path::PathBuf;
@@ -21,6 +22,7 @@ use crate::UsageError;
 use crate::bench::report::Report;
 use crate::bench::settings::{BenchDeviceArgs, Settings};
 use crate::context::{Context, object};
+use crate::files::OutputFile;
 use crate::sample::Preset;
 use crate::values::{Precision, number, tolerance};
 
@@ -144,8 +146,8 @@ pub(crate) struct BenchArgs {
     #[arg(long, value_name = "FILE", num_args = 0..=1, default_missing_value = "-", value_parser = OsStringValueParser::new().map(JsonTo::of_argument))]
     json: Option<JsonTo>,
     /// Plot run time against error (SVG)
-    #[arg(long, value_name = "FILE.svg", value_parser = svg_path)]
-    plot: Option<PathBuf>,
+    #[arg(long, value_name = "FILE.svg", value_parser = OsStringValueParser::new().try_map(svg_path))]
+    plot: Option<OutputFile>,
     /// Replace the files of --json and --plot if they exist
     #[arg(long)]
     overwrite: bool,
@@ -198,9 +200,6 @@ impl BenchArgs {
 
     fn run_in<T: ConvReal>(self, context: &Context) -> anyhow::Result<()> {
         let json = self.json.as_ref().and_then(JsonTo::file);
-        for path in json.into_iter().chain(self.plot.as_deref()) {
-            psf_io::check_output(path, self.overwrite)?;
-        }
         let mut settings = Settings::of(&self);
         let options = BenchOptions {
             anchor: self.anchor,
@@ -376,8 +375,8 @@ fn whole(text: &str, range: RangeInclusive<usize>) -> Result<NonZeroUsize, Strin
     number(text.trim(), |n: &NonZeroUsize| range.contains(&n.get()), &needed)
 }
 
-fn svg_path(text: &str) -> Result<PathBuf, String> {
-    let path = PathBuf::from(text);
+fn svg_path(text: OsString) -> Result<OutputFile, String> {
+    let path = OutputFile::from(text);
     let ending = path.extension();
     if ending.is_some_and(|ending| ending.eq_ignore_ascii_case("svg")) {
         return Ok(path);

@@ -159,7 +159,7 @@ impl JsonTo {
         }
     }
 
-    pub(super) fn file(&self) -> Option<&Path> {
+    pub(crate) fn file(&self) -> Option<&Path> {
         match self {
             Self::File(path) => Some(path),
             _ => None,

@@ -3,14 +3,13 @@
 mod output;
 mod sky;
 
-use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Instant;
 
 use anyhow::Context as _;
 use metrics::{Comparison, Summary};
 use psf_optics::Telescope;
-use psf_sample::{AdaptiveSampling, DifferenceMeasure, InterpolationError, SamplingMethod};
+use psf_sample::{AdaptiveSampling, DifferenceMeasure, InterpolationError, SamplingMethod, hold_out};
 use psf_types::{FrameShape, NoProgress, Progress, PsfModel, PsfModelRecord, PsfSamples, PsfSource};
 use psfield::convert::PsfFormat;
 use psfield::{Device, FitOptions, Method, Psf, Scene, SpotCheck};
@@ -18,6 +17,8 @@ use psfield::{Device, FitOptions, Method, Psf, Scene, SpotCheck};
 use crate::context::{Context, object, signature, write_samples};
 use crate::demo::output::{FILES, Output};
 use crate::demo::sky::{GALAXIES, STARS, Sky};
+use crate::files::OutputFolder;
+use crate::simulate::verdict;
 
 /// Run every stage on a built-in telescope and scene
 ///
@@ -28,7 +29,7 @@ use crate::demo::sky::{GALAXIES, STARS, Sky};
 pub(crate) struct DemoArgs {
     /// Folder to write to (made if it does not exist)
     #[arg(long, value_name = "DIR", default_value = "psfield-demo")]
-    out: PathBuf,
+    out: OutputFolder,
     /// Replace files that exist in the folder
     #[arg(long)]
     overwrite: bool,
@@ -49,7 +50,7 @@ const PATCH: usize = 128;
 impl DemoArgs {
     pub(crate) fn run(self, context: &Context) -> anyhow::Result<()> {
         let start = Instant::now();
-        let mut out = Output::new(self.out, self.overwrite)?;
+        let mut out = Output::new(self.out.to_path_buf(), self.overwrite)?;
         // Nothing is written if one of the files exists and must be kept.
         for name in FILES {
             psf_io::check_output(out.folder.join(name), self.overwrite)?;
@@ -63,8 +64,9 @@ impl DemoArgs {
         out.sampling(samples.positions().as_slice(), frame)?;
 
         let spinner = context.spinner("fitting");
+        let (checks, sample_count) = ((TEST_PSFS, self.seed), samples.len());
+        let held_out = hold_out(&telescope, samples.positions(), checks, &NoProgress)?;
         let clock = Instant::now();
-        let sample_count = samples.len();
         let psf = Psf::new(samples, FitOptions::default());
         let fitted = psf.fit()?.expect("samples have a fit");
         let fit_seconds = clock.elapsed().as_secs_f64();
@@ -76,8 +78,8 @@ impl DemoArgs {
             self.overwrite,
         )?;
         let model = psf.model()?;
-        let model_errors = measure_model(&telescope, model, self.seed)?;
-        let (fwhm, ellipticity) = out.psf_map(model, frame)?;
+        let model_errors = measure_model(&held_out.into_unit_flux(), model)?;
+        let [fwhm, ellipticity, eccentricity] = out.psf_map(model, frame)?;
         drop(spinner);
 
         let spinner = context.spinner("imaging");
@@ -100,7 +102,10 @@ impl DemoArgs {
             stars: STARS,
             fwhm_px_min: fwhm.min(),
             fwhm_px_max: fwhm.max(),
+            // |e| = (a^2 - b^2) / (a^2 + b^2), from adaptive moments.
             ellipticity_max: ellipticity.max(),
+            // sqrt(1 - b^2 / a^2), from the Gaussian fit.
+            eccentricity_max: eccentricity.max(),
             spot_check,
             // Pixels along each side of a patch.
             patch: PATCH,
@@ -121,7 +126,7 @@ impl DemoArgs {
                 "sampled   {} PSFs over {frame} pixels ({} drawn in all) in {:.2} s\n\
                  fitted    {} components (elbow at {}), largest truncation error {:.1e}, in {:.2} s\n\
                  model     PSFs differ from the telescope's own by {:.1e} (median), {:.1e} (largest, relative L2)\n\
-                 PSF       FWHM {:.2} to {:.2} pixels, ellipticity up to {:.2}\n\
+                 PSF       FWHM {:.2} to {:.2} pixels, ellipticity |e| up to {:.2}\n\
                  simulated {} galaxies and {} stars in {:.2} s\n\
                  checked   {} pixels against the direct sum: largest difference {:.1e}{}\n\
                  patches   of {} pixels give an image that differs by {:.1e} (relative L2): see patch_error.png\n\
@@ -152,7 +157,8 @@ impl DemoArgs {
                 report.folder.display(),
                 s.total,
             )
-        })
+        })?;
+        verdict(&report.spot_check, &report.folder.join("image.fits"))
     }
 }
 
@@ -194,13 +200,11 @@ fn image(
     Ok((spot_check, patch_error, simulate_seconds))
 }
 
-/// Relative L2 errors of the model's PSFs at random positions, against PSFs drawn by the telescope.
-fn measure_model(telescope: &Telescope, model: &PsfModel, seed: u64) -> anyhow::Result<Summary> {
-    let positions = sky::random_positions(telescope.field(), TEST_PSFS, seed)?;
-    let errors = positions.into_iter().map(|position| {
-        let drawn = telescope.draw(position)?;
-        let unit_flux = drawn.values().mapv(|v| v / drawn.flux());
-        Ok(Comparison::of(model.psf_at(position)?.values(), unit_flux.view())?.relative_l2()?)
+/// Relative L2 errors of the model's PSFs against PSFs of unit flux that are not its samples.
+fn measure_model(held_out: &PsfSamples, model: &PsfModel) -> anyhow::Result<Summary> {
+    let positions = held_out.positions().as_slice().iter();
+    let errors = positions.enumerate().map(|(k, &position)| {
+        Ok(Comparison::of(model.psf_at(position)?.values(), held_out.stamp(k))?.relative_l2()?)
     });
     Ok(Summary::of(errors.collect::<anyhow::Result<Vec<f64>>>()?)?)
 }

@@ -7,7 +7,7 @@ use metrics::Summary;
 use ndarray::{Array2, ArrayView2, ArrayView3, s};
 use psf_io::{Card, HeaderCards};
 use psf_types::{FrameShape, Image, PointSource, Position, PsfModel};
-use psfield::{EvaluateOptions, MEASUREMENT_COLUMNS, MeasureOptions, OutputGrid, evaluate};
+use psfield::{EvaluateOptions, MEASUREMENT_COLUMNS, MeasureOptions, Measurement, OutputGrid, evaluate};
 use psfield_lab::plot::{Figure, Picture, PictureAxes, Scale, pictures, positions_figure};
 
 use super::PATCH;
@@ -88,12 +88,8 @@ impl Output {
     }
 
     /// Writes the PSFs on a grid over the frame, as a picture and as a table of measurements.
-    /// Returns their FWHM and their ellipticity.
-    pub(super) fn psf_map(
-        &mut self,
-        model: &PsfModel,
-        frame: FrameShape,
-    ) -> anyhow::Result<(Summary, Summary)> {
+    /// Returns their FWHM, ellipticity and eccentricity.
+    pub(super) fn psf_map(&mut self, model: &PsfModel, frame: FrameShape) -> anyhow::Result<[Summary; 3]> {
         let at = |k: usize, n: usize| (n - 1) as f64 * k as f64 / (ACROSS - 1) as f64;
         let positions: Result<Vec<Position>, _> = (0..ACROSS * ACROSS)
             .map(|k| Position::new(at(k % ACROSS, frame.nx()), at(k / ACROSS, frame.ny())))
@@ -107,9 +103,12 @@ impl Output {
         let rows = MeasureOptions::default().cube(stamps.stamps(), Some(stamps.positions().as_slice()));
         let path = self.path("psf_measurements.csv");
         psf_io::write_csv(path, &MEASUREMENT_COLUMNS, &rows, self.overwrite)?;
-        let fwhm = Summary::of(rows.iter().filter_map(|row| row.fwhm_px))?;
-        let ellipticity = Summary::of(rows.iter().filter_map(|row| row.ellipticity))?;
-        Ok((fwhm, ellipticity))
+        let of = |value: fn(&Measurement) -> Option<f64>| Summary::of(rows.iter().filter_map(value));
+        Ok([
+            of(|r| r.fwhm_px)?,
+            of(|r| r.ellipticity)?,
+            of(|r| r.eccentricity)?,
+        ])
     }
 
     pub(super) fn pictures(

@@ -76,15 +76,3 @@ fn power_law(rng: &mut ChaCha8Rng, slope: f64, smallest: f64, largest: f64) -> f
     let (a, b) = (smallest.powf(-slope), largest.powf(-slope));
     (a + rng.random::<f64>() * (b - a)).powf(-1.0 / slope)
 }
-
-/// Draws positions that are uniform over the frame, between the centres of its outermost pixels.
-pub(crate) fn random_positions(frame: FrameShape, count: usize, seed: u64) -> anyhow::Result<Vec<Position>> {
-    let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    (0..count)
-        .map(|_| {
-            let x = rng.random_range(0.0..(frame.nx() - 1) as f64);
-            let y = rng.random_range(0.0..(frame.ny() - 1) as f64);
-            Ok(Position::new(x, y)?)
-        })
-        .collect()
-}

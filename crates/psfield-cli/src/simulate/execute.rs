@@ -10,7 +10,7 @@ use psf_io::{Card, ImageReader, ImageWriter};
 use psf_types::{Image, NoProgress};
 use psfield::{PixelPicker, Preparation, PsfieldError, Simulator, SpotCheck};
 
-use crate::context::Context;
+use crate::context::{Context, with_nan_setting};
 use crate::simulate::SimulateArgs;
 use crate::simulate::exposure_args::Exposing;
 use crate::simulate::report::Seconds;
@@ -21,6 +21,8 @@ pub(super) struct Outcome {
     pub(super) counts: TileCounts,
     pub(super) spot_check: Option<SpotCheck>,
     pub(super) exposure: Option<ExposureReport>,
+    /// NaN pixels of the scene that were replaced.
+    pub(super) nan_pixels: usize,
 }
 
 impl SimulateArgs {
@@ -70,6 +72,7 @@ impl SimulateArgs {
             counts,
             spot_check,
             exposure,
+            nan_pixels: read.nan_pixels,
         })
     }
 
@@ -106,6 +109,7 @@ impl SimulateArgs {
             write_seconds: 0.0,
         };
         let counts = simulator.stream(&read.scene, &mut rows, &bar)?;
+        let nan_pixels = rows.reader.nan_pixels();
         let (read_seconds, write_seconds) = (rows.read_seconds, rows.write_seconds);
         seconds.execute = clock.elapsed().as_secs_f64() - read_seconds - write_seconds;
         seconds.read += read_seconds;
@@ -127,6 +131,7 @@ impl SimulateArgs {
             counts,
             spot_check,
             exposure: None,
+            nan_pixels,
         })
     }
 
@@ -151,7 +156,8 @@ impl<T: ConvReal> RowStream<T> for FitsRows<T> {
 
     fn read(&mut self, rows: Range<usize>, light: ArrayViewMut2<'_, T>) -> Result<(), PsfieldError> {
         let clock = Instant::now();
-        self.reader.read_rows_into(rows.start, light)?;
+        let read = self.reader.read_rows_into(rows.start, light);
+        read.map_err(|error| with_nan_setting(error, "nan_as"))?;
         self.read_seconds += clock.elapsed().as_secs_f64();
         Ok(())
     }

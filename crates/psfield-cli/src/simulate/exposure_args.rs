@@ -9,6 +9,7 @@ use psfield::ExposureFiles;
 
 use super::super::context::Context;
 use super::super::expose::check_detector;
+use super::super::files::OutputFile;
 
 /// A detector that exposes the image.
 #[derive(Debug, Clone, clap::Args)]
@@ -30,7 +31,7 @@ pub(super) struct ExposureArgs {
         requires = "detector",
         hide_short_help = true
     )]
-    truth: Option<PathBuf>,
+    truth: Option<OutputFile>,
     /// Do not write the noise-free image
     #[arg(long, requires = "detector", conflicts_with = "truth", hide_short_help = true)]
     no_truth: bool,
@@ -41,7 +42,7 @@ pub(super) struct ExposureArgs {
         requires = "detector",
         hide_short_help = true
     )]
-    quality: Option<PathBuf>,
+    quality: Option<OutputFile>,
 }
 
 /// A detector and its output files.
@@ -52,15 +53,14 @@ pub(super) struct Exposing {
 }
 
 impl ExposureArgs {
-    /// The file of the noise-free image, if one is written. By default it is next to `output`.
-    pub(crate) fn truth(&self, output: &Path) -> Option<PathBuf> {
-        if self.detector.is_none() || self.no_truth {
-            return None;
-        }
-        Some(self.truth.clone().unwrap_or_else(|| {
+    /// The file of the noise-free image next to `output`, if one is written and has no name of its
+    /// own.
+    pub(super) fn default_truth(&self, output: &Path) -> Option<PathBuf> {
+        let wanted = self.detector.is_some() && !self.no_truth && self.truth.is_none();
+        wanted.then(|| {
             let stem = output.file_stem().unwrap_or_default().to_string_lossy();
             output.with_file_name(format!("{stem}_truth.fits"))
-        }))
+        })
     }
 
     /// Returns the detector to apply, if any. Checks all that can be checked before the work.
@@ -69,18 +69,14 @@ impl ExposureArgs {
         output: &Path,
         overwrite: bool,
         seed: u64,
-        inputs: &[Option<&PathBuf>],
         context: &Context,
     ) -> anyhow::Result<Option<Exposing>> {
         let files = ExposureFiles {
             raw: output.to_owned(),
-            truth: self.truth(output),
-            quality: self.quality.clone(),
+            truth: self.truth.as_deref().cloned().or(self.default_truth(output)),
+            quality: self.quality.as_deref().cloned(),
             overwrite,
         };
-        let inputs = inputs.iter().copied().chain([self.detector.as_ref()]);
-        let inputs: Vec<&Path> = inputs.flatten().map(PathBuf::as_path).collect();
-        files.check(&inputs)?;
         let Some(path) = &self.detector else {
             return Ok(None);
         };

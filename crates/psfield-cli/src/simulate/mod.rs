@@ -11,12 +11,15 @@ use std::path::PathBuf;
 use conv_core::{ConvReal, PlanSummary};
 use psf_io::Card;
 use psf_types::Anchor;
-use psfield::{ErrorKind, JOB_KEYWORD, Method, Preparation, PsfieldError, SimulateOptions, Simulator};
+use psfield::{
+    ErrorKind, JOB_KEYWORD, Method, PSF_FILE_KEYWORD, Preparation, PsfieldError, SimulateOptions, Simulator,
+};
 use psfield_lab::{available_memory_bytes, peak_memory_bytes};
 
 use crate::UsageError;
 use crate::context::{Context, message_of, signature, signature_of, with_option};
 use crate::devices::DeviceArgs;
+use crate::files::OutputFile;
 use crate::psf_args::PsfArgs;
 use crate::simulate::exposure_args::ExposureArgs;
 use crate::simulate::prepared::timed;
@@ -25,7 +28,7 @@ use crate::simulate::scene::SceneArgs;
 use crate::values::{Frame, Precision, bytes, stamp_size, text_of_bytes, tolerance};
 
 pub(crate) use crate::simulate::prepared::Simulators;
-pub(crate) use crate::simulate::report::Report;
+pub(crate) use crate::simulate::report::{Report, verdict};
 
 /// Convolve a scene with a PSF that varies over the field
 ///
@@ -43,7 +46,7 @@ pub(crate) struct SimulateArgs {
     psf: PathBuf,
     /// Image to write
     #[arg(short, long, value_name = "IMAGE.fits")]
-    output: PathBuf,
+    pub(crate) output: OutputFile,
     /// Replace outputs that exist
     #[arg(long)]
     overwrite: bool,
@@ -54,7 +57,6 @@ pub(crate) struct SimulateArgs {
         long,
         value_name = "T",
         value_parser = tolerance,
-        allow_negative_numbers = true,
         help_heading = ACCURACY,
         help = tolerance_help(),
         long_help = format!(
@@ -223,9 +225,9 @@ impl SimulateArgs {
         }
     }
 
-    /// The file of the noise-free image, if one is written.
-    pub(crate) fn truth_beside(&self) -> Option<PathBuf> {
-        self.exposure.truth(&self.output)
+    /// The file of the noise-free image, if one is written and has no name of its own.
+    pub(crate) fn default_truth(&self) -> Option<PathBuf> {
+        self.exposure.default_truth(&self.output)
     }
 
     /// Returns an error message if options do not fit together.
@@ -267,15 +269,9 @@ impl SimulateArgs {
         simulators: &mut Simulators,
         context: &Context,
     ) -> anyhow::Result<Report> {
-        let inputs = [
-            self.scene.scene.as_ref(),
-            self.scene.catalog.as_ref(),
-            self.scene.wcs.as_ref(),
-            Some(&self.psf),
-        ];
         let exposing = self
             .exposure
-            .exposing(&self.output, self.overwrite, self.seed, &inputs, context)?;
+            .exposing(&self.output, self.overwrite, self.seed, context)?;
         self.open_gpu(context)?;
         let mut seconds = Seconds::default();
         let psf = self.psf(simulators, &mut seconds, context)?;
@@ -284,6 +280,12 @@ impl SimulateArgs {
         seconds.read += taken;
         drop(spinner);
 
+        if let (Some(path), true) = (
+            &self.scene.catalog,
+            read.scene.stars().is_empty() && read.scene.galaxies().is_empty(),
+        ) {
+            context.warn(&format!("{}: the catalogue has no sources", path.display()));
+        }
         let simulator = self.simulator::<T>(&psf, read.shape, simulators)?;
         let kind = (&read.scene, rows.is_some());
         let made = self.prepare(&simulator, kind, simulators, &mut seconds, context)?;
@@ -297,7 +299,7 @@ impl SimulateArgs {
         };
         let (options, plan, shape) = (simulator.options(), made.plan.as_ref(), simulator.image_shape());
         Ok(Report {
-            output: self.output.clone(),
+            output: self.output.to_path_buf(),
             method: self.method.to_string(),
             anchor: self.anchor,
             precision: T::NAME,
@@ -310,6 +312,7 @@ impl SimulateArgs {
             galaxies: read.scene.galaxies().len(),
             invalid_rows: read.invalid_rows,
             rows_off_projection: read.rows_off_projection,
+            nan_pixels: outcome.nan_pixels,
             streamed,
             plan: plan.cloned(),
             tiles: plan.map(|_| outcome.counts),
@@ -388,6 +391,8 @@ impl SimulateArgs {
             }
             None => signature(),
         };
+        let psf = self.psf.file_name().unwrap_or_default().to_string_lossy();
+        cards.push(Card::new(PSF_FILE_KEYWORD, psf.as_ref(), "file of the PSF")?);
         cards.extend(simulator.cards(made)?);
         Ok(cards)
     }

@@ -1,6 +1,6 @@
 //! The report of `psfield simulate`.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use conv_core::{PlanSummary, TileCounts};
 use detector::ExposureReport;
@@ -33,6 +33,8 @@ pub(crate) struct Report {
     /// Rows of the catalogue at positions on the sky that the projection does not reach. They were
     /// skipped.
     pub(super) rows_off_projection: usize,
+    /// NaN pixels of the scene, which `--nan-as` replaced.
+    pub(super) nan_pixels: usize,
     /// True if the scene was read and the image written in bands of rows.
     pub(super) streamed: bool,
     #[serde(serialize_with = "plan_figures")]
@@ -100,20 +102,23 @@ fn tile_figures<S: Serializer>(counts: &Option<TileCounts>, serializer: S) -> Re
     figures.serialize(serializer)
 }
 
+/// Returns an error if the image in the file `written` failed its spot check.
+pub(crate) fn verdict(check: &SpotCheck, written: &Path) -> anyhow::Result<()> {
+    anyhow::ensure!(
+        check.passed != Some(false),
+        "{} was written, but it failed its spot check: it differs from the direct sum by more than the method promises. Do not use the image",
+        written.display()
+    );
+    Ok(())
+}
+
 impl Report {
     /// Returns an error if the image failed its spot check.
     pub(crate) fn verdict(&self) -> anyhow::Result<()> {
-        if self
-            .spot_check
+        self.spot_check
             .as_ref()
-            .is_some_and(|check| check.passed == Some(false))
-        {
-            anyhow::bail!(
-                "{} was written, but it failed its spot check: it differs from the direct sum by more than the method promises. Do not use the image: --method direct computes the direct sum",
-                self.output.display()
-            );
-        }
-        Ok(())
+            .map_or(Ok(()), |check| verdict(check, &self.output))
+            .map_err(|error| anyhow::anyhow!("{error}: --method direct computes the direct sum"))
     }
 
     pub(crate) fn text(&self) -> String {
@@ -159,6 +164,10 @@ impl Report {
         } else {
             format!("catalogue: {}\n", sources.join(", "))
         };
+        let replaced = match self.nan_pixels {
+            0 => String::new(),
+            count => format!("NaN pixels of the scene that were replaced: {count}\n"),
+        };
         let exposure = self.exposure.as_ref().map_or_else(String::new, |e| {
             format!(
                 "detector: sky {} e, dark {} e, seed {}; pixels: {} saturated, {} bad, {} below 0 before noise\n",
@@ -167,7 +176,7 @@ impl Report {
         });
         let streamed = if self.streamed { ", streamed" } else { "" };
         format!(
-            "{}: {nx} x {ny} pixels, rank {}, method {}, anchor {}, {}{streamed}\n{sources}{plan}{tiles}{exposure}\
+            "{}: {nx} x {ny} pixels, rank {}, method {}, anchor {}, {}{streamed}\n{sources}{replaced}{plan}{tiles}{exposure}\
              device: {}\n\
              seconds: read {:.3}, fit {:.3}, plan {:.3}, convolve {:.3}, write {:.3}\n{check}",
             self.output.display(),
@@ -182,5 +191,25 @@ impl Report {
             s.execute,
             s.write,
         )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use ndarray::Array2;
+    use psf_types::Image;
+
+    use super::*;
+
+    #[test]
+    fn an_image_that_differs_fails() {
+        let image = Image::new(Array2::<f64>::ones((8, 8))).unwrap();
+        for (exact, fails) in [(1.0, false), (1.01, true)] {
+            let check = SpotCheck::run(&image, 5, 1, |at| Ok(vec![exact; at.len()])).unwrap();
+            let result = verdict(&check.judged(1e-4), Path::new("image.fits"));
+            assert_eq!(result.is_err(), fails);
+            let text = result.map_or_else(|e| e.to_string(), |()| "image.fits".to_owned());
+            assert!(text.contains("image.fits"), "{text}");
+        }
     }
 }

@@ -3,11 +3,13 @@
 use std::path::{Path, PathBuf};
 
 use conv_core::ConvReal;
-use psf_io::{Catalog, CatalogColumns, CatalogOptions, HduChoice, HeaderCards, ImageReader, SkyCoordinates};
-use psf_types::FrameShape;
+use psf_io::{Catalog, CatalogOptions, HduChoice, HeaderCards, ImageReader, SkyCoordinates};
+use psf_types::{FrameShape, Image};
 use psfield::{Scene, SimulateOptions, Simulator};
 
 use crate::UsageError;
+use crate::context::with_nan_setting;
+use crate::table_args::TableArgs;
 use crate::values::{Frame, Pair, number};
 
 /// The scene: an image, a catalogue, or both.
@@ -62,6 +64,18 @@ pub(super) struct SceneArgs {
     /// primary image, else the only one]
     #[arg(long, value_name = "N|NAME", help_heading = SCENE)]
     pub(super) extension: Option<HduChoice>,
+    /// Flux of the scene's NaN pixels [default: NaN is an error]
+    ///
+    /// The report states their number.
+    #[arg(
+        long,
+        value_name = "FLUX",
+        value_parser = finite,
+        allow_negative_numbers = true,
+        help_heading = SCENE,
+        hide_short_help = true
+    )]
+    pub(super) nan_as: Option<f64>,
     /// FITS file with the world coordinates of a scene without an image
     ///
     /// The cards of its header are copied to the image, and catalogues may give ra and dec
@@ -93,6 +107,8 @@ pub(super) struct ReadScene<T: ConvReal> {
     /// Rows of the catalogue at positions on the sky that the projection does not reach. They were
     /// skipped.
     pub(super) rows_off_projection: usize,
+    /// NaN pixels of the image that `--nan-as` has replaced. 0 if the image is read by rows.
+    pub(super) nan_pixels: usize,
 }
 
 impl SceneArgs {
@@ -100,6 +116,9 @@ impl SceneArgs {
     pub(super) fn missing(&self) -> Option<String> {
         if self.extension.is_some() && self.scene.is_none() && self.wcs.is_none() {
             return Some("--extension needs a scene (SCENE.fits) or --wcs".to_owned());
+        }
+        if self.nan_as.is_some() && self.scene.is_none() {
+            return Some("--nan-as needs a scene that is an image (SCENE.fits)".to_owned());
         }
         match (&self.scene, &self.catalog, self.shape) {
             (None, None, _) => Some(
@@ -129,7 +148,7 @@ impl SceneArgs {
         &self,
         by_rows: bool,
     ) -> anyhow::Result<(ReadScene<T>, Option<ImageReader>)> {
-        let (mut scene, mut rows) = (Scene::dark(), None);
+        let (mut scene, mut rows, mut nan_pixels) = (Scene::dark(), None, 0);
         let (shape, header) = match (&self.scene, &self.wcs) {
             (Some(path), _) if by_rows => {
                 let reader = self.open(path)?;
@@ -138,11 +157,13 @@ impl SceneArgs {
                 of_image
             }
             (Some(path), _) => {
-                let read = psf_io::read_image_hdu::<T>(path, self.extension.as_ref())?;
-                let (image, header) = read.into_parts();
-                let shape = image.shape();
-                scene = Scene::from(image);
-                (shape, header)
+                let mut reader = self.open(path)?;
+                let shape = reader.shape();
+                let pixels = reader.read_rows(0..shape.ny());
+                let pixels = pixels.map_err(|error| with_nan_setting(error, "nan_as"))?;
+                nan_pixels = reader.nan_pixels();
+                scene = Scene::from(Image::<T>::new(pixels)?);
+                (shape, reader.header().clone())
             }
             (None, Some(path)) => {
                 let header = psf_io::read_cards(path, self.extension.as_ref())?;
@@ -162,13 +183,14 @@ impl SceneArgs {
             header,
             invalid_rows,
             rows_off_projection,
+            nan_pixels,
         };
         Ok((read, rows))
     }
 
     /// Opens the image of the scene for reading by rows.
     pub(super) fn open(&self, path: &Path) -> Result<ImageReader, psf_io::IoError> {
-        ImageReader::open_hdu(path, self.extension.as_ref())
+        Ok(ImageReader::open_hdu(path, self.extension.as_ref())?.with_nan_as(self.nan_as))
     }
 
     /// The shape of a scene without an image, in its own pixels.
@@ -179,7 +201,7 @@ impl SceneArgs {
         let s = self.finer();
         let pixels = nx.checked_mul(ny).and_then(|n| n.checked_mul(s * s));
         if pixels.is_none_or(|pixels| pixels > Simulator::<T>::MAX_PIXELS) {
-            return Err(UsageError(format!("--shape: {nx} x {ny} pixels are too many: a scene without an image may have at most 2^30 pixels (--oversample multiplies both sides)")).into());
+            return Err(UsageError(format!("--shape: {nx} x {ny} pixels are too many: a scene without an image may have at most 2^30 = {} pixels (--oversample multiplies both sides)", Simulator::<T>::MAX_PIXELS)).into());
         }
         Ok(FrameShape::new(nx * s, ny * s)?)
     }
@@ -216,18 +238,12 @@ impl SceneArgs {
 #[derive(Debug, Clone, Default, clap::Args)]
 #[command(next_help_heading = "Catalogue")]
 struct CatalogArgs {
-    /// Names of the columns, as in x=X_IMAGE,y=Y_IMAGE,flux=FLUX_AUTO
-    ///
-    /// Roles: x, y (or ra, dec), flux (or mag), and for galaxies re, n, q, angle.
-    #[arg(long, value_name = "ROLE=COLUMN,...")]
-    columns: Option<CatalogColumns>,
-    /// Positions count from 1, as in SExtractor and FITS
-    #[arg(long)]
-    one_based: bool,
+    #[command(flatten)]
+    table: TableArgs,
     /// Magnitude of flux 1 (required with a column mag)
     ///
     /// flux = 10^(-0.4 (mag - MAG)).
-    #[arg(long, value_name = "MAG", allow_negative_numbers = true, value_parser = finite, hide_short_help = true)]
+    #[arg(long, value_name = "MAG", value_parser = finite, hide_short_help = true)]
     zero_point: Option<f64>,
     /// Skip invalid rows and count them [default: an invalid row is an error]
     ///
@@ -239,28 +255,20 @@ struct CatalogArgs {
 
 impl CatalogArgs {
     pub(crate) fn options(&self) -> anyhow::Result<CatalogOptions> {
-        let mut options = CatalogOptions::new()
-            .with_one_based(self.one_based)
-            .with_invalid_skipped(self.skip_invalid);
-        if let Some(columns) = &self.columns {
-            options = options.with_columns(columns.clone());
-        }
-        if let Some(zero_point) = self.zero_point {
-            options = options.with_zero_point(zero_point)?;
-        }
-        Ok(options)
+        let options = self.table.options().with_invalid_skipped(self.skip_invalid);
+        Ok(match self.zero_point {
+            Some(zero_point) => options.with_zero_point(zero_point)?,
+            None => options,
+        })
     }
 
     /// Returns the name of the first option that was given.
     pub(crate) fn given(&self) -> Option<&'static str> {
-        [
-            ("--columns", self.columns.is_some()),
-            ("--one-based", self.one_based),
-            ("--zero-point", self.zero_point.is_some()),
-            ("--skip-invalid", self.skip_invalid),
-        ]
-        .into_iter()
-        .find_map(|(name, given)| given.then_some(name))
+        let table = self.table.given();
+        let zero_point = self.zero_point.is_some().then_some("--zero-point");
+        table
+            .or(zero_point)
+            .or(self.skip_invalid.then_some("--skip-invalid"))
     }
 }
 

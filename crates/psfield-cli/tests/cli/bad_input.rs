@@ -135,7 +135,12 @@ fn bad_scenes() {
         let mut bytes = good.clone();
         put(&mut bytes, data_of(&good, 0) + (12 * 61 + 5) * DOUBLE, value);
         desk.write("bad.fits", bytes);
-        desk.refused(simulate, 1, &["bad.fits", name, "[12, 5]", "1 pixel"]);
+        desk.refused(simulate, 1, &["bad.fits", name, "[12, 5]", "1 pixel", "--nan-as"]);
+        desk.refused(
+            &format!("{simulate} --stream"),
+            1,
+            &["bad.fits", "[12, 5]", "--nan-as"],
+        );
         desk.refused("compare scene.fits bad.fits", 1, &["bad.fits", name, "[12, 5]"]);
         desk.refused("measure bad.fits -o out.csv", 1, &["bad.fits", name]);
     }

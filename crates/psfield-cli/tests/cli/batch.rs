@@ -494,7 +494,7 @@ fn csv_and_options_that_cannot_be_understood() {
         &["--set", "psf is given twice"],
     );
     desk.refused(&format!("{to} --set seed="), 2, &["--set", "tolerance=1e-5"]);
-    desk.refused(&format!("{to} --log a.fits"), 2, &["a.fits", "the log"]);
+    desk.refused(&format!("{to} --log a.fits"), 2, &["a.fits", "--log"]);
     desk.refused(&format!("{to} --keep 0"), 2, &["--keep"]);
     desk.refused(&format!("{to} --log none/log.jsonl"), 1, &["none/log.jsonl"]);
     desk.refused("batch missing.toml", 1, &["missing.toml"]);

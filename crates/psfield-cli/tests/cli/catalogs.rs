@@ -379,7 +379,7 @@ fn a_detector_behind_the_image() {
     );
     desk.refused(
         &format!("{simulate} --detector ccd.toml --truth scene.fits -o x.fits --overwrite"),
-        1,
+        2,
         &["scene.fits"],
     );
     desk.refused(
@@ -455,4 +455,23 @@ fn small_galaxies_need_finer_pixels() {
         "at least 4 along each side of a frame pixel, and 2 per half-light radius (option --oversample)",
     );
     desk.done(&run("--catalog large.csv --oversample 4", "fine_enough.fits"));
+}
+
+#[test]
+fn a_catalogue_that_lights_nothing_is_noticed() {
+    let desk = Desk::new();
+    let simulate = "simulate --shape 61,51 --psf samples.fits";
+    desk.write("none.csv", "x,y,flux\n");
+    desk.warned(
+        &format!("{simulate} --catalog none.csv -o none.fits"),
+        "none.csv: the catalogue has no sources",
+    );
+    desk.write("far.csv", "x,y,flux\n500,5,1\n-30,4,2\n");
+    desk.warned(
+        &format!("{simulate} --catalog far.csv -o far.fits"),
+        "none of the 2 stars and galaxies",
+    );
+    // One source in the frame is enough.
+    desk.write("one.csv", "x,y,flux\n500,5,1\n30,14,2\n");
+    desk.done(&format!("{simulate} --catalog one.csv -o one.fits"));
 }

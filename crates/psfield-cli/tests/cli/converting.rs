@@ -207,16 +207,17 @@ fn one_of_several_psfex_models_is_chosen() {
 fn samples_become_a_library_and_come_back() {
     let desk = Desk::empty();
     desk.write_samples("samples.fits", &samples(3, 4));
-    let report = desk
-        .done("convert samples.fits -o library.fits --to gridded --json")
-        .json();
+    let needles = ["25 planes for 9 samples", "exchange x and y"];
+    let arguments = "convert samples.fits -o library.fits --to gridded --json";
+    let report = desk.noted(arguments, &needles).json();
     assert_eq!(report["oversampling"], 4.0);
+    assert_eq!(report["planes"], 25);
     // 60 = 4 x 15 pixels, centred at pixel 30, get one more pixel along each axis.
     assert_eq!(report["shape"], json!([61, 61]));
     let library = read_stpsf(desk.path("library.fits"), PlaneOrder::Auto).unwrap();
     assert_eq!(
-        library.samples().len(),
-        report["planes"].as_u64().unwrap() as usize
+        library.samples().positions().as_slice(),
+        desk.samples("samples.fits").positions().as_slice()
     );
     desk.write("at.csv", "x,y\n0,0\n30,25\n60,50\n");
     // The note says how the planes were ordered.
@@ -243,6 +244,20 @@ fn samples_become_a_library_and_come_back() {
     let error = run.json()["max_error"].as_f64().unwrap();
     assert!((1e-6..0.1).contains(&error), "{error:e}");
     desk.noted("convert field.psf -o auto.fits --to gridded", &["11 x 11"]);
+}
+
+#[test]
+fn a_polynomial_survives_a_library_of_a_field_that_is_not_square() {
+    let desk = Desk::empty();
+    put_psfex(&desk, "field.psf", &psfex(31, 0.5));
+    desk.noted(
+        "convert field.psf -o library.fits --to gridded --grid 5,5 --normalise keep",
+        &["planes for 25 samples"],
+    );
+    let arguments = "convert library.fits -o back.psf --to psfex=2 --json";
+    let back = desk.noted(arguments, &["only 25 of"]).json();
+    let error = back["max_error"].as_f64().unwrap();
+    assert!(error < SINGLE, "{error:e}");
 }
 
 #[test]
@@ -452,7 +467,7 @@ fn conversions_that_cannot_be() {
         "evaluate model.fits --at at.csv -o model.fits --overwrite",
         "evaluate model.fits --at at.csv -o at.csv --overwrite",
     ] {
-        desk.refused(command, 1, &["another name"]);
+        desk.refused(command, 2, &["another name"]);
     }
     // At other positions the samples are fitted.
     desk.done("convert samples.fits -o elsewhere.fits --to gridded --rank 3 --grid 3,3");
@@ -512,7 +527,7 @@ fn no_conversion_replaces_its_input() {
             "at.csv",
         ),
     ] {
-        desk.refused(&format!("convert {arguments}"), 1, &[file, "another name"]);
+        desk.refused(&format!("convert {arguments}"), 2, &[file, "another name"]);
     }
 }
 

@@ -119,6 +119,7 @@ impl Desk {
         shell
             .args(["-c", line])
             .env("PSFIELD", env!("CARGO_BIN_EXE_psfield"))
+            .env("SOURCE_DATE_EPOCH", "0")
             .current_dir(self.0.path());
         shell
     }
@@ -145,6 +146,7 @@ impl Desk {
     pub(crate) fn run(&self, arguments: &str) -> Run {
         let output = Command::new(env!("CARGO_BIN_EXE_psfield"))
             .args(arguments.split_whitespace())
+            .env("SOURCE_DATE_EPOCH", "0")
             .current_dir(self.0.path())
             .output()
             .unwrap();

@@ -399,22 +399,22 @@ fn bad_detectors_and_files() {
     let photons = "expose scene.fits --photons-only --overwrite";
     desk.refused(
         &format!("{photons} -o scene.fits"),
-        1,
+        2,
         &["scene.fits", "another name"],
     );
     desk.refused(
         &format!("{photons} -o ./scene.fits"),
-        1,
+        2,
         &["scene.fits", "another name"],
     );
     desk.refused(
         &format!("{photons} -o a.fits --truth ./a.fits"),
-        1,
+        2,
         &["a.fits", "another name"],
     );
     desk.refused(
         &format!("{photons} -o a.fits --quality scene.fits"),
-        1,
+        2,
         &["scene.fits", "another name"],
     );
     desk.write("there.fits", "kept");

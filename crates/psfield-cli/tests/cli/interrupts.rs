@@ -141,18 +141,16 @@ fn signals_leave_the_old_file_and_nothing_else() {
     );
     assert!(!desk.path("out.fits").exists());
 
-    // A killed process cannot remove its file. The next run with this output removes it.
+    // A killed process cannot remove its file. The next run that writes in the folder removes it.
     desk.write("out.fits", OLD);
     let run = run_until("KILL", &desk);
     assert_eq!(run.code, None, "{run:?}");
     assert_eq!(desk.bytes("out.fits"), OLD.as_bytes());
     let left = desk.temporaries();
     assert_eq!(left.len(), 1);
-    // A run with another output does not touch it.
     desk.done("preview scene.fits -o scene.png -q --max-size 100");
-    assert_eq!(desk.temporaries(), left);
-    desk.done(&format!("{SIMULATE} -q"));
     assert_eq!(desk.temporaries(), Vec::<PathBuf>::new());
+    desk.done(&format!("{SIMULATE} -q"));
     assert_eq!(desk.image("out.fits").dim(), (SIDE, SIDE));
 }
 
@@ -184,4 +182,100 @@ fn signals_that_are_to_be_ignored_are() {
     let run = Run::of(child.wait_with_output().unwrap());
     assert_eq!(run.code, Some(0), "{run:?}");
     assert_eq!(desk.image("out.fits").dim(), (SIDE, SIDE));
+}
+
+/// The number of times that each command is killed. The environment variable PSFIELD_KILLS gives
+/// another number.
+const KILLS: u64 = 3;
+
+/// Commands that write, and their outputs.
+const WRITERS: [(&str, &[&str]); 7] = [
+    (
+        "simulate scene.fits --psf samples.fits --detector ccd.toml --quality flags.fits -o out.fits",
+        &["out.fits", "out_truth.fits", "flags.fits"],
+    ),
+    (
+        "expose scene.fits --detector ccd.toml --truth out_truth.fits --quality flags.fits -o out.fits",
+        &["out.fits", "out_truth.fits", "flags.fits"],
+    ),
+    ("fit samples.fits -o out.fits", &["out.fits"]),
+    (
+        "sample --preset survey-2m --uniform 5,5 -o out.fits",
+        &["out.fits"],
+    ),
+    ("convert samples.fits --to psfex=1 -o out.fits", &["out.fits"]),
+    ("evaluate samples.fits --at at.csv -o out.fits", &["out.fits"]),
+    ("preview scene.fits -o out.fits", &["out.fits"]),
+];
+
+#[test]
+fn a_run_that_is_killed_leaves_all_its_files_or_none() {
+    let desk = desk();
+    std::fs::remove_file(desk.path("out.fits")).unwrap();
+    desk.write("ccd.toml", "photon_noise = true\nread_noise_e = 5.0\nbits = 16\n");
+    desk.write("at.csv", "x,y\n30,40\n");
+    let given = desk.content().len();
+    let kills = std::env::var("PSFIELD_KILLS").map_or(KILLS, |text| text.parse().unwrap());
+    for (line, outputs) in WRITERS {
+        let remove = || {
+            for name in outputs {
+                let _ = std::fs::remove_file(desk.path(name));
+            }
+        };
+        let clock = Instant::now();
+        desk.done(&format!("{line} -q"));
+        let (whole, mut complete) = (clock.elapsed(), 0);
+        remove();
+        for round in 0..kills {
+            // Multiples of the golden ratio fall everywhere in the run.
+            let fraction = (0.618_033_988_75 * (round as f64 + 0.5)).fract();
+            let mut child = desk
+                .shell_command(&format!("exec \"$PSFIELD\" {line} -q"))
+                .spawn()
+                .unwrap();
+            std::thread::sleep(whole.mul_f64(1.05 * fraction));
+            child.kill().unwrap();
+            child.wait().unwrap();
+            let found = outputs.iter().filter(|name| desk.path(name).exists()).count();
+            assert!(found == 0 || found == outputs.len(), "{line}: {found} files");
+            complete += usize::from(found > 0);
+            let is_fits = !line.starts_with("preview");
+            for name in outputs.iter().filter(|_| found > 0 && is_fits) {
+                psf_io::detect(desk.path(name)).unwrap();
+            }
+            remove();
+        }
+        // The next run that writes removes what the killed ones have left.
+        desk.done(&format!("{line} -q"));
+        assert_eq!(desk.temporaries(), Vec::<PathBuf>::new(), "{line}");
+        remove();
+        assert_eq!(desk.content().len(), given, "{line}");
+        println!("{line}: {complete} of {kills} were complete");
+    }
+}
+
+#[test]
+fn a_batch_skips_a_job_on_which_another_works() {
+    let desk = desk();
+    std::fs::remove_file(desk.path("out.fits")).unwrap();
+    desk.write(
+        "jobs.toml",
+        "[[job]]\npsf = 'samples.fits'\nscene = 'scene.fits'\noutput = 'out.fits'\nstream = true\nprecision = 'f64'\n",
+    );
+    let jobs = "batch jobs.toml --json";
+    let status = |run: &Run| {
+        let line = run.json();
+        (
+            line["status"].as_str().unwrap().to_owned(),
+            line["reason"].clone(),
+        )
+    };
+    let child = begun(&desk, &format!("exec \"$PSFIELD\" {jobs}"));
+    let second = desk.done(jobs);
+    assert_eq!(status(&second), ("skipped".to_owned(), "in progress".into()));
+    send("CONT", &child);
+    let first = Run::of(child.wait_with_output().unwrap());
+    assert_eq!(status(&first), ("done".to_owned(), serde_json::Value::Null));
+    assert_eq!(status(&desk.done(jobs)), ("skipped".to_owned(), "exists".into()));
+    assert_eq!(desk.temporaries(), Vec::<PathBuf>::new());
 }

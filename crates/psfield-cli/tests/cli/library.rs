@@ -3,11 +3,11 @@
 use ndarray::Array2;
 use psfield::conv_core::ConvReal;
 use psfield::psf_basis::RankSelection;
-use psfield::psf_io::{self, CatalogOptions, HeaderCards};
+use psfield::psf_io::{self, Card, CatalogOptions, HeaderCards};
 use psfield::psf_types::{Anchor, FrameShape, NoProgress, PixelRegion, PointSource, Position, PsfSamples};
 use psfield::{
-    Device, ErrorKind, EvaluateOptions, FitOptions, Method, OutputGrid, Psf, PsfieldError, Scene,
-    SimulateOptions, evaluate, evaluate_stamps, provenance_cards,
+    Device, ErrorKind, EvaluateOptions, FitOptions, Method, OutputGrid, PSF_FILE_KEYWORD, Psf, PsfieldError,
+    Scene, SimulateOptions, evaluate, evaluate_stamps, provenance_cards,
 };
 
 use crate::desk::{Desk, NX, NY, STAMP, samples};
@@ -111,6 +111,8 @@ impl Asked {
         let simulator = psf.simulator(shape).options(options).build::<T>().unwrap();
         let image = simulator.simulate(&scene).unwrap();
         let mut cards = provenance_cards(command);
+        cards[1] = Card::new("DATE", "1970-01-01T00:00:00", &cards[1].comment_text()).unwrap();
+        cards.push(Card::new(PSF_FILE_KEYWORD, "samples.fits", "file of the PSF").unwrap());
         let made = simulator.prepare(&scene, false, &NoProgress).unwrap();
         cards.extend(simulator.cards(&made).unwrap());
         if self.spot_check > 0 {

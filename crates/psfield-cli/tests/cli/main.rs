@@ -9,11 +9,14 @@ mod desk;
 mod devices;
 mod evaluation;
 mod exposing;
+mod files;
 mod full_disk;
 #[cfg(unix)]
 mod interrupts;
 mod library;
 mod measuring;
+mod memory;
+mod misuse;
 mod preview;
 mod reports;
 mod sampling;

@@ -53,8 +53,8 @@ fn an_image_becomes_a_picture() {
     desk.refused("preview scene.fits", 1, &["scene.png", "--overwrite"]);
     desk.refused(
         "preview scene.fits -o scene.fits --overwrite",
-        1,
-        &["scene.fits", "another file"],
+        2,
+        &["scene.fits", "also an input"],
     );
 
     let report = desk

@@ -16,8 +16,8 @@ const FIGURES: [&str; 10] = [
     "singular-values",
     "sampling",
     "fwhm",
-    "ellipticity-differences",
-    "ellipticity-distribution",
+    "eccentricity-differences",
+    "eccentricity-distribution",
     "mae-distribution",
     "mse-map",
     "e1-map",
@@ -58,8 +58,8 @@ fn check_numbers(desk: &Desk, folder: &str, summaries: &[&str]) {
     for summary in summaries {
         let mut row = String::new();
         for value in [
-            "ellipticity/q90",
-            "ellipticity/largest",
+            "eccentricity/q90",
+            "eccentricity/largest",
             "e1/q90",
             "e2/q90",
             "fwhm_px/q90",
@@ -115,6 +115,39 @@ fn a_tiny_reproduction_has_every_figure_and_number() {
             .contains("survey-2m")
     );
 
+    // The page names the paper and the conditions under which times were measured.
+    let page = String::from_utf8(desk.bytes("out/report.html")).unwrap();
+    for text in [
+        "An Ultrafast Image Simulation Technique",
+        "doi:10.3847/1538-3881/ad9b2e",
+        "load at the start",
+    ] {
+        assert!(page.contains(text), "{text}");
+    }
+    let started = written["started"].as_str().unwrap();
+    assert!(started.len() == 16 && started.starts_with("20"), "{started}");
+    if let Ok(processors) = std::fs::read_to_string("/proc/cpuinfo") {
+        assert!(number(&written, "/load") >= 0.0);
+        let named = processors
+            .lines()
+            .find_map(|line| line.strip_prefix("model name"));
+        if let Some(name) = named {
+            let machine = written["software"]["machine"].as_str().unwrap();
+            assert!(
+                machine.contains(name.trim_start_matches(['\t', ' ', ':'])),
+                "{machine}"
+            );
+        }
+    }
+    // Table 1 counts the plan of psfield, as each run of patches makes their PSFs.
+    let seconds = |row: usize, name: &str| number(&written, &format!("/table_1/sizes/0/rows/{row}/{name}"));
+    let first = |row: usize| seconds(row, "seconds_plan") + seconds(row, "seconds");
+    for row in [1, 2] {
+        let (ratio, later) = (first(row) / first(0), seconds(row, "ratio_to_single"));
+        let cells = format!("<td>{ratio:.2}</td><td>{later:.2}</td>");
+        assert!(page.contains(&cells), "{cells}");
+    }
+
     // Seams of patches are far larger than the engine's error.
     let patches = number(&written, "/large_galaxy/patch_relative_l2");
     let ours = number(&written, "/large_galaxy/lowrank_relative_l2");
@@ -165,9 +198,17 @@ fn a_model_is_validated_by_the_samples_that_it_came_from_and_by_others() {
     assert_eq!(number(&same, "/objects/summary/objects"), 9.0);
     // Files hold samples in single precision. The model returns them at their own positions.
     assert!(number(&same, "/objects/summary/mae_over_mean/largest") < 1e-5);
-    assert!(number(&same, "/objects/summary/ellipticity/largest") < 1e-3);
+    assert!(number(&same, "/objects/summary/eccentricity/largest") < 1e-3);
     check_page(&desk, "same/report.html");
     check_numbers(&desk, "same", &["/objects/summary"]);
+
+    // This truth does not show the error between the samples.
+    let warning = "9 of 9 objects of samples.fits lie at positions of the samples";
+    assert!(
+        run.stderr.contains(warning) && run.stderr.contains("--hold-out"),
+        "{run:?}"
+    );
+    assert_eq!(number(&same, "/at_samples"), 9.0);
 
     // A model of a single component cannot hold nine different PSFs.
     desk.run("fit samples.fits -o coarse.fits --rank 1");
@@ -177,6 +218,31 @@ fn a_model_is_validated_by_the_samples_that_it_came_from_and_by_others() {
     let of_model = desk.run("validate model.fits --truth model.fits --report model");
     assert_eq!(of_model.code, Some(1));
     assert!(of_model.stderr.contains("psfield evaluate"), "{of_model:?}");
+}
+
+/// The widths of PSFs that are three times as fine as the frame are in pixels of the frame.
+#[test]
+fn lengths_of_a_validation_are_in_frame_pixels() {
+    let desk = Desk::empty();
+    desk.write_samples("fine.fits", &widening_psf(1.0));
+    desk.done("fit fine.fits -o model.fits --rank full");
+    let text = desk
+        .run("validate model.fits --truth fine.fits --report out")
+        .stdout;
+    assert!(text.contains("FWHM (pixels of the frame)"), "{text}");
+    let columns = ["fwhm_rows_px", "fwhm_columns_px_true", "fwhm_px"];
+    let [rows, columns, both] = psfield::psf_io::read_columns(desk.path("out/objects.csv"), columns).unwrap();
+    let fwhm = |sigma: f64| 2.354_820_045 * sigma;
+    // Sigmas of the first PSF, 1.2 and 1.25 pixels.
+    for (got, expected) in [
+        (rows[0], fwhm(1.2)),
+        (columns[0], fwhm(1.25)),
+        (both[0], fwhm(1.5f64.sqrt())),
+    ] {
+        assert!((got / expected - 1.0).abs() < 1e-3, "{got} {expected}");
+    }
+    let page = String::from_utf8(desk.bytes("out/report.html")).unwrap();
+    assert!(page.contains("called ellipticity in the paper") && !page.contains("stamp pixels"));
 }
 
 #[test]
@@ -207,7 +273,7 @@ fn a_report_folder_is_there_when_the_report_is() {
         1,
         &["used", "not empty", "--overwrite"],
     );
-    desk.done("validate model.fits --truth samples.fits --report used --overwrite");
+    desk.done("validate model.fits --truth samples.fits --report used --overwrite -q");
     assert_eq!(desk.bytes("used/notes.txt"), b"keep me");
 }
 

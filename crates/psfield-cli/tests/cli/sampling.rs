@@ -32,6 +32,18 @@ fn sampled(desk: &Desk, options: &str, out: &str) -> Value {
         .json()
 }
 
+/// The default settings suit the built-in telescopes: hundreds of samples, and seconds.
+#[test]
+fn presets_need_no_options() {
+    let desk = Desk::empty();
+    for preset in ["survey-2m", "wide-field-lens"] {
+        let line = format!("sample --preset {preset} -o {preset}.fits --json");
+        let report = desk.done(&line).json();
+        assert_eq!(report["outcome"], "met", "{preset}");
+        assert!(report["samples"].as_u64().unwrap() < 1000, "{report}");
+    }
+}
+
 #[test]
 fn uniform_samples() {
     let desk = desk();
@@ -129,6 +141,55 @@ fn bad_telescopes_and_options() {
 }
 
 #[test]
+fn a_model_is_validated_between_its_samples() {
+    let desk = desk();
+    let report = sampled(&desk, "--uniform 5,5 --hold-out 30", "samples.fits");
+    assert_eq!(report["hold_out"], "samples_holdout.fits");
+    assert_eq!(report["held_out"], 30);
+    let held_out = desk.samples("samples_holdout.fits");
+    let samples = desk.samples("samples.fits");
+    assert_eq!((held_out.len(), samples.len()), (30, 25));
+    assert_eq!(held_out.grid(), samples.grid());
+
+    desk.done("fit samples.fits -o model.fits");
+    let validated = |truth: &str| {
+        let run = desk.run(&format!(
+            "validate model.fits --truth {truth}.fits --report {truth} --json"
+        ));
+        assert_eq!(run.code, Some(0), "{run:?}");
+        let report = run.json();
+        let error = report["objects"]["summary"]["relative_l2"]["median"].as_f64();
+        (error.unwrap(), report["at_samples"].as_u64().unwrap(), run.stderr)
+    };
+    let (between, coinciding, quiet) = validated("samples_holdout");
+    assert_eq!((coinciding, quiet.as_str()), (0, ""));
+    let (at_samples, coinciding, warning) = validated("samples");
+    assert_eq!(coinciding, 25);
+    assert!(warning.contains("25 of 25 objects of samples.fits"), "{warning}");
+    // On its own samples a model looks better than it is.
+    assert!(between > 5.0 * at_samples, "{between} {at_samples}");
+
+    let page = String::from_utf8(desk.bytes("samples/report.html")).unwrap();
+    assert!(page.contains("25 PSFs, 25 of them at positions of the model's own samples"));
+    // A seed gives one choice, and needs something to choose.
+    desk.done("sample telescope.toml -o again.fits --uniform 5,5 --hold-out 30 --seed 2");
+    assert_ne!(desk.samples("again_holdout.fits"), held_out);
+    desk.refused("sample telescope.toml -o seed.fits --seed 2", 2, &["--hold-out"]);
+    desk.refused(
+        "sample telescope.toml -o again.fits --hold-out 0 --overwrite",
+        2,
+        &["--hold-out"],
+    );
+    // The second file is an output like the first.
+    std::fs::remove_file(desk.path("again.fits")).unwrap();
+    desk.refused(
+        "sample telescope.toml -o again.fits --uniform 5,5 --hold-out 3",
+        1,
+        &["again_holdout.fits", "--overwrite"],
+    );
+}
+
+#[test]
 fn demo_writes_all_that_it_lists_and_protects_it() {
     let desk = Desk::empty();
     let report = desk.done("demo --out demo --json").json();
@@ -152,6 +213,12 @@ fn demo_writes_all_that_it_lists_and_protects_it() {
     // Images and stars are within the default tolerance.
     assert!(report["spot_check"]["relative_rms"].as_f64().unwrap() < 1e-4);
     assert!(report["model_error_max"].as_f64().unwrap() < 0.02);
+    // |e| = (a^2 - b^2) / (a^2 + b^2), which is below sqrt(1 - b^2 / a^2).
+    let shape = |name: &str| report[name].as_f64().unwrap();
+    assert!(
+        shape("ellipticity_max") < 0.5 * shape("eccentricity_max"),
+        "{report}"
+    );
     assert_eq!(
         desk.samples("demo/samples.fits").len() as u64,
         report["samples"].as_u64().unwrap()

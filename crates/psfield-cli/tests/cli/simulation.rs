@@ -1,9 +1,10 @@
 //! `psfield fit` and `psfield simulate`: what they compute.
 
 use ndarray::{Array2, Axis, s};
-use psfield::psf_io::{Card, CardValue};
+use psfield::psf_io::{self, Card, CardValue, HeaderCards};
+use psfield::psf_types::Image;
 
-use crate::desk::{Desk, NX, NY, STAMP, assert_keys, difference, points};
+use crate::desk::{Desk, NX, NY, STAMP, assert_keys, difference, points, scene};
 
 /// Rounding of f32 transforms, relative to the peak.
 const SINGLE: f64 = 1e-6;
@@ -309,6 +310,7 @@ fn any_number_of_threads_gives_the_same_bytes() {
         }
         let run = |arguments: &str| {
             let run = std::process::Command::new(env!("CARGO_BIN_EXE_psfield"))
+                .env("SOURCE_DATE_EPOCH", "0")
                 .args(arguments.split_whitespace())
                 .current_dir(desk.path(folder))
                 .output()
@@ -327,6 +329,53 @@ fn any_number_of_threads_gives_the_same_bytes() {
                 "{folder}/{name}"
             );
         }
+    }
+}
+
+#[test]
+fn headers_say_when_an_image_was_made_of_which_psf_and_in_which_unit() {
+    let desk = Desk::new();
+    let mut header = HeaderCards::new();
+    header.push(Card::new("BUNIT", "electron", "").unwrap());
+    header.push(Card::new("PSFFILE", "other.fits", "").unwrap());
+    let scene = Image::new(scene()).unwrap();
+    psf_io::write_image(desk.path("scene.fits"), &scene, &header, &[], true).unwrap();
+    let text = |file: &str, keyword: &str| desk.header(file).get(keyword).and_then(Card::value);
+    for (epoch, date) in [
+        ("0", "1970-01-01T00:00:00"),
+        ("951782400", "2000-02-29T00:00:00"),
+        ("4107542399", "2100-02-28T23:59:59"),
+        ("4107542400", "2100-03-01T00:00:00"),
+        ("1798761600", "2027-01-01T00:00:00"),
+        ("99999999999999999999", ""),
+    ] {
+        let line = format!(
+            "SOURCE_DATE_EPOCH={epoch} $PSFIELD simulate scene.fits --psf ./samples.fits -o image.fits --overwrite -q"
+        );
+        let run = desk.shell(&line);
+        assert_eq!(run.code, Some(0), "{run:?}");
+        let found = text("image.fits", "DATE");
+        // A number that is not valid is not used: the date is today's.
+        let today = |text: &str| text > "2025" && text < "2999" && text.len() == 19;
+        assert!(
+            matches!(&found, Some(CardValue::Text(text)) if text == date || date.is_empty() && today(text)),
+            "{found:?}"
+        );
+    }
+    assert_eq!(text("image.fits", "PSFFILE"), Some("samples.fits".into()));
+    assert_eq!(text("image.fits", "BUNIT"), Some("electron".into()));
+}
+
+#[test]
+fn compressed_outputs_are_refused_before_the_work() {
+    let desk = Desk::new();
+    let to = "simulate scene.fits --psf samples.fits -o";
+    for (output, needle) in [
+        ("image.fits.gz", "write image.fits and run gzip"),
+        ("image.fits.fz", "write image.fits and run fpack"),
+        ("-", "standard output is not supported"),
+    ] {
+        desk.refused(&format!("{to} {output}"), 1, &[needle]);
     }
 }
 

@@ -2,7 +2,7 @@
 
 use ndarray::Array2;
 
-use crate::desk::{Desk, difference, points, samples};
+use crate::desk::{Desk, NX, NY, difference, points, samples, scene};
 
 /// Rounding of f64 transforms.
 const DOUBLE: f64 = 1e-12;
@@ -141,6 +141,14 @@ fn stamp_size_cuts_and_pads() {
     }
     assert!((cut.sum() - 1.0).abs() <= DOUBLE, "scaled to unit flux again");
     assert!(difference(&padded, &whole) <= DOUBLE);
+    // A stamp far wider than the PSF costs no more than the PSF's own stamp.
+    let clock = std::time::Instant::now();
+    desk.done(&format!(
+        "simulate lit.fits --psf samples.fits {OPTIONS} --tolerance 0 --stamp-size 5000 -o wide.fits"
+    ));
+    let seconds = clock.elapsed().as_secs();
+    assert!(seconds < 20, "{seconds} s");
+    assert!(difference(&desk.image("wide.fits"), &whole) <= 10.0 * DOUBLE);
     desk.done("fit samples.fits -o model.fits --rank full");
     desk.done(
         "simulate lit.fits --psf model.fits --precision f64 --tolerance 0 --stamp-size 7 -o cut_model.fits",
@@ -166,7 +174,7 @@ fn scenes_and_frames_that_do_not_fit_are_refused() {
         (
             "--catalog bright.csv --shape 100000,90000",
             2,
-            "error: --shape: 100000 x 90000 pixels are too many: a scene without an image may have at most 2^30 pixels \
+            "error: --shape: 100000 x 90000 pixels are too many: a scene without an image may have at most 2^30 = 1073741824 pixels \
              (--oversample multiplies both sides)\n",
         ),
         (
@@ -178,7 +186,7 @@ fn scenes_and_frames_that_do_not_fit_are_refused() {
         (
             "--catalog bright.csv --shape 61,51",
             1,
-            "psfield: error: bright.csv: a flux of 1e39 is beyond single precision: choose f64 (option --precision)\n",
+            "psfield: error: bright.csv: a flux of 1e39 is beyond single precision (3.4e38): choose f64 (option --precision)\n",
         ),
     ] {
         desk.refused(
@@ -187,4 +195,42 @@ fn scenes_and_frames_that_do_not_fit_are_refused() {
             &[needle],
         );
     }
+}
+
+#[test]
+fn nan_pixels_of_a_scene_become_a_flux_and_are_counted() {
+    let desk = Desk::new();
+    let mut pixels = scene();
+    desk.write_image("nan.fits", pixels.clone());
+    let mut bytes = desk.bytes("nan.fits");
+    for (x, y) in [(20, 15), (21, 15), (40, 30)] {
+        pixels[[y, x]] = 2.5;
+        let at = bytes.len().next_multiple_of(2880) - (NX * NY * 8).next_multiple_of(2880) + 8 * (y * NX + x);
+        bytes[at..at + 8].fill(0xff);
+    }
+    desk.write("nan.fits", bytes);
+    desk.write_image("scene.fits", pixels);
+    let to = format!("--psf samples.fits {EXACT}");
+    desk.done(&format!("simulate scene.fits {to} -o truth.fits"));
+    for how in ["", "--stream", "--stream --spot-check 20"] {
+        let run = format!("simulate nan.fits {to} -o image.fits --overwrite --nan-as 2.5 {how}");
+        let report = desk.done(&format!("{run} --json")).json();
+        assert_eq!(report["nan_pixels"], 3, "{report}");
+        assert!(difference(&desk.image("image.fits"), &desk.image("truth.fits")) <= DOUBLE);
+        assert!(
+            desk.done(&run)
+                .stdout
+                .contains("NaN pixels of the scene that were replaced: 3\n")
+        );
+    }
+    desk.refused(
+        "simulate --catalog stars.csv --shape 5,5 --psf samples.fits -o x.fits --nan-as 0",
+        2,
+        &["--nan-as"],
+    );
+    desk.refused(
+        "simulate nan.fits --psf samples.fits -o x.fits --nan-as nan",
+        2,
+        &["--nan-as", "finite"],
+    );
 }

@@ -231,20 +231,126 @@ fn a_stamp_has_room_at_the_edge() {
     assert_eq!(run.code, Some(0), "{run:?}");
 }
 
-#[test]
-fn pixels_without_a_value_are_told_of() {
-    let desk = desk();
+/// Copies `frame.fits` to `nan.fits`, with NaN in these pixels `(x, y)`.
+fn put_nan(desk: &Desk, pixels: &[(usize, usize)]) {
     let mut bytes = desk.bytes("frame.fits");
-    // The first pixel, in a double-precision image after a header of one block or more.
+    // A double-precision image after a header of one block or more.
     let end = (0..1000)
         .find(|k| bytes[80 * k..].starts_with(b"END     "))
         .unwrap();
     let data = (80 * (end + 1)).next_multiple_of(2880);
-    bytes[data..data + 8].fill(0xff);
+    for (x, y) in pixels {
+        let at = data + 8 * (y * SIDE + x);
+        bytes[at..at + 8].fill(0xff);
+    }
     desk.write("nan.fits", bytes);
+}
+
+#[test]
+fn pixels_without_a_value_are_told_of() {
+    let desk = desk();
+    put_nan(&desk, &[(0, 0)]);
+    for (command, option) in [
+        ("sample nan.fits -o out.fits", "--nan-is-masked, or --mask"),
+        ("roundtrip nan.fits --report out", "--saturation"),
+    ] {
+        desk.refused(command, 1, &["nan.fits", "NaN", option]);
+    }
+}
+
+#[test]
+fn masked_pixels_are_left_out() {
+    let desk = desk();
+    // The core of one star is NaN, and the mask has the core of another star.
+    let core = |k: usize| (stars()[k].0.round() as usize, stars()[k].1.round() as usize);
+    put_nan(&desk, &[core(6), (core(6).0 + 1, core(6).1)]);
+    let mut mask = Array2::zeros((SIDE, SIDE));
+    mask[[core(18).1, core(18).0]] = 4.0;
+    desk.write_image("mask.fits", mask.clone());
+    for (frame, options, masked) in [
+        ("frame", "--mask mask.fits", 1),
+        ("nan", "--nan-is-masked", 1),
+        ("nan", "--nan-is-masked --mask mask.fits", 2),
+    ] {
+        let run = desk.run(&format!(
+            "sample {frame}.fits -o out.fits --sources out.csv --overwrite --json {options}"
+        ));
+        assert_eq!(run.code, Some(0), "{run:?}");
+        let report = run.json();
+        assert_eq!(report["samples"], 25 - masked, "{report}");
+        assert_eq!(report["rejected"]["masked"], masked, "{report}");
+        let background = report["background_rms"].as_f64().unwrap();
+        assert!((background / 4.0 - 1.0).abs() < 0.1, "{background}");
+    }
+    // A mask that covers the NaN pixels suffices.
+    mask[[core(6).1, core(6).0]] = 1.0;
+    let sample = "sample nan.fits -o out.fits --overwrite --mask mask.fits --json";
+    desk.write_image("mask.fits", mask.clone());
+    assert!(desk.run(sample).stderr.contains("--nan-is-masked"));
+    mask[[core(6).1, core(6).0 + 1]] = 1.0;
+    desk.write_image("mask.fits", mask);
+    assert_eq!(desk.run(sample).json()["samples"], 23);
+
+    desk.done("sample frame.fits -o samples.fits -q");
+    let validate = "validate samples.fits --truth nan.fits --report report";
+    desk.refused(validate, 1, &["nan.fits", "NaN", "--nan-is-masked, or --mask"]);
+    let report = desk.done(&format!("{validate} --mask mask.fits --json")).json();
+    assert_eq!(report["objects"]["summary"]["objects"], 23, "{report}");
     desk.refused(
-        "sample nan.fits -o out.fits",
+        "validate samples.fits --truth samples.fits --report other --nan-is-masked",
+        2,
+        &["--nan-is-masked applies only to frames"],
+    );
+    desk.write_image("small.fits", Array2::zeros((SIDE, SIDE - 1)));
+    desk.refused(
+        "sample frame.fits -o other.fits --mask small.fits",
         1,
-        &["nan.fits", "NaN", "--saturation"],
+        &["small.fits", "191 x 192", "192 x 192", "--mask"],
+    );
+}
+
+#[test]
+fn stars_can_be_held_out_for_a_check() {
+    let desk = desk();
+    let run = desk.run("sample frame.fits -o samples.fits --hold-out 5 --sources sources.csv --json");
+    assert_eq!(run.code, Some(0), "{run:?}");
+    let report = run.json();
+    assert_eq!(
+        (report["samples"].as_u64(), report["held_out"].as_u64()),
+        (Some(20), Some(5))
+    );
+    assert_eq!(report["rejected"]["held-out"], 5);
+    let text = String::from_utf8(desk.bytes("sources.csv")).unwrap();
+    assert_eq!(text.lines().filter(|line| line.ends_with(",held-out")).count(), 5);
+
+    let (samples, held_out) = (desk.samples("samples.fits"), desk.samples("samples_holdout.fits"));
+    assert_eq!(held_out.grid(), samples.grid());
+    // Together they are the stars, each of unit flux.
+    let mut all: Vec<(f64, f64)> = stars().iter().map(|s| (s.0, s.1)).collect();
+    for found in [&samples, &held_out] {
+        for (k, at) in found.positions().as_slice().iter().enumerate() {
+            all.retain(|star| (star.0 - at.x()).hypot(star.1 - at.y()) > PLACE_PX);
+            assert!((found.flux(k) - 1.0).abs() < 1e-5);
+        }
+    }
+    assert!(all.is_empty(), "{all:?}");
+
+    desk.run("fit samples.fits -o model.fits");
+    let run = desk.run("validate model.fits --truth samples_holdout.fits --report check --json");
+    assert!(!run.stderr.contains("positions of the samples"), "{run:?}");
+    assert_eq!(run.json()["at_samples"], 0);
+    // A frame contains the stars from which the model was made.
+    let run = desk.run("validate model.fits --truth frame.fits --report frame --json");
+    assert!(run.stderr.contains("20 of 25 objects of frame.fits"), "{run:?}");
+
+    desk.refused(
+        "sample frame.fits -o x.fits --hold-out 25",
+        1,
+        &["25 stars cannot be held out", "only 25"],
+    );
+    desk.refused(
+        "sample frame.fits -o x.fits --hold-out 3 --registration epsf",
+        1,
+        &["epsf", "the method stamps"],
     );
 }

@@ -29,8 +29,6 @@ fn values_that_options_do_not_take() {
         ("--interpolation cubic", ["--interpolation", "natural-neighbour"]),
         ("--outside zero", ["--outside", "extend"]),
         ("--normalise max", ["--normalise", "keep"]),
-        ("--noise -1", ["--noise", "0 or above"]),
-        ("--noise nan", ["--noise", "0 or above"]),
         ("--threads 0", ["--threads", "0"]),
     ] {
         for command in [
@@ -113,7 +111,7 @@ fn fit_options_are_for_samples() {
     let desk = Desk::new();
     desk.done("fit samples.fits -o model.fits");
     desk.write("at.csv", "x,y\n3,4\n");
-    for option in ["--rank 2", "--centring none", "--noise 0", "--interpolation auto"] {
+    for option in ["--rank 2", "--centring none", "--interpolation auto"] {
         for command in [
             "simulate scene.fits --psf model.fits",
             "evaluate model.fits --at at.csv",
@@ -166,6 +164,30 @@ fn options_that_the_data_cannot_serve() {
     );
     let auto = desk.done("fit scattered.fits -o out.fits --json").json();
     assert_eq!(auto["interpolation"], "natural-neighbour");
+}
+
+/// The noise of the samples belongs to the fit: elsewhere it would be taken for the image's.
+#[test]
+fn the_noise_of_samples_is_an_option_of_fit_alone() {
+    let desk = Desk::new();
+    desk.refused(
+        "simulate scene.fits --psf samples.fits -o out.fits --noise 5",
+        2,
+        &["--noise"],
+    );
+    desk.refused(
+        "fit samples.fits -o out.fits --sample-noise -1",
+        2,
+        &["--sample-noise", "0 or above"],
+    );
+    desk.noted(
+        "fit samples.fits -o out.fits --noise 1e-6",
+        &["--noise is now called --sample-noise"],
+    );
+    desk.warned(
+        "fit samples.fits -o none.fits --sample-noise 5",
+        "keeps no component",
+    );
 }
 
 #[test]

@@ -1,6 +1,7 @@
 //! A report: sections of text, tables and figures, and the HTML page that shows them.
 
 use std::fmt::Write;
+use std::time::{SystemTime, UNIX_EPOCH};
 
 use serde::Serialize;
 
@@ -131,7 +132,7 @@ pub(crate) fn short(value: Option<f64>) -> String {
 pub struct Software {
     /// psfield's version.
     pub psfield: &'static str,
-    /// Operating system and processor.
+    /// Operating system, processor and number of logical processors.
     pub machine: String,
     /// Threads that shared the work.
     pub threads: usize,
@@ -142,13 +143,66 @@ pub struct Software {
 impl Software {
     /// Describes this program on this machine.
     pub fn of_command(command: String) -> Self {
+        let processors = std::thread::available_parallelism().map_or(1, usize::from);
         Self {
             psfield: env!("CARGO_PKG_VERSION"),
-            machine: format!("{} {}", std::env::consts::OS, std::env::consts::ARCH),
+            machine: format!(
+                "{} {}, {}{processors} logical processors",
+                std::env::consts::OS,
+                std::env::consts::ARCH,
+                processor().map_or_else(String::new, |name| name + ", ")
+            ),
             threads: rayon::current_num_threads(),
             command,
         }
     }
+}
+
+/// The name of the processor. None if the system does not report it (only Linux does).
+fn processor() -> Option<String> {
+    let text = std::fs::read_to_string("/proc/cpuinfo").ok()?;
+    let line = text.lines().find(|line| line.starts_with("model name"))?;
+    Some(line.split_once(':')?.1.trim().to_owned())
+}
+
+/// The average number of processes that ran or waited during the last minute. None if the system
+/// does not report it (only Linux does).
+pub(super) fn load() -> Option<f64> {
+    let text = std::fs::read_to_string("/proc/loadavg").ok()?;
+    text.split(' ').next()?.parse().ok()
+}
+
+/// The date and time now in UTC, such as `2025-01-31 23:59`.
+pub(super) fn utc_now() -> String {
+    let since = SystemTime::now().duration_since(UNIX_EPOCH);
+    utc(since.map_or(0, |since| since.as_secs()))
+}
+
+fn utc(seconds: u64) -> String {
+    let (mut days, minutes) = (seconds / 86_400, seconds / 60 % 1440);
+    let leap_days = |year: u64| {
+        let leap = year.is_multiple_of(4) && !year.is_multiple_of(100) || year.is_multiple_of(400);
+        u64::from(leap)
+    };
+    let mut year = 1970;
+    while days >= 365 + leap_days(year) {
+        days -= 365 + leap_days(year);
+        year += 1;
+    }
+    let mut month = 1;
+    for length in [31, 28 + leap_days(year), 31, 30, 31, 30, 31, 31, 30, 31, 30] {
+        if days < length {
+            break;
+        }
+        days -= length;
+        month += 1;
+    }
+    format!(
+        "{year}-{month:02}-{:02} {:02}:{:02}",
+        days + 1,
+        minutes / 60,
+        minutes % 60
+    )
 }
 
 const STYLE: &str = "
@@ -246,6 +300,21 @@ mod tests {
             (Some(12_345.0), "1.2e4"),
         ] {
             assert_eq!(short(value), text);
+        }
+    }
+
+    #[test]
+    fn dates() {
+        for (seconds, text) in [
+            (0, "1970-01-01 00:00"),
+            (951_782_399, "2000-02-28 23:59"),
+            (951_782_400, "2000-02-29 00:00"),
+            (1_735_689_599, "2024-12-31 23:59"),
+            (1_740_787_200, "2025-03-01 00:00"),
+            (4_107_542_399, "2100-02-28 23:59"),
+            (4_107_542_400, "2100-03-01 00:00"),
+        ] {
+            assert_eq!(utc(seconds), text);
         }
     }
 

@@ -14,8 +14,8 @@ use crate::report::{Histogram, ObjectRow};
 pub struct Evaluation {
     /// The differences between simulated and true objects.
     pub summary: ErrorSummary,
-    /// Absolute differences of ellipticity.
-    pub ellipticity_differences: Histogram,
+    /// Absolute differences of eccentricity `sqrt(1 - b^2 / a^2)`.
+    pub eccentricity_differences: Histogram,
     /// FWHM along rows in pixels: true, simulated.
     pub fwhm_rows_px: [Histogram; 2],
     /// FWHM along columns in pixels: true, simulated.
@@ -36,18 +36,20 @@ pub struct Evaluation {
 const BINS: usize = 50;
 
 impl Evaluation {
-    /// Measures pairs of windows, one simulated and one true window for each position.
+    /// Measures pairs of windows, one simulated and one true window for each position, with
+    /// `oversampling` pixels per frame pixel.
     pub fn measure(
         positions: &[Position],
         simulated: &[Array2<f64>],
         truth: &[Array2<f64>],
+        oversampling: f64,
         frame: Option<FrameShape>,
         grid_columns: Option<usize>,
     ) -> Self {
         let rows: Vec<ObjectRow> = positions
             .par_iter()
             .zip(simulated.par_iter().zip(truth))
-            .map(|(&at, (ours, theirs))| ObjectRow::measure(at, ours.view(), theirs.view()))
+            .map(|(&at, (ours, theirs))| ObjectRow::measure(at, ours.view(), theirs.view(), oversampling))
             .collect();
         Self::of_rows(rows, frame, grid_columns)
     }
@@ -64,7 +66,7 @@ impl Evaluation {
         };
         Self {
             summary: ErrorSummary::of(&rows),
-            ellipticity_differences: from_zero(values(|r| r.ellipticity_difference().map(f64::abs))),
+            eccentricity_differences: from_zero(values(|r| r.eccentricity_difference().map(f64::abs))),
             fwhm_rows_px: pair(|r| r.fwhm_rows_px_true, |r| r.fwhm_rows_px),
             fwhm_columns_px: pair(|r| r.fwhm_columns_px_true, |r| r.fwhm_columns_px),
             mae_over_mean: from_zero(values(|r| r.mae_over_mean)),
@@ -84,8 +86,8 @@ pub struct ErrorSummary {
     /// Objects whose measurement failed in at least one of the two images. The differences of shape
     /// leave these objects out.
     pub failed: usize,
-    /// Differences of `e = sqrt(1 - b^2 / a^2)`.
-    pub ellipticity: Option<Spread>,
+    /// Differences of the eccentricity `sqrt(1 - b^2 / a^2)`, which the paper calls ellipticity.
+    pub eccentricity: Option<Spread>,
     /// Differences of `e1` of the distortion.
     pub e1: Option<Spread>,
     /// Differences of `e2` of the distortion.
@@ -110,9 +112,9 @@ impl ErrorSummary {
             objects: rows.len(),
             failed: rows
                 .iter()
-                .filter(|r| r.ellipticity_difference().is_none())
+                .filter(|r| r.eccentricity_difference().is_none())
                 .count(),
-            ellipticity: spread(ObjectRow::ellipticity_difference),
+            eccentricity: spread(ObjectRow::eccentricity_difference),
             e1: spread(ObjectRow::e1_difference),
             e2: spread(ObjectRow::e2_difference),
             fwhm_px: spread(ObjectRow::fwhm_difference_px),
@@ -166,19 +168,19 @@ pub struct Target {
     pub met: bool,
 }
 
-/// Target for 90 % of the differences of ellipticity.
-const ELLIPTICITY_Q90: f64 = 1e-3;
-/// Target for the largest difference of ellipticity.
-const ELLIPTICITY_LARGEST: f64 = 5e-3;
+/// Target for 90 % of the differences of eccentricity.
+const ECCENTRICITY_Q90: f64 = 1e-3;
+/// Target for the largest difference of eccentricity.
+const ECCENTRICITY_LARGEST: f64 = 5e-3;
 /// Target for MAE divided by the mean of the window.
 const MAE_OVER_MEAN: f64 = 2e-4;
-/// The difference of ellipticity that 90 % of the objects of the paper do not exceed.
-pub(super) const PAPER_ELLIPTICITY_Q90: f64 = 0.0901;
+/// The difference of eccentricity that 90 % of the objects of the paper do not exceed.
+pub(super) const PAPER_ECCENTRICITY_Q90: f64 = 0.0901;
 
 impl Target {
     /// The targets for objects of a kind.
     pub(super) fn of(kind: &str, summary: &ErrorSummary) -> Vec<Self> {
-        let e = |of: fn(Spread) -> f64| summary.ellipticity.map(of);
+        let e = |of: fn(Spread) -> f64| summary.eccentricity.map(of);
         let all = summary.failed == 0;
         let kind = if all {
             kind.to_owned()
@@ -188,13 +190,13 @@ impl Target {
         let mae = |of: fn(Spread) -> f64| summary.mae_over_mean.map(of);
         [
             (
-                "difference of ellipticity, 90th percentile",
-                ELLIPTICITY_Q90,
+                "difference of eccentricity, 90th percentile",
+                ECCENTRICITY_Q90,
                 e(|s| s.q90),
             ),
             (
-                "largest difference of ellipticity",
-                ELLIPTICITY_LARGEST,
+                "largest difference of eccentricity",
+                ECCENTRICITY_LARGEST,
                 e(|s| s.largest),
             ),
             (
@@ -238,8 +240,8 @@ mod tests {
     #[test]
     fn an_object_that_cannot_be_measured_meets_no_target() {
         let good = ObjectRow {
-            ellipticity: Some(0.2),
-            ellipticity_true: Some(0.2),
+            eccentricity: Some(0.2),
+            eccentricity_true: Some(0.2),
             mae_over_mean: Some(1e-6),
             ..ObjectRow::default()
         };
@@ -250,7 +252,7 @@ mod tests {
         assert_eq!(met(&[good.clone(), good.clone()]), [true; 4]);
         assert_eq!(met(&[good.clone(), ObjectRow::default()]), [false; 4]);
         let off = ObjectRow {
-            ellipticity: Some(0.3),
+            eccentricity: Some(0.3),
             ..good.clone()
         };
         assert_eq!(met(&[good, off]), [false, false, true, true]);

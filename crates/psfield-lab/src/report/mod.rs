@@ -12,9 +12,9 @@
 //!
 //! | measure | definition |
 //! |---|---|
-//! | ellipticity | `e = sqrt(1 - b^2 / a^2)` of the axes `a >= b`, as in the paper |
+//! | eccentricity | `sqrt(1 - b^2 / a^2)` of the axes `a >= b`, called ellipticity in the paper |
 //! | `e1`, `e2` | distortion, `(a^2 - b^2) / (a^2 + b^2)` times `cos 2 phi`, `sin 2 phi` |
-//! | FWHM | `2 sqrt(2 ln 2)` times the geometric mean of the two sigmas, in pixels |
+//! | FWHM | `2 sqrt(2 ln 2)` times the geometric mean of the two sigmas, in pixels of the frame |
 //! | FWHM along rows, columns | along x and along y: FWHM of the Gaussian summed over the other axis, from `sqrt(C_xx)`, `sqrt(C_yy)` of its covariance |
 //! | MAE, MSE, `relative_l2`, `max_over_peak`, `mae_over_mean` | differences of the two windows, as in [`Comparison`](metrics::Comparison) |
 

@@ -99,7 +99,12 @@ fn errors(model: &PsfModel, scenes: &Scenes) -> Result<ErrorSummary, LabError> {
     let objects = scenes.positions.par_iter().zip(&scenes.star_truth);
     let rows = objects.map(|(&at, truth)| {
         let psf = model.psf_at(at)?;
-        Ok(ObjectRow::measure(at, psf.values(), truth.view()))
+        Ok(ObjectRow::measure(
+            at,
+            psf.values(),
+            truth.view(),
+            psf.grid().oversampling(),
+        ))
     });
     Ok(ErrorSummary::of(&rows.collect::<Result<Vec<_>, LabError>>()?))
 }

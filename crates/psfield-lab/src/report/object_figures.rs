@@ -12,24 +12,24 @@ use crate::report::document::short;
 /// of the nearer end.
 const SHOWN_PART: f64 = 0.99;
 
-/// Draws FWHM, ellipticity and MAE. Histograms show the first kind of object. Cumulative
+/// Draws FWHM, eccentricity and MAE. Histograms show the first kind of object. Cumulative
 /// distributions have a line for each kind, and mark the 90th percentile of the first kind. If
-/// `paper_q90` is given, the distribution of ellipticity also marks the paper's percentile. `image`
-/// names the image that is compared with the truth, `pixels` the unit of lengths.
+/// `paper_q90` is given, the distribution of eccentricity also marks the paper's percentile. `image`
+/// names the image that is compared with the truth.
 pub(super) fn shape_figures(
     kinds: &[(&str, &Evaluation)],
-    [image, pixels]: [&str; 2],
+    image: &str,
     paper_q90: Option<f64>,
 ) -> Result<Vec<NamedFigure>, PlotError> {
     let (name, first) = kinds[0];
-    let quantities = ["x", "y"].map(|axis| format!("FWHM along {axis} ({pixels})"));
+    let quantities = ["x", "y"].map(|axis| format!("FWHM along {axis} (pixels of the frame)"));
     let fwhm = [&first.fwhm_rows_px, &first.fwhm_columns_px];
     let fwhm_panels = [0, 1].map(|k| HistogramPanel {
         quantity: &quantities[k],
         histograms: vec![("true", &fwhm[k][0]), (image, &fwhm[k][1])],
     });
     let (e_difference, mae) = (
-        format!("|e {image} - e true|"),
+        format!("|eccentricity {image} - true|"),
         "mean absolute error / mean of the window",
     );
     let curves = |of: fn(&ObjectRow) -> Option<f64>| -> Vec<Curve> {
@@ -48,9 +48,9 @@ pub(super) fn shape_figures(
         }
         marks
     };
-    let mut of_ellipticity = q90(|s| s.ellipticity);
+    let mut of_eccentricity = q90(|s| s.eccentricity);
     if let Some(paper) = paper_q90 {
-        of_ellipticity.push(Mark::Vertical(paper, format!("paper: {paper}")));
+        of_eccentricity.push(Mark::Vertical(paper, format!("paper: {paper}")));
     }
     let drawn = |x: &str, curves, marks| {
         Curves {
@@ -62,26 +62,28 @@ pub(super) fn shape_figures(
         .figure()
     };
     let line = format!("The vertical line is the value that 90 % of the {name} do not exceed.");
+    let measured = |of: fn(&ObjectRow) -> Option<f64>| first.rows.iter().filter_map(of).count();
     let of_paper = paper_q90.map_or("", |_| " Another line marks this value in the paper.");
     Ok(vec![
         NamedFigure {
             name: "fwhm",
             caption: format!(
-                "FWHM along x and along y (number of objects: {}): true (filled) and {image} (line). Where both agree, \
-                 the line follows the edge of the filled area.",
-                first.summary.objects
+                "FWHM along x and along y: true (filled, {} objects) and {image} (line, {} objects). Objects that could not be \
+                 measured are left out. Where both agree, the line follows the edge of the filled area.",
+                measured(|r| r.fwhm_px_true),
+                measured(|r| r.fwhm_px)
             ),
             figure: histograms(&fwhm_panels)?,
         },
         NamedFigure {
-            name: "ellipticity-differences",
-            caption: "Absolute differences of the ellipticity e = sqrt(1 - b^2/a^2), and the mean absolute error (MAE) divided by the mean \
+            name: "eccentricity-differences",
+            caption: "Absolute differences of the eccentricity sqrt(1 - b^2/a^2), called ellipticity in the paper, and the mean absolute error (MAE) divided by the mean \
                       of the window."
                 .to_owned(),
             figure: histograms(&[
                 HistogramPanel {
                     quantity: &e_difference,
-                    histograms: vec![("objects", &first.ellipticity_differences)],
+                    histograms: vec![("objects", &first.eccentricity_differences)],
                 },
                 HistogramPanel {
                     quantity: mae,
@@ -90,14 +92,14 @@ pub(super) fn shape_figures(
             ])?,
         },
         NamedFigure {
-            name: "ellipticity-distribution",
+            name: "eccentricity-distribution",
             caption: format!(
-                "Cumulative distribution of the absolute differences of the ellipticity e = sqrt(1 - b^2/a^2). {line}{of_paper}"
+                "Cumulative distribution of the absolute differences of the eccentricity sqrt(1 - b^2/a^2), called ellipticity in the paper. {line}{of_paper}"
             ),
             figure: drawn(
                 &e_difference,
-                curves(ObjectRow::ellipticity_difference),
-                of_ellipticity,
+                curves(ObjectRow::eccentricity_difference),
+                of_eccentricity,
             )?,
         },
         NamedFigure {
@@ -174,8 +176,8 @@ pub(super) fn maps(of: &Evaluation, image: &str) -> Result<Vec<NamedFigure>, Plo
 
 /// The columns of [`error_cells`].
 const ERROR_COLUMNS: [&str; 10] = [
-    "e: 90 %",
-    "e: largest",
+    "eccentricity: 90 %",
+    "eccentricity: largest",
     "e1: 90 %",
     "e2: 90 %",
     "FWHM (px): 90 %",
@@ -190,8 +192,8 @@ const ERROR_COLUMNS: [&str; 10] = [
 fn error_cells(summary: &ErrorSummary) -> [String; 10] {
     let cell = |spread: Option<Spread>, of: fn(Spread) -> f64| short(spread.map(of));
     [
-        cell(summary.ellipticity, |s| s.q90),
-        cell(summary.ellipticity, |s| s.largest),
+        cell(summary.eccentricity, |s| s.q90),
+        cell(summary.eccentricity, |s| s.largest),
         cell(summary.e1, |s| s.q90),
         cell(summary.e2, |s| s.q90),
         cell(summary.fwhm_px, |s| s.q90),

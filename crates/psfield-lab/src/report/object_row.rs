@@ -18,8 +18,8 @@ table_row! {
     OBJECT_COLUMNS ObjectRow {
         x: f64,
         y: f64,
-        ellipticity: Option<f64>,
-        ellipticity_true: Option<f64>,
+        eccentricity: Option<f64>,
+        eccentricity_true: Option<f64>,
         e1: Option<f64>,
         e1_true: Option<f64>,
         e2: Option<f64>,
@@ -40,9 +40,14 @@ table_row! {
 }
 
 impl ObjectRow {
-    /// Measures the object at `at` in two images: windows `[y, x]` of equal shape around the
-    /// object.
-    pub fn measure(at: Position, simulated: ArrayView2<'_, f64>, truth: ArrayView2<'_, f64>) -> Self {
+    /// Measures the object at `at` in two images: windows `[y, x]` of equal shape around the object,
+    /// with `oversampling` pixels per frame pixel. Lengths are in pixels of the frame.
+    pub fn measure(
+        at: Position,
+        simulated: ArrayView2<'_, f64>,
+        truth: ArrayView2<'_, f64>,
+        oversampling: f64,
+    ) -> Self {
         let mut notes = Vec::new();
         let mut fit = |image: ArrayView2<'_, f64>, which: &str| {
             let fit = GaussianFitter::elliptical().fit(image);
@@ -55,25 +60,27 @@ impl ObjectRow {
             .ok();
         let shape =
             |fit: &Option<GaussianFit>, of: fn(Covariance) -> f64| fit.as_ref().map(|f| of(f.covariance()));
-        let rows = |c: Covariance| FWHM_PER_SIGMA * c.xx().sqrt();
-        let columns = |c: Covariance| FWHM_PER_SIGMA * c.yy().sqrt();
+        let fwhm = |fit: &Option<GaussianFit>, sigma: fn(Covariance) -> f64| {
+            shape(fit, sigma).map(|pixels| FWHM_PER_SIGMA * pixels / oversampling)
+        };
+        let (rows, columns) = (|c: Covariance| c.xx().sqrt(), |c: Covariance| c.yy().sqrt());
         let e1 = |c: Covariance| c.distortion().e1();
         let e2 = |c: Covariance| c.distortion().e2();
         Self {
             x: at.x(),
             y: at.y(),
-            ellipticity: shape(&ours, Covariance::ellipticity),
-            ellipticity_true: shape(&theirs, Covariance::ellipticity),
+            eccentricity: shape(&ours, Covariance::eccentricity),
+            eccentricity_true: shape(&theirs, Covariance::eccentricity),
             e1: shape(&ours, e1),
             e1_true: shape(&theirs, e1),
             e2: shape(&ours, e2),
             e2_true: shape(&theirs, e2),
-            fwhm_px: ours.as_ref().map(GaussianFit::fwhm_px),
-            fwhm_px_true: theirs.as_ref().map(GaussianFit::fwhm_px),
-            fwhm_rows_px: shape(&ours, rows),
-            fwhm_rows_px_true: shape(&theirs, rows),
-            fwhm_columns_px: shape(&ours, columns),
-            fwhm_columns_px_true: shape(&theirs, columns),
+            fwhm_px: fwhm(&ours, Covariance::sigma_px),
+            fwhm_px_true: fwhm(&theirs, Covariance::sigma_px),
+            fwhm_rows_px: fwhm(&ours, rows),
+            fwhm_rows_px_true: fwhm(&theirs, rows),
+            fwhm_columns_px: fwhm(&ours, columns),
+            fwhm_columns_px_true: fwhm(&theirs, columns),
             mae: comparison.as_ref().map(Comparison::mae),
             mse: comparison.as_ref().map(Comparison::mse),
             mae_over_mean: comparison.as_ref().and_then(|c| c.mae_over_mean().ok()),
@@ -88,9 +95,9 @@ impl ObjectRow {
         Position::new(self.x, self.y).ok()
     }
 
-    /// Simulated minus true ellipticity.
-    pub fn ellipticity_difference(&self) -> Option<f64> {
-        Some(self.ellipticity? - self.ellipticity_true?)
+    /// Simulated minus true eccentricity.
+    pub fn eccentricity_difference(&self) -> Option<f64> {
+        Some(self.eccentricity? - self.eccentricity_true?)
     }
 
     /// Simulated minus true `e1`.
@@ -125,29 +132,29 @@ mod tests {
     fn a_known_pair_has_its_known_differences() {
         let at = Position::of_pixel(3, 4);
         let (ours, truth) = (gaussian(3.0, 2.0), gaussian(3.0, 2.5));
-        let row = ObjectRow::measure(at, ours.view(), truth.view());
+        let row = ObjectRow::measure(at, ours.view(), truth.view(), 2.0);
         let e = |b: f64, a: f64| (1.0 - b * b / (a * a)).sqrt();
         let near = |got: Option<f64>, expected: f64| (got.unwrap() - expected).abs() < 1e-6;
         assert!(
-            near(row.ellipticity_difference(), e(2.0, 3.0) - e(2.5, 3.0)),
+            near(row.eccentricity_difference(), e(2.0, 3.0) - e(2.5, 3.0)),
             "{row:?}"
         );
         assert!(
-            near(row.fwhm_rows_px, FWHM_PER_SIGMA * 3.0) && near(row.fwhm_columns_px, FWHM_PER_SIGMA * 2.0)
+            near(row.fwhm_rows_px, FWHM_PER_SIGMA * 1.5) && near(row.fwhm_columns_px, FWHM_PER_SIGMA * 1.0)
         );
         assert!(near(row.e1_difference(), 5.0 / 13.0 - 2.75 / 15.25));
         assert!(row.e2_difference().unwrap().abs() < 1e-9);
         assert!(row.note.is_empty() && row.mae_over_mean > Some(0.01));
-        let same = ObjectRow::measure(at, truth.view(), truth.view());
-        assert_eq!((same.mae, same.ellipticity_difference()), (Some(0.0), Some(0.0)));
+        let same = ObjectRow::measure(at, truth.view(), truth.view(), 1.0);
+        assert_eq!((same.mae, same.eccentricity_difference()), (Some(0.0), Some(0.0)));
     }
 
     #[test]
     fn what_cannot_be_measured_says_why() {
         let truth = gaussian(2.0, 2.0);
         let dark = Array2::zeros((41, 41));
-        let row = ObjectRow::measure(Position::of_pixel(0, 0), dark.view(), truth.view());
-        assert_eq!((row.ellipticity, row.ellipticity_difference()), (None, None));
+        let row = ObjectRow::measure(Position::of_pixel(0, 0), dark.view(), truth.view(), 1.0);
+        assert_eq!((row.eccentricity, row.eccentricity_difference()), (None, None));
         assert!(row.note.contains("simulated") && row.mae.is_some());
     }
 }

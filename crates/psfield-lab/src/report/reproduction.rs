@@ -13,6 +13,7 @@ use psfield::{FitOptions, fit, model_of};
 use serde::Serialize;
 
 use crate::LabError;
+use crate::report::document::{load, utc_now};
 use crate::report::scenes::{GALAXY, Scenes};
 use crate::report::{
     ErrorSummary, Evaluation, GalaxyComparison, InterpolationRow, ModelRow, PatchComparison, Target,
@@ -75,6 +76,11 @@ pub struct Reproduction {
     pub table_1: PatchComparison,
     /// A large galaxy, convolved by psfield and by patches, which leave seams.
     pub large_galaxy: GalaxyComparison,
+    /// Date and time of the start (UTC).
+    pub started: String,
+    /// The machine's load at the start: the average number of processes that ran or waited during
+    /// the minute before. None if the system does not report it. Other processes make times longer.
+    pub load: Option<f64>,
     /// Total seconds.
     pub seconds: f64,
     /// Positions of the uniform samples.
@@ -144,7 +150,7 @@ impl Reproduction {
     /// [`LabError`] of any stage. [`LabError::ObjectsTooClose`] if a small frame has no room for
     /// the objects.
     pub fn run(options: &ReproductionOptions, progress: &dyn Progress) -> Result<Self, LabError> {
-        let start = Instant::now();
+        let (started, load, start) = (utc_now(), load(), Instant::now());
         let mut tolerances = options.tolerances.clone();
         let default = PlanOptions::DEFAULT_TOLERANCE;
         if !tolerances.contains(&default) {
@@ -238,6 +244,8 @@ impl Reproduction {
             galaxies,
             table_1,
             large_galaxy,
+            started,
+            load,
             seconds: start.elapsed().as_secs_f64(),
             sample_positions,
             adaptive_positions,

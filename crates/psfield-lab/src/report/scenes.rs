@@ -90,7 +90,8 @@ impl Scenes {
             let seconds = clock.elapsed().as_secs_f64();
             let windows = self.pixels.iter().map(|at| window(image.pixels(), at));
             let windows: Vec<Array2<f64>> = windows.collect();
-            let objects = Evaluation::measure(&self.positions, &windows, truth, frame, Some(self.columns));
+            let objects =
+                Evaluation::measure(&self.positions, &windows, truth, 1.0, frame, Some(self.columns));
             rows.push(ToleranceRow {
                 tolerance,
                 kind,

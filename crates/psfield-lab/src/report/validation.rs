@@ -1,9 +1,9 @@
 //! Compares a model with known PSFs or with the stars of a frame, and reports the errors.
 
 use conv_core::StampInterpolator;
-use ndarray::{Array2, s};
+use ndarray::{Array2, Zip, s};
 use psf_stars::StarSampling;
-use psf_types::{Image, Normalisation, Position, PsfModel, PsfSamples};
+use psf_types::{FrameShape, Normalisation, Position, PsfModel, PsfSamples};
 use psfield::{check_frame_on_field, check_on_field};
 use rayon::prelude::*;
 use serde::Serialize;
@@ -12,7 +12,7 @@ use crate::LabError;
 use crate::plot::PlotError;
 use crate::report::document::{Document, Section};
 use crate::report::object_figures::{error_table, maps, shape_figures, target_table};
-use crate::report::{Evaluation, Software, Target};
+use crate::report::{Evaluation, ObjectRow, Software, Target};
 use crate::round_trip::{drawn, drawn_sources, measuring_window};
 
 /// The errors of a model against known PSFs or against the stars of a frame.
@@ -23,10 +23,14 @@ pub struct Validation {
     pub truth: ValidationTruth,
     /// Columns and rows of the compared windows.
     pub window: [usize; 2],
-    /// Window pixels per frame pixel along each axis. Each FWHM in `objects` is in window pixels.
+    /// Window pixels per frame pixel along each axis. Each FWHM in `objects` is in pixels of the
+    /// frame.
     pub oversampling: f64,
     /// Components of the model, the mean not counted.
     pub rank: usize,
+    /// Objects that lie on samples of the model, as [`with_training`](Self::with_training) counts
+    /// them.
+    pub at_samples: usize,
     /// The targets for PSFs without noise. Empty for a frame.
     pub targets: Vec<Target>,
     /// The errors of the PSFs or stars.
@@ -81,12 +85,13 @@ impl Validation {
             })
             .collect();
         let frame = truth.positions().field().or(model.field_shape());
-        let objects = Evaluation::measure(positions, &ours, &theirs, frame, None);
+        let objects = Evaluation::measure(positions, &ours, &theirs, grid.oversampling(), frame, None);
         Ok(Self {
             truth: ValidationTruth::Samples,
             window: [grid.nx(), grid.ny()],
             oversampling: grid.oversampling(),
             rank: model.rank(),
+            at_samples: 0,
             targets: Target::of("PSFs", &objects.summary),
             objects,
         })
@@ -96,7 +101,8 @@ impl Validation {
     /// sources found, at their measured positions and with their measured fluxes, without noise.
     /// The measured windows lie around the stars that are good enough to be samples. `window` is
     /// their side in pixels (None: four FWHM, at least 7). The differences include the noise of the
-    /// frame and the errors of the measured positions.
+    /// frame and the errors of the measured positions. `frame` is `[y, x]`. NaN stands for a masked
+    /// pixel, which is left out ([`StarSampling::run_masked`]).
     ///
     /// # Errors
     /// [`ErrorKind::Field`](psfield::ErrorKind::Field) if the frame is larger than the model's
@@ -105,19 +111,25 @@ impl Validation {
     /// of drawing.
     pub fn of_frame(
         model: &PsfModel,
-        frame: &Image<f64>,
+        frame: Array2<f64>,
         sampling: &StarSampling,
         window: Option<usize>,
     ) -> Result<Self, LabError> {
-        let shape = frame.shape();
+        let shape = FrameShape::new(frame.ncols(), frame.nrows())?;
         check_frame_on_field(shape, model.field_shape())?;
-        let stars = sampling.run(frame)?;
+        let stars = sampling.run_masked(frame.clone())?;
         let window = window
             .unwrap_or_else(|| measuring_window(stars.fwhm_px))
             .min(shape.nx())
             .min(shape.ny());
         let simulated = drawn(model, &drawn_sources(&stars)?, shape)?;
-        let light = &frame.pixels() - &stars.background.level();
+        let mut light = frame - stars.background.level();
+        // In masked pixels, the two do not differ.
+        Zip::from(&mut light).and(&simulated).for_each(|light, &drawn| {
+            if light.is_nan() {
+                *light = drawn;
+            }
+        });
 
         let corner = |v: f64, n: usize| {
             let first = (v + 0.5).floor() as i64 - (window / 2) as i64;
@@ -132,7 +144,7 @@ impl Validation {
             theirs.push(light.slice(part).to_owned());
             positions.push(Position::new(star.x, star.y)?);
         }
-        let objects = Evaluation::measure(&positions, &ours, &theirs, Some(shape), None);
+        let objects = Evaluation::measure(&positions, &ours, &theirs, 1.0, Some(shape), None);
         if objects.summary.failed == objects.summary.objects {
             return Err(LabError::NothingMeasured {
                 stars: positions.len(),
@@ -144,13 +156,30 @@ impl Validation {
             window: [window; 2],
             oversampling: 1.0,
             rank: model.rank(),
+            at_samples: 0,
             targets: Vec::new(),
             objects,
         })
     }
 }
 
+/// An object closer than this to a sample of the model, in pixels of the frame, lies on the sample.
+const ON_SAMPLE_PX: f64 = 0.5;
+
 impl Validation {
+    /// Counts the objects in [`at_samples`](Self::at_samples): those closer than half a pixel of the
+    /// frame to one of the `samples` from which the model was made. Their errors do not show the
+    /// error of the model between its samples.
+    #[must_use]
+    pub fn with_training(mut self, samples: &[Position]) -> Self {
+        let near = |row: &&ObjectRow| {
+            let mut distances = samples.iter().map(|s| (s.x() - row.x).hypot(s.y() - row.y));
+            distances.any(|distance| distance < ON_SAMPLE_PX)
+        };
+        self.at_samples = self.objects.rows.iter().filter(near).count();
+        self
+    }
+
     /// Makes the report, with all figures. `inputs` are names and values of the compared files.
     ///
     /// # Errors
@@ -160,28 +189,32 @@ impl Validation {
         mut inputs: Vec<(&'static str, String)>,
         software: Software,
     ) -> Result<Document, PlotError> {
-        let (name, [image, pixels], text) = match self.truth {
+        let (name, image, text) = match self.truth {
             ValidationTruth::Samples => (
                 "PSFs",
-                ["model", "stamp pixels"],
+                "model",
                 "Each PSF of the truth is compared with the PSF of the model at its position. The same Gaussian fit measures both. If \
                  the PSFs of the model have unit flux, both PSFs are scaled to unit flux. No image is simulated, so the \
                  differences do not include the error of the engine, which its tolerance limits.",
             ),
             ValidationTruth::Frame => (
                 "stars",
-                ["simulated", "pixels"],
+                "simulated",
                 "Each star is measured twice in the same window, by a Gaussian fit: in the frame minus its background, and as drawn by the \
                  model at the measured position with the measured flux, without noise. The differences include the noise of the frame.",
             ),
         };
-        inputs.push(("objects", format!("{} {name}", self.objects.summary.objects)));
+        let (objects, at_samples) = (self.objects.summary.objects, self.at_samples);
+        inputs.push((
+            "objects",
+            format!("{objects} {name}, {at_samples} of them at positions of the model's own samples"),
+        ));
         let ([nx, ny], finer) = (self.window, self.oversampling);
-        let window = format!("{nx} x {ny} {pixels}, {finer} per frame pixel along each axis");
+        let window = format!("{nx} x {ny} pixels, {finer} per frame pixel along each axis");
         inputs.push(("window", window));
         inputs.push(("model", format!("{} components", self.rank)));
         let errors = error_table(
-            &format!("Absolute differences between the model and the truth. Lengths are in {pixels}."),
+            "Absolute differences between the model and the truth. Lengths are in pixels of the frame.",
             &["objects"],
             [(vec![name.to_owned()], &self.objects.summary)],
         );
@@ -190,7 +223,7 @@ impl Validation {
             let caption = "psfield's targets for PSFs without noise";
             tables.push(target_table(caption, &self.targets));
         }
-        let figures = shape_figures(&[(name, &self.objects)], [image, pixels], None)?;
+        let figures = shape_figures(&[(name, &self.objects)], image, None)?;
         Ok(Document {
             title: "psfield: a PSF model against the truth".to_owned(),
             software,
@@ -200,7 +233,7 @@ impl Validation {
                     tables,
                     ..Section::new("Accuracy", Some(text.to_owned()), Vec::new())
                 },
-                Section::new("FWHM, ellipticity, MAE", None, figures),
+                Section::new("FWHM, eccentricity, MAE", None, figures),
                 Section::new("Over the field", None, maps(&self.objects, image)?),
             ],
         })

@@ -84,13 +84,16 @@ impl Psf {
             }
             PsfFormat::Gridded { at } => {
                 let converted = to_gridded(self, at)?;
-                let planes = psf_io::write_gridded(path, &converted.samples, cards, overwrite)?;
-                (
-                    planes,
-                    converted.samples.grid(),
-                    converted.max_error,
-                    converted.notes,
-                )
+                let (samples, mut notes) = (converted.samples, converted.notes);
+                let planes = psf_io::write_gridded(path, &samples, cards, overwrite)?;
+                if planes > samples.len() {
+                    notes.push(format!(
+                        "the file holds {planes} planes for {} samples: some releases of photutils exchange x and y, so planes \
+                         were added (interpolated bilinearly) until both axes have the same coordinates. psfield reads only the samples back",
+                        samples.len()
+                    ));
+                }
+                (planes, samples.grid(), converted.max_error, notes)
             }
         };
         Ok(Written {

@@ -10,6 +10,9 @@ use super::geometry::Geometry;
 use super::{REGION, Shared, Simulator};
 use crate::{Device, Method, Psf, PsfieldError, SimulateOptions, check_frame_on_field};
 
+/// Frame pixels by which padded stamps may be wider than the PSF on each side.
+const STAMP_MARGIN: usize = 8;
+
 /// Collects the settings of a [`Simulator`]. [`Psf::simulator`] makes it. Each setter is named
 /// after the field of [`SimulateOptions`] that it sets.
 #[derive(Debug, Clone)]
@@ -156,7 +159,11 @@ impl SimulatorBuilder {
         self,
         method: Option<Box<dyn ConvolutionMethod<T>>>,
     ) -> Result<Simulator<T>, PsfieldError> {
-        let Self { psf, shape, options } = self;
+        let Self {
+            psf,
+            shape,
+            mut options,
+        } = self;
         options.plan_options()?;
         let geometry = Geometry::new(FrameShape::new(shape.1, shape.0)?, &options)?;
         if method.is_some() && !geometry.is_whole() {
@@ -171,6 +178,9 @@ impl SimulatorBuilder {
             const NO_STAMP: &str = "the stamp size must be at least 1 pixel";
             return Err(PsfieldError::of_setting("stamp_size", NO_STAMP));
         }
+        // Farther out, padded stamps hold only zeros, which cost time and change nothing.
+        let widest = 2 * (psf.reach(None) + STAMP_MARGIN);
+        options.stamp_size = options.stamp_size.map(|size| size.min(widest));
         let frame = geometry.frame.shape();
         check_frame_on_field(frame, psf.positions().field())?;
         Ok(Simulator {

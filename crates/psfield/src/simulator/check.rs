@@ -186,6 +186,12 @@ impl<T: ConvReal> Simulator<T> {
     /// Returns warnings about a scene's stars and galaxies.
     pub fn warnings(&self, scene: &Scene<'_, T>) -> Vec<SimulationWarning> {
         let mut warnings = Vec::new();
+        let stars = scene.stars().iter().map(|star| star.position());
+        let mut positions = stars.chain(scene.galaxies().iter().map(|galaxy| galaxy.position()));
+        let sources = scene.stars().len() + scene.galaxies().len();
+        if sources > 0 && !positions.any(|position| self.geometry.is_in_frame(position)) {
+            warnings.push(SimulationWarning::NoSourceInFrame { count: sources });
+        }
         let off = |v: f64| (v - v.round()).abs() > ON_PIXEL;
         let between = |star: &PointSource| off(star.position().x()) || off(star.position().y());
         if self.psf().grid().oversampling() < MIN_STAMP_OVERSAMPLING && scene.stars().iter().any(between) {
@@ -212,6 +218,11 @@ impl<T: ConvReal> Simulator<T> {
 pub enum SimulationWarning {
     /// The image in the scene is convolved with interpolated stamps.
     InterpolatedStamps,
+    /// All stars and galaxies lie outside the frame.
+    NoSourceInFrame {
+        /// Number of stars and galaxies.
+        count: usize,
+    },
     /// Stars lie between pixels, and the stamps are too coarse for an accurate interpolation.
     StarsBetweenPixels,
     /// Galaxies are blurred by the pixels on which they are drawn.
@@ -234,6 +245,10 @@ impl fmt::Display for SimulationWarning {
             Self::InterpolatedStamps => f.write_str(
                 "the PSF stamps are not sampled at the centres of the image's pixels, or lack the pixel response: the stamps \
                  are interpolated",
+            ),
+            Self::NoSourceInFrame { count } => write!(
+                f,
+                "none of the {count} stars and galaxies lies in the frame: check their positions (0-based pixels)"
             ),
             Self::StarsBetweenPixels => f.write_str(
                 "stars lie between pixels, and the PSF stamps are oversampled by a factor below 2: the stamps are \

@@ -72,6 +72,14 @@ impl Geometry {
         self.region == self.frame.shape().region()
     }
 
+    /// Returns whether a position, in frame pixels counted from the scene's first pixel, lies in the
+    /// frame.
+    pub(super) fn is_in_frame(&self, position: Position) -> bool {
+        let inside = |v: f64, first: i64, n: usize| (-0.5..n as f64 - 0.5).contains(&(v - first as f64));
+        let (frame, shape) = (self.frame, self.frame.shape());
+        inside(position.x(), frame.x0(), shape.nx()) && inside(position.y(), frame.y0(), shape.ny())
+    }
+
     /// Columns and rows of the scene with `padding` pixels added on every side.
     pub(super) fn padded_shape(&self, padding: usize) -> Result<FrameShape, DataError> {
         let padded = |n: usize| n.saturating_add(padding.saturating_mul(2));

@@ -1,0 +1,57 @@
+//! Ends the program with a message and exit status 1 when memory runs out. Without this, Rust would
+//! abort the process.
+
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::io::Write as _;
+
+/// The system's allocator, except that a request it cannot meet ends the program.
+struct Checked;
+
+#[global_allocator]
+static ALLOCATOR: Checked = Checked;
+
+#[allow(
+    unsafe_code,
+    reason = "in stable Rust, only a global allocator learns that memory has run out"
+)]
+// SAFETY: all calls go unchanged to `System`, and a null pointer is never returned.
+unsafe impl GlobalAlloc for Checked {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        checked(unsafe { System.alloc(layout) }, layout.size())
+    }
+
+    unsafe fn alloc_zeroed(&self, layout: Layout) -> *mut u8 {
+        checked(unsafe { System.alloc_zeroed(layout) }, layout.size())
+    }
+
+    unsafe fn realloc(&self, memory: *mut u8, layout: Layout, size: usize) -> *mut u8 {
+        checked(unsafe { System.realloc(memory, layout, size) }, size)
+    }
+
+    unsafe fn dealloc(&self, memory: *mut u8, layout: Layout) {
+        unsafe { System.dealloc(memory, layout) }
+    }
+}
+
+/// Returns the memory, or ends the program if there is none. The next run in a folder removes the
+/// temporary files that this run leaves there.
+fn checked(memory: *mut u8, bytes: usize) -> *mut u8 {
+    if memory.is_null() {
+        let megabytes = bytes.div_ceil(1 << 20);
+        // Formatting numbers takes no memory.
+        let _ = writeln!(
+            std::io::stderr(),
+            "psfield: error: not enough memory: {megabytes} MiB more are needed than the system or a limit (ulimit -v) allows"
+        );
+        end();
+    }
+    memory
+}
+
+/// Ends the process at once. Other threads may still be working, so nothing is cleaned up.
+fn end() -> ! {
+    #[cfg(unix)]
+    signal_hook::low_level::exit(1);
+    #[cfg(not(unix))]
+    std::process::exit(1)
+}

@@ -1,0 +1,57 @@
+//! Options for reading a table of sources or positions.
+
+use std::path::Path;
+
+use psf_io::{CatalogColumns, CatalogOptions, HduChoice};
+
+use crate::UsageError;
+
+/// Where the columns of a table are, and how its positions count.
+#[derive(Debug, Clone, Default, clap::Args)]
+pub(crate) struct TableArgs {
+    /// Names of the columns, as in x=X_IMAGE,y=Y_IMAGE
+    ///
+    /// Roles: x and y (or ra and dec). A catalogue also has flux (or mag), and for galaxies re, n, q
+    /// and angle.
+    #[arg(long, value_name = "ROLE=COLUMN,...")]
+    columns: Option<CatalogColumns>,
+    /// Positions count from 1, as in SExtractor and FITS
+    #[arg(long)]
+    one_based: bool,
+    /// HDU of the table: its number (0: primary) or EXTNAME [default: the only table with the
+    /// columns]
+    #[arg(long, value_name = "N|NAME", hide_short_help = true)]
+    table: Option<HduChoice>,
+}
+
+impl TableArgs {
+    pub(crate) fn options(&self) -> CatalogOptions {
+        let mut options = CatalogOptions::new().with_one_based(self.one_based);
+        if let Some(columns) = &self.columns {
+            options = options.with_columns(columns.clone());
+        }
+        match &self.table {
+            Some(table) => options.with_table(table.clone()),
+            None => options,
+        }
+    }
+
+    /// Refuses these options if there is no table of positions.
+    pub(crate) fn check(&self, at: Option<&Path>) -> Result<(), UsageError> {
+        match (at, self.given()) {
+            (None, Some(option)) => Err(UsageError(format!("{option} applies only to the table of --at"))),
+            _ => Ok(()),
+        }
+    }
+
+    /// Returns the name of the first option that was given.
+    pub(crate) fn given(&self) -> Option<&'static str> {
+        [
+            ("--columns", self.columns.is_some()),
+            ("--one-based", self.one_based),
+            ("--table", self.table.is_some()),
+        ]
+        .into_iter()
+        .find_map(|(name, given)| given.then_some(name))
+    }
+}
