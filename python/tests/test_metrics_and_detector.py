@@ -73,6 +73,9 @@ class TestMetrics:
         stamps = np.stack([gaussian_stamp(s, 31) for s in (1.5, 2.0, 2.5)] + [np.zeros((31, 31))])
         table = metrics.measure(stamps)
         assert table["fwhm_px"][:3] == pytest.approx(FWHM * np.array([1.5, 2.0, 2.5]), rel=1e-6)
+        elongated = metrics.measure(self.stamp)
+        assert elongated["ellipticity"] == pytest.approx(5 / 13, rel=1e-4)
+        assert elongated["eccentricity"] == pytest.approx(np.sqrt(1 - 4 / 9), rel=1e-6)
         assert np.isnan(table["fwhm_px"][3]) and table["note"][3] and not table["note"][0]
         image = np.zeros((60, 80))
         image[10:41, 20:51] = stamps[1]
