@@ -379,7 +379,8 @@ def measure(
         ``fwhm_px``, ``fwhm_major_px``, ``fwhm_minor_px``, ``angle_rad``, ``eccentricity``. From the
         adaptive moments: ``e1``, ``e2``, ``g1``, ``g2``, ``sigma_px``, ``ellipticity``. Lengths are
         in pixels of the arrays: divide those of oversampled stamps by the oversampling. Values that
-        could not be measured are NaN, and ``note`` says why. The dict can be given to `astropy.table.Table`.
+        could not be measured are NaN, and ``note`` says why. The dict can be given to
+        `astropy.table.Table`.
 
     Examples
     --------
