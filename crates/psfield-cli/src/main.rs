@@ -147,7 +147,20 @@ impl Cli {
     }
 }
 
+/// Keeps Mesa's GPU drivers from writing errors to the terminal where this variable is missing, as
+/// in a container.
+#[cfg(feature = "gpu")]
+#[allow(unsafe_code, reason = "only the environment keeps these drivers quiet")]
+fn quieten_drivers() {
+    if std::env::var_os("XDG_RUNTIME_DIR").is_none() {
+        // SAFETY: this is the only thread so far.
+        unsafe { std::env::set_var("XDG_RUNTIME_DIR", std::env::temp_dir()) };
+    }
+}
+
 fn main() -> ExitCode {
+    #[cfg(feature = "gpu")]
+    quieten_drivers();
     let (arguments, notes) = old_names::replaced(std::env::args_os());
     let given = help::command::<Cli>().get_matches_from(arguments);
     let cli = Cli::from_arg_matches(&given)

@@ -26,13 +26,14 @@ pub fn provenance_cards(command: &str) -> Vec<Card> {
             "version of psfield that wrote this",
         )
         .expect("a valid card"),
-        Card::new("DATE", utc(now()), "when this was written (UTC)").expect("a valid card"),
+        Card::new("DATE", utc_now(), "when this was written (UTC)").expect("a valid card"),
         Card::history(command),
     ]
 }
 
-/// Seconds from 1970 to `SOURCE_DATE_EPOCH` if that is set, else to now.
-fn now() -> u64 {
+/// The date and time (UTC) as `YYYY-MM-DDThh:mm:ss`: that of the environment variable
+/// `SOURCE_DATE_EPOCH` (seconds since 1970) if it is set, else of the clock.
+pub fn utc_now() -> String {
     /// The first second of the year 10000, which FITS cannot write.
     const END: u64 = 253_402_300_800;
     let set = std::env::var("SOURCE_DATE_EPOCH")
@@ -43,7 +44,7 @@ fn now() -> u64 {
             .duration_since(UNIX_EPOCH)
             .map_or(0, |passed| passed.as_secs())
     };
-    set.unwrap_or_else(clock).min(END - 1)
+    utc(set.unwrap_or_else(clock).min(END - 1))
 }
 
 /// The date `YYYY-MM-DDThh:mm:ss` of a number of seconds since 1970.
@@ -128,5 +129,25 @@ impl<T: ConvReal> Simulator<T> {
             header.remove(keyword);
         }
         header
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::utc;
+
+    #[test]
+    fn dates() {
+        for (seconds, text) in [
+            (0, "1970-01-01T00:00:00"),
+            (951_782_399, "2000-02-28T23:59:59"),
+            (951_782_400, "2000-02-29T00:00:00"),
+            (1_735_689_599, "2024-12-31T23:59:59"),
+            (1_740_787_200, "2025-03-01T00:00:00"),
+            (4_107_542_399, "2100-02-28T23:59:59"),
+            (4_107_542_400, "2100-03-01T00:00:00"),
+        ] {
+            assert_eq!(utc(seconds), text);
+        }
     }
 }

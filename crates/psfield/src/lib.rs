@@ -81,7 +81,7 @@ pub use evaluate::{
 };
 pub use exposure_files::{ExposureFiles, exposure_cards, read_bad_pixel_mask};
 pub use fit::{Fit, FitOptions, FitReport, LeaveOneOutReport, fit, fit_trained, fit_with, model_of};
-pub use image_cards::{JOB_KEYWORD, PSF_FILE_KEYWORD, provenance_cards};
+pub use image_cards::{JOB_KEYWORD, PSF_FILE_KEYWORD, provenance_cards, utc_now};
 pub use measure::{MEASUREMENT_COLUMNS, MeasureOptions, Measurement};
 pub use psf::{FitChoices, Note, Psf, PsfFileOptions, check_stack, record_of_psfex};
 pub use readable::readable;

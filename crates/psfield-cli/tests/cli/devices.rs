@@ -27,6 +27,13 @@ fn devices_are_listed_or_it_is_said_that_there_are_none() {
     desk.refused("devices all", 2, &["all"]);
 }
 
+#[cfg(unix)]
+#[test]
+fn drivers_do_not_write_to_the_terminal() {
+    let run = Desk::empty().shell("env -u XDG_RUNTIME_DIR \"$PSFIELD\" devices");
+    assert_eq!((run.code, run.stderr.as_str()), (Some(0), ""), "{run:?}");
+}
+
 /// The `device` in the report of a run.
 fn device(desk: &Desk, options: &str) -> Value {
     let run = desk.run(&format!("{TO} {options} --overwrite --json"));

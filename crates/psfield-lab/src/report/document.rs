@@ -1,7 +1,6 @@
 //! A report: sections of text, tables and figures, and the HTML page that shows them.
 
 use std::fmt::Write;
-use std::time::{SystemTime, UNIX_EPOCH};
 
 use serde::Serialize;
 
@@ -172,39 +171,6 @@ pub(super) fn load() -> Option<f64> {
     text.split(' ').next()?.parse().ok()
 }
 
-/// The date and time now in UTC, such as `2025-01-31 23:59`.
-pub(super) fn utc_now() -> String {
-    let since = SystemTime::now().duration_since(UNIX_EPOCH);
-    utc(since.map_or(0, |since| since.as_secs()))
-}
-
-fn utc(seconds: u64) -> String {
-    let (mut days, minutes) = (seconds / 86_400, seconds / 60 % 1440);
-    let leap_days = |year: u64| {
-        let leap = year.is_multiple_of(4) && !year.is_multiple_of(100) || year.is_multiple_of(400);
-        u64::from(leap)
-    };
-    let mut year = 1970;
-    while days >= 365 + leap_days(year) {
-        days -= 365 + leap_days(year);
-        year += 1;
-    }
-    let mut month = 1;
-    for length in [31, 28 + leap_days(year), 31, 30, 31, 30, 31, 31, 30, 31, 30] {
-        if days < length {
-            break;
-        }
-        days -= length;
-        month += 1;
-    }
-    format!(
-        "{year}-{month:02}-{:02} {:02}:{:02}",
-        days + 1,
-        minutes / 60,
-        minutes % 60
-    )
-}
-
 const STYLE: &str = "
 :root { color-scheme: light dark; --ink: #1a1a1a; --paper: #ffffff; --faint: #5b6470; --line: #d5dae0; --shade: #f4f6f8; }
 @media (prefers-color-scheme: dark) { :root { --ink: #e6e8eb; --paper: #16191d; --faint: #a4adb8; --line: #3a414a; --shade: #20252b; } }
@@ -300,21 +266,6 @@ mod tests {
             (Some(12_345.0), "1.2e4"),
         ] {
             assert_eq!(short(value), text);
-        }
-    }
-
-    #[test]
-    fn dates() {
-        for (seconds, text) in [
-            (0, "1970-01-01 00:00"),
-            (951_782_399, "2000-02-28 23:59"),
-            (951_782_400, "2000-02-29 00:00"),
-            (1_735_689_599, "2024-12-31 23:59"),
-            (1_740_787_200, "2025-03-01 00:00"),
-            (4_107_542_399, "2100-02-28 23:59"),
-            (4_107_542_400, "2100-03-01 00:00"),
-        ] {
-            assert_eq!(utc(seconds), text);
         }
     }
 

@@ -13,7 +13,7 @@ use psfield::{FitOptions, fit, model_of};
 use serde::Serialize;
 
 use crate::LabError;
-use crate::report::document::{load, utc_now};
+use crate::report::document::load;
 use crate::report::scenes::{GALAXY, Scenes};
 use crate::report::{
     ErrorSummary, Evaluation, GalaxyComparison, InterpolationRow, ModelRow, PatchComparison, Target,
@@ -150,7 +150,7 @@ impl Reproduction {
     /// [`LabError`] of any stage. [`LabError::ObjectsTooClose`] if a small frame has no room for
     /// the objects.
     pub fn run(options: &ReproductionOptions, progress: &dyn Progress) -> Result<Self, LabError> {
-        let (started, load, start) = (utc_now(), load(), Instant::now());
+        let (started, load, start) = (psfield::utc_now(), load(), Instant::now());
         let mut tolerances = options.tolerances.clone();
         let default = PlanOptions::DEFAULT_TOLERANCE;
         if !tolerances.contains(&default) {
