@@ -227,7 +227,7 @@ fn overflow() -> Vec<Case> {
                             };
                             error(&model, &Light::of(of(|_, _| largest)), (method, precision))
                         })();
-                        Cell::refusal(got, "beyond the range of the working precision")
+                        Cell::refusal(got, "beyond the range of the precision")
                     })
                     .to_vec()
             })
