@@ -7,8 +7,8 @@ Measures of the elongation of an ellipse with axes ``a >= b`` and position angle
 
 ==============  ================================================
 eccentricity    ``sqrt(1 - b**2 / a**2)``: ``eccentricity``
-ellipticity     ``(a**2 - b**2) / (a**2 + b**2)``: ``ellipticity``,
-                of which ``e1``, ``e2`` (distortion) are the components
+ellipticity     ``(a**2 - b**2) / (a**2 + b**2)``: ``ellipticity``
+distortion      components of the ellipticity: ``e1``, ``e2``
 reduced shear   ``(a - b) / (a + b)``: ``g1``, ``g2``
 ==============  ================================================
 
@@ -23,6 +23,7 @@ reduced shear   ``(a - b) / (a + b)``: ``g1``, ``g2``
 from __future__ import annotations
 
 import json
+import math
 import warnings
 from dataclasses import dataclass
 from typing import Any
@@ -116,6 +117,8 @@ class AdaptiveMoments:
         ``det(moments)**(1/4)``, as GalSim's ``moments_sigma``.
     e1, e2 : float
         Distortion.
+    ellipticity : float
+        Size of the distortion, ``|e1 + i e2|``.
     g1, g2 : float
         Reduced shear.
 
@@ -138,6 +141,11 @@ class AdaptiveMoments:
     g1: float
     g2: float
 
+    @property
+    def ellipticity(self) -> float:
+        """Size of the distortion, ``|e1 + i e2|``."""
+        return math.hypot(self.e1, self.e2)
+
 
 @dataclass(frozen=True)
 class QuadrupoleMoments:
@@ -153,6 +161,8 @@ class QuadrupoleMoments:
         ``det(moments)**(1/4)``.
     e1, e2 : float
         Distortion.
+    ellipticity : float
+        Size of the distortion, ``|e1 + i e2|``.
     g1, g2 : float
         Reduced shear.
 
@@ -172,6 +182,11 @@ class QuadrupoleMoments:
     e2: float
     g1: float
     g2: float
+
+    @property
+    def ellipticity(self) -> float:
+        """Size of the distortion, ``|e1 + i e2|``."""
+        return math.hypot(self.e1, self.e2)
 
 
 @dataclass(frozen=True)
@@ -378,8 +393,8 @@ def measure(
         A column for each value. From the Gaussian fit: ``flux``, ``x_centroid``, ``y_centroid``,
         ``fwhm_px``, ``fwhm_major_px``, ``fwhm_minor_px``, ``angle_rad``, ``eccentricity``. From the
         adaptive moments: ``e1``, ``e2``, ``g1``, ``g2``, ``sigma_px``, ``ellipticity``. Lengths are
-        in pixels of the arrays: divide those of oversampled stamps by the oversampling. Values that
-        could not be measured are NaN, and ``note`` says why. The dict can be given to
+        in pixels of the arrays: divide lengths of oversampled stamps by the oversampling. Values
+        that could not be measured are NaN, and ``note`` says why. The dict can be given to
         `astropy.table.Table`.
 
     Examples

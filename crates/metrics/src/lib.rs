@@ -26,7 +26,7 @@
 //! ```text
 //! eccentricity   e   = sqrt(1 - b^2 / a^2)          Covariance::eccentricity, GaussianFit::eccentricity
 //! ellipticity    |e| = (a^2 - b^2) / (a^2 + b^2)    AdaptiveMoments::ellipticity, Distortion::length
-//! distortion                                        Distortion (e1, e2) = |e| (cos 2 phi, sin 2 phi)
+//! (components: the distortion)                      Distortion (e1, e2) = |e| (cos 2 phi, sin 2 phi)
 //! reduced shear  |g| = (a - b) / (a + b)            ReducedShear (g1, g2) = |g| (cos 2 phi, sin 2 phi)
 //! axis ratio     q   = b / a                        from the two widths
 //! ```

@@ -14,10 +14,10 @@ use thiserror::Error;
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum BasisError {
-    /// The singular value decomposition needs more memory than there is.
+    /// There is not enough memory for the singular value decomposition.
     #[error("not enough memory: the singular value decomposition needs {bytes} bytes more")]
     Memory {
-        /// The bytes that could not be taken.
+        /// The bytes that could not be allocated.
         bytes: usize,
     },
     /// The singular value decomposition did not converge.
@@ -118,7 +118,8 @@ pub(crate) fn decompose(rows: ArrayView2<'_, f64>) -> Result<Decomposition, Basi
     })
 }
 
-/// Decomposes samples with some parameters of faer. Returns `None` if this does not converge.
+/// Computes the decomposition with these parameters of faer. Returns `None` if it does not
+/// converge.
 fn decompose_by(rows: ArrayView2<'_, f64>, params: SvdParams) -> Result<Option<Decomposition>, BasisError> {
     let (samples, pixels) = rows.dim();
     let size = samples.min(pixels);

@@ -213,21 +213,22 @@ impl SamplingMethod for UniformSampling {
     }
 }
 
-/// A random number, 0 or above and below 1.
+/// A random number in [0, 1).
 fn unit(rng: &mut ChaCha8Rng) -> f64 {
     // 53 random bits: every multiple of 2^-53 in [0, 1) is equally likely.
     (rng.next_u64() >> 11) as f64 / (1u64 << 53) as f64
 }
 
-/// Smallest distance of a held-out PSF from the samples, as a part of their mean distance. At most 3
-/// % of the field is that close to a sample.
+/// Smallest distance of a held-out PSF from the samples, as a fraction of their mean distance.
+/// About 3 % of the field, or less, is closer to a sample.
 const HOLD_OUT_DISTANCE: f64 = 0.1;
-/// Tries per held-out PSF, after which the field counts as too small.
+/// Number of tries per held-out PSF, after which the field counts as too small.
 const HOLD_OUT_TRIES: usize = 100;
 
-/// Draws `count` PSFs that are not samples, to check a model between the samples from which it was
-/// made. Their positions are random and uniform over the field. They are no closer to a sample than
-/// a tenth of the samples' mean distance, the square root of the field's area per sample.
+/// Draws `count` PSFs that are not samples, to check a model of the samples between its samples.
+///
+/// The positions are random and uniform over the field, but keep a distance from every sample: a
+/// tenth of the samples' mean distance, which is the square root of the field's area per sample.
 ///
 /// ```
 /// use psf_sample::{SamplingMethod, UniformSampling, hold_out};

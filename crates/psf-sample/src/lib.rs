@@ -9,7 +9,8 @@
 //!   [`InterpolationError`] (the default of [`SamplingOptions`], 1 %). Both use a
 //!   [`DifferenceMeasure`].
 //!
-//! [`hold_out`] draws PSFs that are not samples, for checks. [`ShiftAugmentation`] draws the samples again at sub-pixel shifts, to train a basis.
+//! [`hold_out`] draws PSFs that are not samples, to check a model. [`ShiftAugmentation`] draws the
+//! samples again at sub-pixel shifts, to train a basis.
 //!
 //! # The mesh of adaptive sampling
 //!

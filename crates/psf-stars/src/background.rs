@@ -67,8 +67,8 @@ impl BackgroundMesh {
         Ok(Self { filter, ..self })
     }
 
-    /// Estimates the background of `pixels` `[y, x]`. Pixels that are NaN are ignored. A cell of
-    /// such pixels alone gets the median of the other cells.
+    /// Estimates the background of `pixels` `[y, x]`. NaN pixels are ignored. A cell that has only
+    /// NaN pixels gets the median of the other cells.
     ///
     /// # Errors
     /// [`StarError::NoNoise`] when more than half of the cells have no noise after the median
@@ -85,7 +85,7 @@ impl BackgroundMesh {
                 clipped(pixels.iter().copied().filter(|v| !v.is_nan()).collect())
             })
             .collect();
-        // Cells without pixels are NaN.
+        // The values of a cell that has only NaN pixels are NaN.
         let filled = |of: fn(&(f64, f64)) -> f64| {
             let known = cells.iter().map(of).filter(|v| !v.is_nan());
             let typical = median(&mut known.collect::<Vec<_>>());
@@ -211,7 +211,7 @@ fn clipped(mut values: Vec<f64>) -> (f64, f64) {
     (mode, sigma)
 }
 
-/// Mean, median and standard deviation of sorted values.
+/// Mean, median and standard deviation of sorted values, NaN if there are none.
 fn moments(sorted: &[f64]) -> (f64, f64, f64) {
     let n = sorted.len();
     if n == 0 {

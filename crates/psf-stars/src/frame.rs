@@ -24,7 +24,7 @@ pub(crate) fn aperture_px(fwhm_px: f64) -> f64 {
 
 /// A frame with its background.
 pub(crate) struct FrameView {
-    /// NaN in masked pixels.
+    /// The values of the frame, NaN in masked pixels.
     pub(crate) pixels: Array2<f64>,
     /// The values above the background, 0 in masked pixels.
     pub(crate) excess: Array2<f64>,

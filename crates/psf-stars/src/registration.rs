@@ -231,10 +231,10 @@ const MARGIN: usize = 3;
 /// Returns the star's stamp, interpolated at the nodes of the grid and scaled to unit flux, and the
 /// star's flux. Returns `None` if the flux is not positive.
 ///
-/// Pixels that belong to a neighbour or lie off the frame are replaced by the pixels on the
-/// opposite side of the star, or by 0 if these cannot be used either. The median along the stamp's
-/// edge estimates the error of the background map and is subtracted. The spline passes exactly
-/// through the pixels' values.
+/// Pixels that are masked, belong to a neighbour or lie off the frame are replaced by the pixels on
+/// the opposite side of the star, or by 0 if these cannot be used either. The median along the
+/// stamp's edge estimates the error of the background map and is subtracted. The spline passes
+/// exactly through the pixels' values.
 pub(crate) fn own_stamp(
     excess: ArrayView2<'_, f64>,
     (star_x, star_y): (f64, f64),

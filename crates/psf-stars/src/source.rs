@@ -30,9 +30,10 @@ pub enum Rejection {
     Elongated,
     /// It does not agree with the oversampled PSF fitted to all stars.
     PsfMismatch,
-    /// It is left out for a check ([`StarSampling::with_hold_out`](crate::StarSampling::with_hold_out)).
+    /// It is held out of the samples, to check a model
+    /// ([`StarSampling::with_hold_out`](crate::StarSampling::with_hold_out)).
     HeldOut,
-    /// A pixel of its core is masked.
+    /// A pixel in or near its core is masked.
     Masked,
 }
 
@@ -147,7 +148,7 @@ pub struct Source {
     pub y: f64,
     /// Flux in units of the frame. For a sample, it results from the registration. For other
     /// sources, it results from a fit of the nearest sample's PSF, which has unit flux over its
-    /// stamp. This fit ignores saturated pixels.
+    /// stamp. This fit ignores masked and saturated pixels.
     pub flux: f64,
     /// Signal-to-noise ratio in an aperture of radius 1.25 FWHM, at least 2 pixels
     /// ([`Camera`](crate::Camera)).

@@ -94,9 +94,9 @@ impl StarSampling {
         Self { registration, ..self }
     }
 
-    /// Leaves `count` of the accepted stars out of the samples, to check a model between the samples
-    /// from which it was made. `seed` chooses them. Their own pixels become
-    /// [`StarSamples::held_out`].
+    /// Holds `count` of the accepted stars out of the samples, to check a model of the samples.
+    /// `seed` chooses the stars. [`StarSamples::held_out`] has their stamps, which are made from
+    /// each star's own pixels.
     #[must_use]
     pub fn with_hold_out(self, count: usize, seed: u64) -> Self {
         Self {
@@ -111,7 +111,7 @@ impl StarSampling {
     /// [`StarError`] when the frame is too small or without noise, when no source is found or
     /// suitable, when the requested distance from the edge is less than half a stamp, when there are
     /// too few stars for an oversampled PSF that was requested explicitly, or when stars cannot be
-    /// held out because there are too few or they are undersampled.
+    /// held out because there are too few or the method is [`Epsf`](RegistrationMethod::Epsf).
     pub fn run<T: Real>(&self, frame: &Image<T>) -> Result<StarSamples, StarError> {
         self.run_masked(frame.pixels().mapv(T::as_f64))
     }
@@ -173,13 +173,13 @@ impl StarSampling {
         let (count, seed) = self.hold_out;
         let accepted = (0..sources.len()).filter(|&k| sources[k].rejected.is_empty());
         let mut chosen: Vec<usize> = accepted.collect();
-        if count > 0 && count >= chosen.len() {
+        if !chosen.is_empty() && count >= chosen.len() {
             return Err(StarError::NoSamples(format!(
                 "{count} stars cannot be held out, because only {} can serve as PSF samples: hold out fewer",
                 chosen.len()
             )));
         }
-        // A random order: by a hash of the seed and the star's index (SplitMix64).
+        // A random order: the stars are sorted by a hash of the seed and their index (SplitMix64).
         chosen.sort_by_key(|&k| {
             let mut hash = seed.wrapping_add((k as u64 + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15));
             hash = (hash ^ (hash >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
@@ -217,7 +217,7 @@ impl StarSampling {
         let method = self.registration.resolve(fwhm_px, stars.len(), grid.scale)?;
         if self.hold_out.0 > 0 && method == RegistrationMethod::Epsf {
             return Err(StarError::NoSamples(
-                "stars cannot be held out with the method epsf, because an undersampled star does not contain its PSF: compare the model with the stars of another frame, or use the method stamps"
+                "stars cannot be held out with the method epsf, because the pixels of a single star do not give its oversampled PSF: compare the model with the stars of another frame, or use the method stamps"
                     .to_owned(),
             ));
         }
@@ -392,8 +392,8 @@ impl FrameView {
 pub struct StarSamples {
     /// The samples, of unit flux, in the order of their sources.
     pub samples: PsfSamples,
-    /// The stamps of the stars that were held out ([`StarSampling::with_hold_out`]), with their
-    /// noise. None if there are none.
+    /// The stamps of the stars that were held out ([`StarSampling::with_hold_out`]), of unit flux,
+    /// with the noise of the stars. None if no star was held out.
     pub held_out: Option<PsfSamples>,
     /// Every source found, the most significant first. Rejected sources are included with their
     /// reasons.

@@ -123,7 +123,7 @@ pub struct FrameShape {
 
 read_through_new!(RawFrameShape => FrameShape { nx: usize, ny: usize });
 
-/// The largest number of pixels of a frame, for the address space.
+/// The largest number of pixels of a frame: with 16 bytes per pixel, they fit the address space.
 const MAX_PIXELS: usize = isize::MAX as usize / 16;
 
 impl FrameShape {

@@ -50,7 +50,7 @@ pub(crate) fn with_option(text: impl std::fmt::Display, setting: Option<&str>) -
     }
 }
 
-/// Adds the setting that accepts NaN to an error about a pixel.
+/// Names the setting that accepts NaN in an error about a pixel.
 pub(crate) fn with_nan_setting(error: IoError, setting: &'static str) -> IoError {
     match error.place() {
         Some(Place::Pixel { .. }) => error.with_setting(setting),

@@ -13,7 +13,8 @@ use serde::Serialize;
 use crate::UsageError;
 use crate::bench::JsonTo;
 
-/// An argument that names a file to write. (An argument of type [`PathBuf`] names a file to read.)
+/// An argument that names a file to write. (An argument of type [`PathBuf`] names a file to read,
+/// or the log of a batch.)
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 #[serde(transparent)]
 pub(crate) struct OutputFile(PathBuf);
@@ -109,8 +110,8 @@ impl NamedFiles {
         Ok(named)
     }
 
-    /// Checks that all outputs can be written and that none is an input, as far as this can be known
-    /// before the work.
+    /// Checks that all outputs can be written and that none is an input, as far as this can be
+    /// known before the work.
     ///
     /// # Errors
     /// [`UsageError`] if an output is an input or another output, or if a folder for outputs holds
@@ -159,7 +160,8 @@ impl FileUses {
         self.0.entry(FileId::of(file)).or_insert_with(|| whose.to_owned());
     }
 
-    /// Records a file that is written. Returns a message if it was recorded before.
+    /// Records a file that is written. Returns a message if it was recorded before as read or
+    /// written.
     pub(crate) fn write(&mut self, file: &Path, whose: &str) -> Result<(), String> {
         match self.0.insert(FileId::of(file), whose.to_owned()) {
             None => Ok(()),
@@ -171,10 +173,11 @@ impl FileUses {
     }
 }
 
-/// Identifies a file, by whatever path or link it is named.
+/// Identifies a file. All paths of a file and all links to it give equal values.
 #[derive(Debug, PartialEq, Eq, Hash)]
 enum FileId {
-    /// A file that exists: its device and its number on the device. Hard links have equal numbers.
+    /// A file that exists: the number of its device, and its number there. Hard links have equal
+    /// numbers.
     #[cfg(unix)]
     Number(u64, u64),
     Path(PathBuf),

@@ -147,8 +147,8 @@ impl Cli {
     }
 }
 
-/// Keeps Mesa's GPU drivers from writing errors to the terminal where this variable is missing, as
-/// in a container.
+/// Sets `XDG_RUNTIME_DIR` if it is missing, as in a container. Mesa's GPU drivers would otherwise
+/// write errors to the terminal.
 #[cfg(feature = "gpu")]
 #[allow(unsafe_code, reason = "only the environment keeps these drivers quiet")]
 fn quieten_drivers() {

@@ -18,10 +18,10 @@ use super::table_args::TableArgs;
 /// moments: e1, e2 (distortion), g1, g2 (reduced shear), sigma_px, ellipticity = sqrt(e1^2 + e2^2).
 /// Also x, y and note.
 ///
-/// Lengths are in pixels of the frame: for oversampled PSF samples, they and the flux take the
-/// oversampling into account. The oversampling of a cube or an image is unknown, so its lengths are
-/// in its own pixels. In samples and cubes, centroids are 0-based pixels of the stamp. The cell of
-/// a failed measurement is empty, and the note says why.
+/// Lengths and fluxes of PSF samples are those on the frame, for any oversampling. The oversampling
+/// of a cube or an image is unknown, so its lengths are in its own pixels. In samples and cubes,
+/// centroids are 0-based pixels of the stamp. The cell of a failed measurement is empty, and the
+/// note says why.
 #[derive(Debug, clap::Args)]
 pub(crate) struct MeasureArgs {
     /// PSF samples, cube of stamps, image with --at, or image that is a single stamp
@@ -36,8 +36,8 @@ pub(crate) struct MeasureArgs {
     at: Option<PathBuf>,
     #[command(flatten)]
     table: TableArgs,
-    /// Fit the Gaussian to the N x N pixels (of the stamp) around the centre [default: the whole stamp; with --at:
-    /// 15]
+    /// Fit the Gaussian to the N x N stamp pixels around the centre [default: the whole stamp; with
+    /// --at: 15]
     ///
     /// With --at, the adaptive moments use these pixels, too. Otherwise they use the whole stamp.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]

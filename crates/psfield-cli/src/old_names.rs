@@ -10,7 +10,10 @@ const OPTIONS: [(&str, &str, &str); 1] = [("fit", "--noise", "--sample-noise")];
 pub(crate) fn replaced(arguments: impl IntoIterator<Item = OsString>) -> (Vec<OsString>, Vec<String>) {
     let mut arguments: Vec<OsString> = arguments.into_iter().collect();
     let mut notes = Vec::new();
-    let command = arguments.get(1).cloned().unwrap_or_default();
+    // Options for all commands may stand before the command, --threads with a number.
+    let is_command = |text: &&str| !text.starts_with('-') && text.parse::<u16>().is_err();
+    let mut texts = arguments.iter().skip(1).filter_map(|argument| argument.to_str());
+    let command = texts.find(is_command).unwrap_or_default().to_owned();
     for (_, old, new) in OPTIONS.iter().filter(|(of, ..)| command == *of) {
         for argument in &mut arguments {
             let text = argument.to_str().unwrap_or_default();
@@ -20,7 +23,7 @@ pub(crate) fn replaced(arguments: impl IntoIterator<Item = OsString>) -> (Vec<Os
             if let Some(value) = value {
                 *argument = format!("{new}{value}").into();
                 notes.push(format!(
-                    "{old} is now called {new}: the old name will go with the next release"
+                    "{old} is now called {new}: the next release removes the old name"
                 ));
             }
         }
@@ -47,6 +50,8 @@ mod tests {
             of(&format!("{fit}=2")),
             ("psfield fit s.fits --sample-noise=2".into(), 1)
         );
+        let line = "psfield -q --threads 2 fit s.fits --noise 2";
+        assert_eq!(of(line).1, 1);
         for kept in [
             "psfield fit s.fits --noises 2",
             "psfield simulate --noise 2",

@@ -33,15 +33,15 @@ unsafe impl GlobalAlloc for Checked {
     }
 }
 
-/// Returns the memory, or ends the program if there is none. The next run in a folder removes the
-/// temporary files that this run leaves there.
+/// Returns the memory, or ends the program if there is none. Temporary files of this run stay. The
+/// next run that writes in their folder removes them.
 fn checked(memory: *mut u8, bytes: usize) -> *mut u8 {
     if memory.is_null() {
         let megabytes = bytes.div_ceil(1 << 20);
         // Formatting numbers takes no memory.
         let _ = writeln!(
             std::io::stderr(),
-            "psfield: error: not enough memory: {megabytes} MiB more are needed than the system or a limit (ulimit -v) allows"
+            "psfield: error: not enough memory: {megabytes} MiB more are needed, but the system or a limit (ulimit -v) refuses them"
         );
         end();
     }

@@ -134,7 +134,7 @@ impl PreviewArgs {
         })
     }
 
-    /// The picture to write if no name is given: `a/b.fits.gz` gives `a/b.png`.
+    /// The default name of the picture: `a/b.fits.gz` gives `a/b.png`. `None` if a name is given.
     pub(crate) fn default_picture(&self) -> Option<PathBuf> {
         let unpacked = match self.image.extension() {
             Some(extension) if extension == "gz" || extension == "fz" => self.image.with_extension(""),

@@ -33,7 +33,7 @@ pub(crate) struct FitArgs {
     /// Subtract the mean stamp before the decomposition (mean) or not (none) [default: mean]
     #[arg(long, value_name = "mean|none", hide_short_help = true)]
     centring: Option<Centring>,
-    /// The noise of the samples, an option of `psfield fit` alone.
+    /// The noise of the samples. Only `psfield fit` has an option for it.
     #[arg(skip)]
     pub(crate) sample_noise: Option<f64>,
     /// Interpolation of the coefficients over the field [default: auto]

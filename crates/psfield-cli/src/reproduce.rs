@@ -13,9 +13,9 @@ use super::values::Pair;
 /// Variable Point-spread Functions" (doi:10.3847/1538-3881/ad9b2e).
 ///
 /// Uses the built-in survey telescope and no data. Shows singular values, sampling, FWHM and
-/// eccentricity (the paper's ellipticity) of simulated and true objects, errors over the field and at several tolerances, an
-/// extended galaxy convolved by psfield and by patches of constant PSF, and Table 1. Takes some 10
-/// minutes on two cores, with --quick less than 3.
+/// eccentricity (the paper's ellipticity) of simulated and true objects, errors over the field and
+/// at several tolerances, an extended galaxy convolved by psfield and by patches of constant PSF,
+/// and Table 1. Takes some 10 minutes on two cores, with --quick less than 3.
 #[derive(Debug, clap::Args)]
 pub(crate) struct ReproduceArgs {
     #[command(flatten)]

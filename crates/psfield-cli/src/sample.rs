@@ -63,7 +63,7 @@ pub(crate) struct SampleArgs {
     /// Also write N PSFs that are not samples to SAMPLES_holdout.fits, for psfield validate
     ///
     /// Telescope: PSFs at random positions between the samples. Frame: N of the stars, with their
-    /// noise. They are left out of the samples.
+    /// noise. These stars are left out of the samples.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     hold_out: Option<u16>,
     /// Seed that chooses the PSFs of --hold-out
@@ -96,7 +96,7 @@ impl SampleArgs {
 }
 
 impl SampleArgs {
-    /// The file of the PSFs that are not samples, next to the output.
+    /// The file of --hold-out, next to the output. `None` without this option.
     pub(crate) fn hold_out_file(&self) -> Option<PathBuf> {
         self.hold_out.map(|_| {
             let stem = self.output.file_stem().unwrap_or_default().to_string_lossy();

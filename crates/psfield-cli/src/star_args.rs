@@ -97,7 +97,7 @@ impl MaskArgs {
         mask.or(self.nan_is_masked.then_some("--nan-is-masked"))
     }
 
-    /// Reads the pixels of a frame. Bad pixels are NaN.
+    /// Reads the pixels of a frame. Bad pixels become NaN.
     fn read(&self, reader: &mut ImageReader, path: &Path) -> anyhow::Result<Array2<f64>> {
         let (shape, rows) = (reader.shape(), 0..reader.shape().ny());
         let mut frame = reader.read_rows_with_undefined(rows.clone())?;
@@ -126,7 +126,7 @@ impl MaskArgs {
                 });
         }
         if undefined.iter().any(|&undefined| undefined) {
-            // Reading again gives the error with the place of the first such pixel.
+            // Reading again gives the error, with the place of the first NaN or infinite pixel.
             let read = reader.read_rows::<f64>(rows);
             read.map_err(|error| with_nan_setting(error, "nan_is_masked"))?;
         }
@@ -154,8 +154,8 @@ impl StarArgs {
         .find_map(|(name, given)| given.then_some(name))
     }
 
-    /// Reads a frame, in which bad pixels are NaN, and builds the settings. The header of the frame
-    /// may hold the saturation level.
+    /// Reads a frame, in which bad pixels become NaN, and builds the settings. The header of the
+    /// frame may hold the saturation level.
     pub(crate) fn open_masked(
         &self,
         path: &Path,

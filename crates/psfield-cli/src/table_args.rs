@@ -6,13 +6,13 @@ use psf_io::{CatalogColumns, CatalogOptions, HduChoice};
 
 use crate::UsageError;
 
-/// Where the columns of a table are, and how its positions count.
+/// The table in a file, the names of its columns, and the first index of its positions (0 or 1).
 #[derive(Debug, Clone, Default, clap::Args)]
 pub(crate) struct TableArgs {
     /// Names of the columns, as in x=X_IMAGE,y=Y_IMAGE
     ///
-    /// Roles: x and y (or ra and dec). A catalogue also has flux (or mag), and for galaxies re, n, q
-    /// and angle.
+    /// Roles: x and y. A catalogue also has flux (or mag), and for galaxies re, n, q and angle. In
+    /// a catalogue, ra and dec may replace x and y.
     #[arg(long, value_name = "ROLE=COLUMN,...")]
     columns: Option<CatalogColumns>,
     /// Positions count from 1, as in SExtractor and FITS

@@ -20,8 +20,9 @@ use crate::psf_args::{PsfArgs, notes_of};
 /// positions of the true PSFs, and draws the same figures as psfield reproduce.
 ///
 /// The truth should not contain the PSFs from which the model was made: psfield sample --hold-out
-/// writes others. A warning counts the PSFs of the truth that lie closer than half a pixel to a
-/// sample of the model. A PSFEx file does not hold its samples, so it cannot be checked.
+/// writes PSFs for this purpose. A warning counts the PSFs of the truth that lie closer than half a
+/// pixel to a sample of the model. A PSFEx file does not contain the positions of its samples, so
+/// it gives no warning.
 ///
 /// For a frame, psfield selects stars as psfield sample does by default. With the model, it draws
 /// each star at the measured position and with the measured flux. It compares the drawn star with

@@ -9,9 +9,9 @@ pub fn peak_memory_bytes() -> Option<u64> {
     kibibytes("/proc/self/status", "VmHWM:")
 }
 
-/// The bytes of memory that this process may still take: the free memory, or less if a limit of the
-/// process (`ulimit -v`) or of its control groups allows less. None if the system does not report
-/// them.
+/// The number of bytes that this process can still allocate: the free memory of the system, or less
+/// if a limit of the process (`ulimit -v`) or of its control groups leaves less. None if the system
+/// does not report its free memory.
 pub fn available_memory_bytes() -> Option<u64> {
     let free = kibibytes("/proc/meminfo", "MemAvailable:")?;
     Some(
@@ -22,7 +22,7 @@ pub fn available_memory_bytes() -> Option<u64> {
     )
 }
 
-/// The bytes that the limit of the address space leaves, if there is a limit.
+/// The number of bytes that the limit of the address space leaves. None if there is no limit.
 fn address_space_left() -> Option<u64> {
     let limits = fs::read_to_string("/proc/self/limits").ok()?;
     let line = limits
@@ -32,14 +32,21 @@ fn address_space_left() -> Option<u64> {
     Some(limit.saturating_sub(kibibytes("/proc/self/status", "VmSize:")?))
 }
 
-/// The bytes that the control groups of this process leave (version 2), if one of them has a limit.
+/// The number of bytes that the control groups (version 2) of this process leave. None if none of
+/// them has a limit.
 fn control_groups_left() -> Option<u64> {
     let groups = fs::read_to_string("/proc/self/cgroup").ok()?;
     let path = groups.lines().find_map(|line| line.strip_prefix("0::/"))?;
-    let number = |folder: &Path, name| fs::read_to_string(folder.join(name)).ok()?.trim().parse().ok();
+    let text = |folder: &Path, name| fs::read_to_string(folder.join(name)).ok();
     let left = |folder: &Path| -> Option<u64> {
-        let (limit, used): (u64, u64) = (number(folder, "memory.max")?, number(folder, "memory.current")?);
-        Some(limit.saturating_sub(used))
+        let limit: u64 = text(folder, "memory.max")?.trim().parse().ok()?;
+        let used: u64 = text(folder, "memory.current")?.trim().parse().ok()?;
+        // Content of files that the system gives up when memory is needed.
+        let stat = text(folder, "memory.stat")?;
+        let cached = stat
+            .lines()
+            .find_map(|line| line.strip_prefix("inactive_file "))?;
+        Some((limit + cached.trim().parse::<u64>().ok()?).saturating_sub(used))
     };
     // Without a limit, the file holds the word max.
     Path::new("/sys/fs/cgroup")

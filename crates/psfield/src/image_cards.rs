@@ -10,14 +10,14 @@ use crate::{Preparation, Simulator, SpotCheck};
 /// The keyword that holds the digest of a batch job's options, in the files that the job made.
 pub const JOB_KEYWORD: &str = "PSFJOB";
 
-/// The keyword that holds the name of the PSF's file.
+/// The keyword that holds the name of the PSF's file, without its folder.
 pub const PSF_FILE_KEYWORD: &str = "PSFFILE";
 
 /// Cards of a file's origin: the version of psfield, the date, and the `command` as a line of
 /// HISTORY.
 ///
-/// `DATE` is the time of the call (UTC). If the environment variable `SOURCE_DATE_EPOCH` is set, it
-/// holds the time instead, in seconds since 1970. Files can then be compared byte by byte.
+/// `DATE` is the time of the call ([`utc_now`]). If the environment variable `SOURCE_DATE_EPOCH`
+/// sets this time, files of two runs can be compared byte by byte.
 pub fn provenance_cards(command: &str) -> Vec<Card> {
     vec![
         Card::new(
@@ -31,8 +31,8 @@ pub fn provenance_cards(command: &str) -> Vec<Card> {
     ]
 }
 
-/// The date and time (UTC) as `YYYY-MM-DDThh:mm:ss`: that of the environment variable
-/// `SOURCE_DATE_EPOCH` (seconds since 1970) if it is set, else of the clock.
+/// Returns the current date and time (UTC) as `YYYY-MM-DDThh:mm:ss`. If the environment variable
+/// `SOURCE_DATE_EPOCH` holds a number of seconds since 1970, this time is returned instead.
 pub fn utc_now() -> String {
     /// The first second of the year 10000, which FITS cannot write.
     const END: u64 = 253_402_300_800;

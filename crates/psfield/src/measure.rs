@@ -33,7 +33,7 @@ pub const MEASUREMENT_COLUMNS: [&str; 17] = [
 /// The fields from `flux` to `eccentricity` are from the fit of an elliptical Gaussian (`fwhm_px` is
 /// the geometric mean, `eccentricity = sqrt(1 - b^2 / a^2)`). The fields from `e1` to `ellipticity`
 /// are from adaptive moments (`e`: distortion, `g`: reduced shear, `ellipticity = |e1 + i e2|`).
-/// Lengths are in pixels of the array, for [`MeasureOptions::samples`] in pixels of the frame.
+/// Lengths are in pixels of the array, but [`MeasureOptions::samples`] returns frame pixels.
 #[derive(Debug, Clone, PartialEq, Default, Serialize)]
 #[non_exhaustive]
 #[allow(missing_docs, reason = "the columns of the table, described above")]
@@ -72,9 +72,9 @@ impl MeasureOptions {
     /// The size of the window about each position of an image, in pixels, if the caller gives none.
     pub const IMAGE_WINDOW: usize = 15;
 
-    /// Measures the stamps of samples, `window` in pixels of the stamp. Lengths and fluxes are those
-    /// on the frame: divided by the oversampling, and by its square. Centroids are 0-based stamp
-    /// indices.
+    /// Measures the stamps of samples. Lengths are in pixels of the frame (divided by the
+    /// oversampling). Fluxes are those on the frame (divided by its square). `window` is in pixels
+    /// of the stamp, and centroids are 0-based stamp indices. Adaptive moments use the whole stamp.
     pub fn samples(self, samples: &PsfSamples) -> Vec<Measurement> {
         let mut rows = self.cube(samples.stamps(), Some(samples.positions().as_slice()));
         let (grid, scale) = (samples.grid(), samples.grid().oversampling());

@@ -38,8 +38,9 @@ pub struct SimulateOptions {
     /// the coordinate `oversample i + (oversample - 1) / 2` of the scene.
     pub oversample: usize,
     /// Size of the stamps in pixels of the frame along each side, centred at `stamp_size / 2`.
-    /// Stamps that convolve images are cut or padded to this size, but not padded much beyond the
-    /// PSF, where they are zero. Stamps that draw stars are only cut. None: the stamps' own size.
+    /// Stamps that convolve images are cut or padded to this size. Padding beyond the reach of the
+    /// PSF, where all values are zero, is left out. Stamps that draw stars are only cut. None: the
+    /// stamps' own size.
     pub stamp_size: Option<usize>,
     /// The part of the scene that the image shows, in pixels of the frame counted from the scene's
     /// first pixel. None: all of it. Field positions of the PSF count from the first pixel of the

@@ -259,8 +259,8 @@ impl CatalogOptions {
         Self { skip_invalid, ..self }
     }
 
-    /// Chooses a table of a FITS file. For a text file, which holds one table, the choice is
-    /// ignored.
+    /// Chooses a table of a FITS file. For a text file, which holds one table, a choice is an
+    /// error.
     #[must_use]
     pub fn with_table(self, table: HduChoice) -> Self {
         Self {

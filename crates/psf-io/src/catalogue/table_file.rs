@@ -36,8 +36,7 @@ impl TableFile {
 
     /// Returns a table, and the result of `take` for its column names. It is the chosen table, or
     /// without a choice the only table whose names `take` accepts. A text file holds one table, so
-    /// the choice is ignored. If a FITS file has no tables, the error lists the columns in
-    /// `needed`.
+    /// a choice is an error. If a FITS file has no tables, the error lists the columns in `needed`.
     pub(crate) fn pick<R>(
         &self,
         choice: Option<&HduChoice>,

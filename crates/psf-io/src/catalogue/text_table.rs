@@ -39,7 +39,7 @@ impl TextTable {
         if text.starts_with(BYTE_ORDER_MARK) {
             text.drain(..BYTE_ORDER_MARK.len());
         }
-        // Lines that end in a carriage return only, as old spreadsheets write them.
+        // Old spreadsheets end lines in a carriage return alone.
         if !text.contains(&b'\n') {
             for byte in text.iter_mut().filter(|byte| **byte == b'\r') {
                 *byte = b'\n';
@@ -83,8 +83,7 @@ impl TextTable {
 
     /// The error for a choice among the tables of this file.
     pub(crate) fn has_no_hdus(&self) -> IoError {
-        const TEXT: &str =
-            "this is a text file, which has one table: only a FITS file has tables to choose from";
+        const TEXT: &str = "a text file holds only one table: a table can be chosen only in a FITS file";
         IoError::new(&self.path, IoErrorKind::Setting, TEXT).with_setting("table")
     }
 

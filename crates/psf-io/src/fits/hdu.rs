@@ -67,7 +67,7 @@ impl Hdu {
             "must be 8, 16, 32, 64, -32 or -64",
         )?;
         let axis_count = hdu.structural("NAXIS", None)?;
-        // CFITSIO writes beyond its arrays if there are more axes.
+        // With more axes, CFITSIO writes beyond the end of its arrays.
         hdu.ensure((0..=99).contains(&axis_count), "NAXIS", "must be 0 to 99")?;
         for axis in 1..=axis_count {
             let length = hdu.structural_count(&format!("NAXIS{axis}"), None)?;

@@ -16,8 +16,8 @@ const STRUCTURE: &[&str] = &[
 const NUMBERED_STRUCTURE: &[&str] = &[
     "NAXIS", "ZNAXIS", "ZTILE", "ZNAME", "ZVAL", "PTYPE", "PSCAL", "PZERO",
 ];
-/// Keywords about the sections of a raw frame, which a computed or cut image does not have, without
-/// the letter of an amplifier.
+/// Keywords about the sections of a raw frame, without the letter of an amplifier at their end. A
+/// computed or cut image does not have these sections.
 const SECTIONS: &[&str] = &["DATASEC", "TRIMSEC", "BIASSEC", "CCDSEC", "DETSEC", "AMPSEC"];
 /// Keywords about the table of a compressed image, without the number at their end.
 const NUMBERED_TABLE: &[&str] = &[
@@ -43,8 +43,8 @@ const STANDARD_COMMENTS: [&str; 2] = [
 /// The cards of a FITS header, in order, which may be copied from an input to an output.
 ///
 /// Headers returned by [`read_image`](crate::read_image) lack the cards about the structure of the
-/// input file (SIMPLE, BITPIX, NAXISn, BSCALE, CHECKSUM ...). The output has its own. They also lack
-/// the cards about the sections of a raw frame (DATASEC, TRIMSEC ...).
+/// input file (SIMPLE, BITPIX, NAXISn, BSCALE, CHECKSUM ...). The output has its own. They also
+/// lack the cards about the sections of a raw frame (DATASEC, TRIMSEC ...).
 ///
 /// ```
 /// use psf_io::{Card, HeaderCards};

@@ -238,7 +238,7 @@ pub struct ImageReader {
     header: HeaderCards,
     /// The value that replaces NaN.
     nan_as: Option<f64>,
-    /// Number of NaN that were replaced, and the row up to which they were counted.
+    /// Number of NaN pixels that were replaced, and the row up to which they were counted.
     replaced: (usize, usize),
 }
 
@@ -314,8 +314,8 @@ impl ImageReader {
         Self { nan_as, ..self }
     }
 
-    /// The number of pixels that [`with_nan_as`](Self::with_nan_as) has replaced so far. If rows
-    /// are read from the first on, pixels of rows that are read again are counted once.
+    /// The number of pixels replaced so far ([`with_nan_as`](Self::with_nan_as)). A row that is
+    /// read again is not counted again, if the rows are first read in ascending order.
     pub fn nan_pixels(&self) -> usize {
         self.replaced.0
     }
@@ -446,7 +446,7 @@ impl Pixels {
     /// holds the data of the HDU.
     fn open(hdu: &Hdu) -> Result<Self, IoError> {
         tiles::check(hdu)?;
-        // CFITSIO takes other values for 1 and 0, without an error.
+        // CFITSIO replaces other values by 1 and 0, without an error.
         for keyword in ["BSCALE", "BZERO"] {
             let value = hdu.optional::<f64>(keyword, FINITE)?;
             if !value.is_none_or(f64::is_finite) || (keyword == "BSCALE" && value == Some(0.0)) {

@@ -51,7 +51,7 @@ impl<'a> HeaderRecords<'a> {
             keyword: "END".to_owned(),
         };
         let problem = format!(
-            "the keyword is missing in the first {HEADER_BLOCK_LIMIT} blocks of 2880 bytes, the most that are read"
+            "the keyword is missing in the first {HEADER_BLOCK_LIMIT} blocks of 2880 bytes: longer headers are not read"
         );
         Err(IoError::new(self.path, IoErrorKind::Header, problem).at(place))
     }

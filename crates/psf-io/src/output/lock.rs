@@ -1,7 +1,6 @@
 //! Locks on outputs, for programs that share a list of work.
 
-use std::fs::{self, File, TryLockError};
-use std::hash::{DefaultHasher, Hash, Hasher};
+use std::fs::{File, TryLockError};
 use std::path::Path;
 use std::thread::sleep;
 use std::time::Duration;
@@ -9,14 +8,14 @@ use std::time::Duration;
 use tempfile::TempPath;
 
 use super::checked_target;
-use super::temporary::{LOCK_MARK, Temporary, directory_of, entries};
+use super::temporary::{LOCK_MARK, Temporary, directory_of, entries, is_at};
 use crate::error::{IoError, unwritable};
 
 /// A lock on an output file, from before the work until the file is written. Other processes that
 /// try to lock the output learn that it is in progress. The system releases the lock when the
 /// process ends for any reason.
 ///
-/// The lock is a small file next to the output, which is removed when this value is dropped.
+/// The lock is an empty hidden file next to the output. Dropping this value removes the file.
 ///
 /// ```
 /// # let directory = tempfile::tempdir()?;
@@ -31,28 +30,31 @@ use crate::error::{IoError, unwritable};
 /// ```
 #[derive(Debug)]
 pub struct OutputLock {
-    // The file is removed before it is unlocked: fields are dropped in this order.
+    // Fields are dropped in this order, so the file is removed before it is unlocked.
     _temporary: Temporary,
     _locked: File,
 }
 
-/// Number of times that a locked file is tried again. A process that removes what killed processes
-/// have left holds the lock for a moment.
+/// Number of times that a locked file is tried again. A process that removes the files of killed
+/// processes holds such a lock for a moment.
 const ATTEMPTS: usize = 5;
 const PAUSE: Duration = Duration::from_millis(20);
 
 impl OutputLock {
-    /// Locks an output, which need not exist. Returns `None` if another lock on it exists. On a file
-    /// system without locks, every call succeeds.
+    /// Locks an output, which need not exist. Returns `None` if another lock on it exists. On a
+    /// file system without locks, every call succeeds.
     ///
     /// # Errors
     /// The errors of [`check_output`](crate::check_output) for an output that may be replaced.
     pub fn acquire(output: impl AsRef<Path>) -> Result<Option<Self>, IoError> {
         let output = output.as_ref();
         let target = checked_target(output, true)?;
-        let mut hasher = DefaultHasher::new();
-        target.file_name().hash(&mut hasher);
-        let path = directory_of(&target).join(format!("{LOCK_MARK}{:016x}", hasher.finish()));
+        // FNV-1a, which is the same on all machines and in all releases.
+        let name = target.file_name().unwrap_or_default().as_encoded_bytes().iter();
+        let hash = name.fold(0xcbf2_9ce4_8422_2325, |hash: u64, &byte| {
+            (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3)
+        });
+        let path = directory_of(&target).join(format!("{LOCK_MARK}{hash:016x}"));
         for attempt in 0.. {
             let mut entries = entries();
             let options = File::options()
@@ -63,7 +65,7 @@ impl OutputLock {
                 .open(&path);
             let file = options.map_err(unwritable(output))?;
             match file.try_lock() {
-                Err(TryLockError::WouldBlock) if attempt == ATTEMPTS => break,
+                Err(TryLockError::WouldBlock) if attempt >= ATTEMPTS => break,
                 Err(TryLockError::WouldBlock) => {
                     drop(entries);
                     sleep(PAUSE);
@@ -81,14 +83,4 @@ impl OutputLock {
         }
         Ok(None)
     }
-}
-
-/// Returns whether `path` is the name of an open file.
-fn is_at(file: &File, path: &Path) -> bool {
-    #[cfg(unix)]
-    if let (Ok(open), Ok(found)) = (file.metadata(), fs::metadata(path)) {
-        use std::os::unix::fs::MetadataExt;
-        return (open.dev(), open.ino()) == (found.dev(), found.ino());
-    }
-    path.exists()
 }

@@ -80,9 +80,9 @@ thread_local! {
 /// Writes several files that belong together: all of them appear, or none.
 ///
 /// `write` calls functions of this crate that write files. Until `write` returns, files that are
-/// complete keep their temporary names. Then all files get their final names, in the order in which
-/// they were written, within a few milliseconds. If `write` fails or the process ends before that,
-/// no file appears. `write` must not read these files, and must write them on the thread that calls
+/// complete keep their temporary names. Then all files get their final names, one after the other,
+/// in the order in which they were written. If `write` fails or the process ends before that, no
+/// file appears. `write` must not read these files, and must write them on the thread that calls
 /// it.
 ///
 /// ```
@@ -101,10 +101,23 @@ thread_local! {
 /// Any error of `write`, and [`IoErrorKind::Write`] or [`IoErrorKind::Exists`] if a file cannot get
 /// its final name. Files that have their names by then are kept.
 pub fn write_together<R, E: From<IoError>>(write: impl FnOnce() -> Result<R, E>) -> Result<R, E> {
+    /// Ends the group, also after an error or a panic. Files that still wait are removed.
+    struct End;
+    impl Drop for End {
+        fn drop(&mut self) {
+            drop(TOGETHER.take());
+        }
+    }
+
+    // A group inside another one is a part of it.
+    if TOGETHER.with_borrow(Option::is_some) {
+        return write();
+    }
     TOGETHER.set(Some(Vec::new()));
-    let written = write();
+    let end = End;
+    let result = write()?;
     let files = TOGETHER.take().unwrap_or_default();
-    let result = written?;
+    drop(end);
     files.into_iter().try_for_each(PendingFile::rename)?;
     Ok(result)
 }
@@ -117,8 +130,9 @@ pub fn write_together<R, E: From<IoError>>(write: impl FnOnce() -> Result<R, E>)
 /// # Errors
 /// [`IoErrorKind::Request`] for `-` (standard output) or the name of a compressed file (`.gz`,
 /// `.fz`, `.bz2`, `.xz`), [`IoErrorKind::NotFound`] if the directory does not exist,
-/// [`IoErrorKind::Format`] if `path` is not a regular file, [`IoErrorKind::Exists`] if the file exists and `overwrite` is false, or
-/// [`IoErrorKind::Write`] if the system does not tell whether the file exists.
+/// [`IoErrorKind::Format`] if `path` is not a regular file, [`IoErrorKind::Exists`] if the file
+/// exists and `overwrite` is false, or [`IoErrorKind::Write`] if the system does not tell whether
+/// the file exists.
 pub fn check_output(path: impl AsRef<Path>, overwrite: bool) -> Result<(), IoError> {
     checked_target(path.as_ref(), overwrite).map(drop)
 }
@@ -151,7 +165,7 @@ pub(crate) fn checked_target(path: &Path, overwrite: bool) -> Result<PathBuf, Io
     }
 }
 
-/// The reason why a path does not stand for a file that this crate can write.
+/// The reason why this crate cannot write a file of this name, if there is one.
 fn unsupported(path: &Path) -> Option<String> {
     const COMPRESSORS: [(&str, &str); 4] = [("gz", "gzip"), ("fz", "fpack"), ("bz2", "bzip2"), ("xz", "xz")];
     if path.as_os_str() == "-" {
@@ -163,7 +177,7 @@ fn unsupported(path: &Path) -> Option<String> {
         .find(|(packed, _)| ending.eq_ignore_ascii_case(packed))?;
     let plain = path.with_extension("");
     Some(format!(
-        "compressed files are not written: write {} and run {tool} on it",
+        "compressed files cannot be written: write {} and run {tool} on it",
         plain.display()
     ))
 }
@@ -326,7 +340,7 @@ mod tests {
         assert_eq!(count(), 0);
         write_together(|| {
             put(&at("a"), "a", false)?;
-            put(&at("b"), "b", false)?;
+            write_together(|| put(&at("b"), "b", false))?;
             assert!(!at("a").exists() && !at("b").exists());
             Ok::<(), IoError>(())
         })

@@ -1,11 +1,16 @@
 //! The temporary files of outputs. A program that is told to stop can remove the temporary files of
-//! its own process. The files of a killed process are removed by the next process that writes in the
-//! same folder.
+//! its own process. The files of a killed process are removed by the next process that writes in
+//! the same folder.
 //!
 //! A temporary file is called `.psfield-PROCESS-RANDOM-OUTPUT` and lies next to its output. The
 //! process that writes it holds an advisory lock on it. The system releases the lock when the
 //! process ends for any reason, even if it ran on another machine that shares the folder. So an
-//! unlocked temporary file belongs to no running process.
+//! unlocked temporary file belongs to no running process, except in the moment between its creation
+//! and its lock. On Linux, psfield therefore keeps the files of all running processes of its
+//! machine.
+//!
+//! The locks of outputs ([`OutputLock`](super::OutputLock)) are temporary files too. Their names
+//! are `.psfield-lock-HASH`.
 //!
 //! Unpacked copies of gzip files are temporary files too. They lie in the system's folder for
 //! temporary files and have no lock, so the copy of a killed process stays there.
@@ -19,7 +24,7 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use tempfile::TempPath;
 
 /// The temporary files of this process: the absolute name of each, and the path of its output as
-/// the caller gave it. The path is `None` for a temporary copy that is only read.
+/// the caller gave it. The path is `None` for a lock, and for a temporary copy that is only read.
 type Entries = Vec<(PathBuf, Option<PathBuf>)>;
 
 static ENTRIES: Mutex<Entries> = Mutex::new(Vec::new());
@@ -79,8 +84,8 @@ impl Drop for Temporary {
     }
 }
 
-/// Removes the temporary files of this process: outputs that are not finished, and unpacked copies
-/// of gzip files. Calls `then` with the names of these outputs.
+/// Removes the temporary files of this process: outputs that are not finished, locks, and unpacked
+/// copies of gzip files. Calls `then` with the names of these outputs.
 ///
 /// This crate installs no signal handlers. A program that is about to end, for example because of
 /// Ctrl-C, calls this function from any thread, even while other threads write. While `then` runs,
@@ -173,8 +178,8 @@ pub(crate) fn claim(temporary: &Path) -> Option<File> {
 /// Removes the temporary files and locks that killed processes have left in the folder of `target`.
 /// A file that cannot be removed does no harm.
 pub(crate) fn remove_left(target: &Path) {
-    /// The folders in which this process has written. A folder may hold tens of thousands of files,
-    /// too many to list again for every output.
+    /// The folders in which this process has written, which are listed only once: a folder may hold
+    /// tens of thousands of files.
     static SEEN: Mutex<BTreeSet<PathBuf>> = Mutex::new(BTreeSet::new());
 
     let directory = directory_of(target);
@@ -201,8 +206,8 @@ fn is_lock(name: &OsStr) -> bool {
     name.as_encoded_bytes().starts_with(LOCK_MARK.as_bytes())
 }
 
-/// The number of the process that made a temporary file: the name is `.psfield-PROCESS-RANDOM`,
-/// followed by the name of an output. `None` if the name is of another form.
+/// The number of the process in the name of a temporary file, `.psfield-PROCESS-RANDOM-OUTPUT`.
+/// `None` if the name has another form.
 fn process_of(name: &OsStr) -> Option<&str> {
     let rest = name.to_str()?.strip_prefix(MARK)?;
     let (process, rest) = rest.split_once('-')?;
@@ -211,8 +216,9 @@ fn process_of(name: &OsStr) -> Option<&str> {
     (is_random && !process.is_empty() && process.bytes().all(|c| c.is_ascii_digit())).then_some(process)
 }
 
-/// Returns whether a process of this machine has this number. A running process locks its file a
-/// moment after it has made it, so a file without a lock may still be in use.
+/// Returns whether a process of this machine has this number. A file of a running process may be in
+/// use although it is not locked, because the process locks it a moment after its creation. Without
+/// `/proc` (only Linux has it), no process counts as running.
 fn is_running(process: &str) -> bool {
     Path::new("/proc").join(process).exists()
 }
@@ -225,9 +231,20 @@ fn remove_if_abandoned(temporary: &Path) {
     // On network file systems an exclusive lock needs a file that is open for writing, and a shared
     // lock needs a file that is open for reading.
     let opened = File::options().read(true).write(true).open(temporary);
-    if opened.is_ok_and(|file| file.try_lock().is_ok()) {
+    // The file may have been replaced by another process's after it was opened.
+    if opened.is_ok_and(|file| file.try_lock().is_ok() && is_at(&file, temporary)) {
         let _ = fs::remove_file(temporary);
     }
+}
+
+/// Returns whether `path` is the name of an open file.
+pub(crate) fn is_at(file: &File, path: &Path) -> bool {
+    #[cfg(unix)]
+    if let (Ok(open), Ok(found)) = (file.metadata(), fs::metadata(path)) {
+        use std::os::unix::fs::MetadataExt;
+        return (open.dev(), open.ino()) == (found.dev(), found.ino());
+    }
+    path.exists()
 }
 
 #[cfg(test)]

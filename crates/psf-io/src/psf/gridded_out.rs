@@ -163,7 +163,7 @@ fn own_cards(
         let comment = "axes of the samples, for each coordinate";
         own.push(Card::new(GRID_LINES, axes, comment).map_err(bad_card(path))?);
         own.push(Card::comment(&format!(
-            "The samples were on a grid with {} coordinates in x and {} others in y. A gridded library needs equal coordinates along \
+            "The samples were on a grid with {} coordinates in x and {} in y. A gridded library needs equal coordinates along \
              both axes, so this file uses all of them along x and along y. Its planes are interpolated bilinearly from the samples.",
             square.xs.len(),
             square.ys.len()

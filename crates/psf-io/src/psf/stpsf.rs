@@ -15,7 +15,7 @@
 //! | `DETECTOR` | name of the detector, not required |
 //! | `VERSION`, `DATE` | version of the software and date of the calculation, from which the order of the planes is found |
 //! | `PLANEORD` | `cards` or `sorted`: the order of the planes, written by psfield |
-//! | `GRIDLINE` | a letter for each coordinate of the planes, ascending: `x`, `y` or `b` (both), the axes on which samples have it; all other planes were interpolated by psfield and are not read |
+//! | `GRIDLINE` | written by psfield if it interpolated planes between samples. One letter for each distinct coordinate of the planes, in ascending order: samples have this coordinate in x (`x`), in y (`y`) or in both (`b`). Only the planes of samples are read |
 //!
 //! Stamps are centred at index `(n - 1) / 2`, include the response of a pixel and sum to about
 //! `OVERSAMP^2`. Positions need not form a grid. If a PSF was made for an even number of detector
@@ -130,7 +130,7 @@ pub fn read_stpsf_hdu(
 /// The keyword in psfield's own files that states which planes are samples.
 pub(crate) const GRID_LINES: &str = "GRIDLINE";
 
-/// The planes that are samples. psfield may have added others, interpolated between the samples.
+/// Returns the planes that are samples. psfield may have interpolated further planes between them.
 fn sample_planes(cards: &LibraryCards<'_>, positions: &[Position]) -> Result<Vec<usize>, IoError> {
     const EXPECTED: &str = "a letter x, y or b for each coordinate of the planes";
     let Some(axes) = cards.text(GRID_LINES, EXPECTED)? else {

@@ -28,9 +28,9 @@ use crate::simulate::{Report, Simulators};
 /// failed jobs are printed. With --quiet --json, the lines of all jobs are printed.
 ///
 /// A batch that is run again continues where it was interrupted: a job whose files exist is
-/// skipped, and so is a job on which another batch works. Images carry a digest of the options of their job (PSFJOB). A job whose options have
-/// changed since then fails unless --overwrite is given. Changes in the content of input files are
-/// not detected.
+/// skipped. A job on which another batch works is skipped, too. Images carry a digest of the
+/// options of their job (PSFJOB). A job whose options have changed since then fails unless
+/// --overwrite is given. Changes in the content of input files are not detected.
 #[derive(Debug, clap::Args)]
 #[command(after_long_help = SAMPLE)]
 pub(crate) struct BatchArgs {
@@ -50,6 +50,7 @@ pub(crate) struct BatchArgs {
     #[arg(long)]
     overwrite: bool,
     /// Also append the lines of all jobs to this file
+    // Not an `OutputFile`, because a log may exist already.
     #[arg(long, value_name = "LOG.jsonl")]
     log: Option<PathBuf>,
     /// Number of PSF models with their plans that are kept in memory for later jobs
@@ -88,8 +89,9 @@ and one in CSV, run as psfield batch jobs.csv --set psf=telescope.fits --set sha
   field2.fits,field2.csv,2,camera.toml
 
 A job's line has the keys job (counted from 1), name, output, status (done, skipped or failed),
-reason (of a skipped job: exists, or in progress if another batch works on it), error, reused (true if model and plan were made for an earlier job), seconds, and report (the
-object of simulate --json)."#;
+reason (only of a skipped job: exists, or in progress if another batch works on it), error, reused
+(true if model and plan were made for an earlier job), seconds, and report (the object of simulate
+--json)."#;
 
 impl BatchArgs {
     pub(crate) fn run(self, context: &Context) -> anyhow::Result<()> {
@@ -154,9 +156,12 @@ fn report_of<'a>(
         seconds: 0.0,
         report: None,
     };
+    // A finished job needs no lock, which might be impossible in its folder.
+    let is_done = !overwrite && matches!(JobState::of(job), JobState::Done);
     // Held until the files of the job are written.
-    let lock = job.lock();
+    let lock = if is_done { Ok(None) } else { job.lock() };
     let state = match &lock {
+        _ if is_done => JobState::Done,
         Err(error) => JobState::Refused(error.to_string()),
         Ok(None) => JobState::InProgress,
         Ok(Some(_)) if overwrite => JobState::Partial,

@@ -53,8 +53,8 @@ pub(super) struct Exposing {
 }
 
 impl ExposureArgs {
-    /// The file of the noise-free image next to `output`, if one is written and has no name of its
-    /// own.
+    /// The default name of the noise-free image, next to `output`. `None` if a name is given or no
+    /// such image is written.
     pub(super) fn default_truth(&self, output: &Path) -> Option<PathBuf> {
         let wanted = self.detector.is_some() && !self.no_truth && self.truth.is_none();
         wanted.then(|| {

@@ -225,7 +225,8 @@ impl SimulateArgs {
         }
     }
 
-    /// The file of the noise-free image, if one is written and has no name of its own.
+    /// The default name of the noise-free image. `None` if a name is given or no such image is
+    /// written.
     pub(crate) fn default_truth(&self) -> Option<PathBuf> {
         self.exposure.default_truth(&self.output)
     }

@@ -71,7 +71,6 @@ pub(super) struct SceneArgs {
         long,
         value_name = "FLUX",
         value_parser = finite,
-        allow_negative_numbers = true,
         help_heading = SCENE,
         hide_short_help = true
     )]

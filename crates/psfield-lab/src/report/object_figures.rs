@@ -77,7 +77,7 @@ pub(super) fn shape_figures(
         },
         NamedFigure {
             name: "eccentricity-differences",
-            caption: "Absolute differences of the eccentricity sqrt(1 - b^2/a^2), called ellipticity in the paper, and the mean absolute error (MAE) divided by the mean \
+            caption: "Absolute differences of the eccentricity sqrt(1 - b^2/a^2) (called ellipticity in the paper by Bai, Jia et al. 2025), and of the mean absolute error (MAE) divided by the mean \
                       of the window."
                 .to_owned(),
             figure: histograms(&[
@@ -94,7 +94,7 @@ pub(super) fn shape_figures(
         NamedFigure {
             name: "eccentricity-distribution",
             caption: format!(
-                "Cumulative distribution of the absolute differences of the eccentricity sqrt(1 - b^2/a^2), called ellipticity in the paper. {line}{of_paper}"
+                "Cumulative distribution of the absolute differences of the eccentricity sqrt(1 - b^2/a^2) (called ellipticity in the paper by Bai, Jia et al. 2025). {line}{of_paper}"
             ),
             figure: drawn(
                 &e_difference,

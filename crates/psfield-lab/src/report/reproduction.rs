@@ -79,7 +79,8 @@ pub struct Reproduction {
     /// Date and time of the start (UTC).
     pub started: String,
     /// The machine's load at the start: the average number of processes that ran or waited during
-    /// the minute before. None if the system does not report it. Other processes make times longer.
+    /// the minute before. Other processes make run times longer. None if the system does not report
+    /// the load.
     pub load: Option<f64>,
     /// Total seconds.
     pub seconds: f64,

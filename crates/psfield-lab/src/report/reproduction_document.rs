@@ -12,7 +12,7 @@ use crate::report::evaluation::PAPER_ECCENTRICITY_Q90;
 use crate::report::object_figures::{error_table, maps, shape_figures, target_table};
 use crate::report::{ModelRow, ObjectKind, Reproduction, Software};
 
-/// The paper whose results are measured anew.
+/// The paper whose results the report compares with psfield's.
 const PAPER: &str = "Bai, Jia, Lv, Zhang, Xiang and Nie (2025): An Ultrafast Image Simulation Technique with Spatially Variable \
                      Point-spread Functions. The Astronomical Journal, doi:10.3847/1538-3881/ad9b2e, arXiv:2502.10015";
 
@@ -262,8 +262,8 @@ impl Reproduction {
 
     fn table_1_section(&self) -> Section {
         let mut table = Table::new(
-            "Plan, run: seconds to make the plan, and of the fastest run. First image: plan and run, divided by plan and run of the method \
-             single. More images: run divided by run of the method single. Error: relative L2 difference from the direct sum in double \
+            "Plan: seconds to make the plan. Run: seconds of the fastest run. First image: sum of plan and run, divided by this sum of the \
+             method single. More images: run, divided by the run of the method single. Error: relative L2 difference from the direct sum in double \
              precision at random pixels.",
             &[
                 "image",
@@ -296,8 +296,8 @@ impl Reproduction {
             paragraphs: vec![
                 "Every pixel has light, and the PSF varies over each image as over the whole field. The method single uses one PSF for the \
                  whole image, which is fastest but ignores the variation. The method patch uses one PSF per patch. The method lowrank is psfield with \
-                 transforms for all tiles. Each run of patches makes their PSFs from the components. What corresponds to it in psfield is the \
-                 plan, which is made once for a model and a frame: the column first image counts it, the column more images does not."
+                 transforms for all tiles. Each run of patches makes their PSFs from the components. In psfield, the plan does \
+                 this work, once for a model and a frame: the column first image counts the plan, the column more images does not."
                     .to_owned(),
             ],
             tables: vec![table],

@@ -28,8 +28,8 @@ pub struct Validation {
     pub oversampling: f64,
     /// Components of the model, the mean not counted.
     pub rank: usize,
-    /// Objects that lie on samples of the model, as [`with_training`](Self::with_training) counts
-    /// them.
+    /// Number of objects that lie on samples of the model, counted by
+    /// [`with_training`](Self::with_training). 0 if they were not counted.
     pub at_samples: usize,
     /// The targets for PSFs without noise. Empty for a frame.
     pub targets: Vec<Target>,
@@ -102,7 +102,7 @@ impl Validation {
     /// The measured windows lie around the stars that are good enough to be samples. `window` is
     /// their side in pixels (None: four FWHM, at least 7). The differences include the noise of the
     /// frame and the errors of the measured positions. `frame` is `[y, x]`. NaN stands for a masked
-    /// pixel, which is left out ([`StarSampling::run_masked`]).
+    /// pixel ([`StarSampling::run_masked`]). The comparison replaces it by the drawn value.
     ///
     /// # Errors
     /// [`ErrorKind::Field`](psfield::ErrorKind::Field) if the frame is larger than the model's
@@ -124,7 +124,7 @@ impl Validation {
             .min(shape.ny());
         let simulated = drawn(model, &drawn_sources(&stars)?, shape)?;
         let mut light = frame - stars.background.level();
-        // In masked pixels, the two do not differ.
+        // Masked pixels get the drawn values, so that they add no difference.
         Zip::from(&mut light).and(&simulated).for_each(|light, &drawn| {
             if light.is_nan() {
                 *light = drawn;
@@ -163,13 +163,13 @@ impl Validation {
     }
 }
 
-/// An object closer than this to a sample of the model, in pixels of the frame, lies on the sample.
+/// An object lies on a sample of the model if it is closer to it than this, in pixels of the frame.
 const ON_SAMPLE_PX: f64 = 0.5;
 
 impl Validation {
-    /// Counts the objects in [`at_samples`](Self::at_samples): those closer than half a pixel of the
-    /// frame to one of the `samples` from which the model was made. Their errors do not show the
-    /// error of the model between its samples.
+    /// Sets [`at_samples`](Self::at_samples) to the number of objects that are closer than half a
+    /// pixel of the frame to one of the `samples` from which the model was made. The errors of
+    /// these objects do not show the error of the model between its samples.
     #[must_use]
     pub fn with_training(mut self, samples: &[Position]) -> Self {
         let near = |row: &&ObjectRow| {

@@ -89,7 +89,7 @@ impl Psf {
                 if planes > samples.len() {
                     notes.push(format!(
                         "the file holds {planes} planes for {} samples: some releases of photutils exchange x and y, so planes \
-                         were added (interpolated bilinearly) until both axes have the same coordinates. psfield reads only the samples back",
+                         were added (interpolated bilinearly) so that both axes have the same coordinates. psfield reads only the samples back",
                         samples.len()
                     ));
                 }

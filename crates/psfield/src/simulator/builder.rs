@@ -10,7 +10,7 @@ use super::geometry::Geometry;
 use super::{REGION, Shared, Simulator};
 use crate::{Device, Method, Psf, PsfieldError, SimulateOptions, check_frame_on_field};
 
-/// Frame pixels by which padded stamps may be wider than the PSF on each side.
+/// Frame pixels by which padded stamps may extend beyond the reach of the PSF ([`Psf::reach`]).
 const STAMP_MARGIN: usize = 8;
 
 /// Collects the settings of a [`Simulator`]. [`Psf::simulator`] makes it. Each setter is named
@@ -178,7 +178,7 @@ impl SimulatorBuilder {
             const NO_STAMP: &str = "the stamp size must be at least 1 pixel";
             return Err(PsfieldError::of_setting("stamp_size", NO_STAMP));
         }
-        // Farther out, padded stamps hold only zeros, which cost time and change nothing.
+        // Farther out, padded stamps hold only zeros. They would cost time and change nothing.
         let widest = 2 * (psf.reach(None) + STAMP_MARGIN);
         options.stamp_size = options.stamp_size.map(|size| size.min(widest));
         let frame = geometry.frame.shape();
