@@ -470,7 +470,10 @@ fn conversions_that_cannot_be() {
         desk.refused(command, 2, &["another name"]);
     }
     // At other positions the samples are fitted.
-    desk.done("convert samples.fits -o elsewhere.fits --to gridded --rank 3 --grid 3,3");
+    desk.noted(
+        "convert samples.fits -o elsewhere.fits --to gridded --rank 3 --grid 3,3",
+        &["25 planes for 9 samples"],
+    );
     // A single stamp without a field has no grid.
     put_stamps(&desk, "stamp.fits", 1);
     desk.refused(

@@ -294,7 +294,9 @@ fn masked_pixels_are_left_out() {
     desk.done("sample frame.fits -o samples.fits -q");
     let validate = "validate samples.fits --truth nan.fits --report report";
     desk.refused(validate, 1, &["nan.fits", "NaN", "--nan-is-masked, or --mask"]);
-    let report = desk.done(&format!("{validate} --mask mask.fits --json")).json();
+    let report = desk
+        .done(&format!("{validate} --mask mask.fits --json -q"))
+        .json();
     assert_eq!(report["objects"]["summary"]["objects"], 23, "{report}");
     desk.refused(
         "validate samples.fits --truth samples.fits --report other --nan-is-masked",
