@@ -90,7 +90,7 @@ def numbers(values: Any, name: str, dtype: np.dtype[Any], axes: str) -> NDArray[
     with np.errstate(over="ignore"):
         converted = np.require(array, dtype=dtype, requirements="A")
     if converted is not array and not np.all(np.isfinite(converted)) and np.all(np.isfinite(array)):
-        raise ValueError(f"{name}: values beyond single precision: choose precision='f64'")
+        raise ValueError(f"{name}: values beyond single precision (3.4e38): choose precision='f64'")
     return converted
 
 

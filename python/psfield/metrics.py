@@ -93,7 +93,18 @@ class GaussianFit:
 
     @property
     def ellipticity(self) -> float:
-        """The former name of `eccentricity`."""
+        """The former name of `eccentricity`.
+
+        Examples
+        --------
+        >>> import warnings
+        >>> from psfield import metrics
+        >>> fit = metrics.fit_gaussian([[0, 1, 0], [1, 4, 1], [0, 1, 0]])
+        >>> with warnings.catch_warnings():
+        ...     warnings.simplefilter("ignore")
+        ...     fit.ellipticity == fit.eccentricity
+        True
+        """
         warnings.warn(
             "GaussianFit.ellipticity is now called eccentricity", DeprecationWarning, stacklevel=2
         )
@@ -143,7 +154,17 @@ class AdaptiveMoments:
 
     @property
     def ellipticity(self) -> float:
-        """Size of the distortion, ``|e1 + i e2|``."""
+        """Size of the distortion, ``|e1 + i e2|``.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from psfield import metrics
+        >>> y, x = np.mgrid[-12:13, -12:13]
+        >>> stamp = np.exp(-(x**2 / 18 + y**2 / 8))
+        >>> round(metrics.adaptive_moments(stamp).ellipticity, 3)
+        0.385
+        """
         return math.hypot(self.e1, self.e2)
 
 
@@ -185,7 +206,17 @@ class QuadrupoleMoments:
 
     @property
     def ellipticity(self) -> float:
-        """Size of the distortion, ``|e1 + i e2|``."""
+        """Size of the distortion, ``|e1 + i e2|``.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from psfield import metrics
+        >>> y, x = np.mgrid[-12:13, -12:13]
+        >>> stamp = np.exp(-(x**2 / 18 + y**2 / 8))
+        >>> round(metrics.quadrupole_moments(stamp).ellipticity, 3)
+        0.384
+        """
         return math.hypot(self.e1, self.e2)
 
 

@@ -181,7 +181,7 @@ def test_galaxies_on_coarse_pixels_are_warned_of(plan):
     for radius in (0.4, 5.0):
         with pytest.warns(
             psfield.PsfieldWarning,
-            match="1 galaxy is blurred a second time .* at least 4 along .* \\(oversample=\\)",
+            match="1 galaxy is blurred twice.* at least 4 along .* \\(oversample=\\)",
         ):
             plan.simulate(catalog=galaxy(radius))
     finer = plan.model.plan((240, 320), oversample=4)

@@ -181,7 +181,7 @@ class TestArrays:
             (
                 np.full((96, 128), 1e300),
                 ValueError,
-                "beyond single precision (3.4e38): choose precision='f64'",
+                r"beyond single precision \(3\.4e38\): choose precision='f64'",
             ),
             (
                 np.ma.masked_array(np.zeros((96, 128)), mask=np.eye(96, 128)),

@@ -25,6 +25,9 @@ const MIN_STAMP_OVERSAMPLING: f64 = 2.0;
 /// pixels.
 const ON_PIXEL: f64 = 1e-9;
 
+/// Beyond this number of half-light radii, a galaxy counts as dark.
+const HALF_LIGHT_RADII: f64 = 10.0;
+
 impl<T: ConvReal> Simulator<T> {
     /// Compares `count` random pixels of an image that this simulator made of `scene` with the
     /// direct sum in f64. `seed` chooses the pixels. The check passes if the difference is within
@@ -186,10 +189,16 @@ impl<T: ConvReal> Simulator<T> {
     /// Returns warnings about a scene's stars and galaxies.
     pub fn warnings(&self, scene: &Scene<'_, T>) -> Vec<SimulationWarning> {
         let mut warnings = Vec::new();
-        let stars = scene.stars().iter().map(|star| star.position());
-        let mut positions = stars.chain(scene.galaxies().iter().map(|galaxy| galaxy.position()));
+        let grid = self.psf().grid();
+        let stamp = grid.nx().max(grid.ny()) as f64 / grid.oversampling();
+        let stars = scene.stars().iter().map(|star| (star.position(), stamp));
+        let galaxies = scene.galaxies().iter().map(|galaxy| {
+            let radius = galaxy.profile().half_light_radius_px();
+            (galaxy.position(), stamp + HALF_LIGHT_RADII * radius)
+        });
         let sources = scene.stars().len() + scene.galaxies().len();
-        if sources > 0 && !positions.any(|position| self.geometry.is_in_frame(position)) {
+        let mut reaching = stars.chain(galaxies);
+        if sources > 0 && !reaching.any(|(position, reach)| self.geometry.is_near_frame(position, reach)) {
             warnings.push(SimulationWarning::NoSourceInFrame { count: sources });
         }
         let off = |v: f64| (v - v.round()).abs() > ON_PIXEL;
@@ -218,7 +227,7 @@ impl<T: ConvReal> Simulator<T> {
 pub enum SimulationWarning {
     /// The image in the scene is convolved with interpolated stamps.
     InterpolatedStamps,
-    /// All stars and galaxies lie outside the frame.
+    /// All stars and galaxies lie so far outside the frame that no light of them reaches it.
     NoSourceInFrame {
         /// Number of stars and galaxies.
         count: usize,
@@ -248,7 +257,7 @@ impl fmt::Display for SimulationWarning {
             ),
             Self::NoSourceInFrame { count } => write!(
                 f,
-                "none of the {count} stars and galaxies lies in the frame: check their positions (0-based pixels)"
+                "none of the {count} stars and galaxies reaches the frame: check their positions (0-based pixels)"
             ),
             Self::StarsBetweenPixels => f.write_str(
                 "stars lie between pixels, and the PSF stamps are oversampled by a factor below 2: the stamps are \

@@ -73,9 +73,11 @@ impl Geometry {
     }
 
     /// Returns whether a position, in frame pixels counted from the scene's first pixel, lies in the
-    /// frame.
-    pub(super) fn is_in_frame(&self, position: Position) -> bool {
-        let inside = |v: f64, first: i64, n: usize| (-0.5..n as f64 - 0.5).contains(&(v - first as f64));
+    /// frame or at most `reach` pixels beside it.
+    pub(super) fn is_near_frame(&self, position: Position, reach: f64) -> bool {
+        let inside = |v: f64, first: i64, n: usize| {
+            (-0.5 - reach..n as f64 - 0.5 + reach).contains(&(v - first as f64))
+        };
         let (frame, shape) = (self.frame, self.frame.shape());
         inside(position.x(), frame.x0(), shape.nx()) && inside(position.y(), frame.y0(), shape.ny())
     }
