@@ -111,8 +111,32 @@ class GaussianFit:
         return self.eccentricity
 
 
+class _Distortion:
+    """Moments that have a distortion."""
+
+    e1: float
+    e2: float
+
+    @property
+    def ellipticity(self) -> float:
+        """Size of the distortion, ``|e1 + i e2|``.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from psfield import metrics
+        >>> y, x = np.mgrid[-12:13, -12:13]
+        >>> stamp = np.exp(-(x**2 / 18 + y**2 / 8))
+        >>> round(metrics.adaptive_moments(stamp).ellipticity, 3)
+        0.385
+        >>> round(metrics.quadrupole_moments(stamp).ellipticity, 3)
+        0.384
+        """
+        return math.hypot(self.e1, self.e2)
+
+
 @dataclass(frozen=True)
-class AdaptiveMoments:
+class AdaptiveMoments(_Distortion):
     """Second moments with a Gaussian weight that is fitted to the light.
 
     The weight has the size and shape of the light (Hirata and Seljak 2003). `adaptive_moments`
@@ -152,24 +176,9 @@ class AdaptiveMoments:
     g1: float
     g2: float
 
-    @property
-    def ellipticity(self) -> float:
-        """Size of the distortion, ``|e1 + i e2|``.
-
-        Examples
-        --------
-        >>> import numpy as np
-        >>> from psfield import metrics
-        >>> y, x = np.mgrid[-12:13, -12:13]
-        >>> stamp = np.exp(-(x**2 / 18 + y**2 / 8))
-        >>> round(metrics.adaptive_moments(stamp).ellipticity, 3)
-        0.385
-        """
-        return math.hypot(self.e1, self.e2)
-
 
 @dataclass(frozen=True)
-class QuadrupoleMoments:
+class QuadrupoleMoments(_Distortion):
     """Second moments without a weight. `quadrupole_moments` returns them.
 
     Attributes
@@ -203,21 +212,6 @@ class QuadrupoleMoments:
     e2: float
     g1: float
     g2: float
-
-    @property
-    def ellipticity(self) -> float:
-        """Size of the distortion, ``|e1 + i e2|``.
-
-        Examples
-        --------
-        >>> import numpy as np
-        >>> from psfield import metrics
-        >>> y, x = np.mgrid[-12:13, -12:13]
-        >>> stamp = np.exp(-(x**2 / 18 + y**2 / 8))
-        >>> round(metrics.quadrupole_moments(stamp).ellipticity, 3)
-        0.384
-        """
-        return math.hypot(self.e1, self.e2)
 
 
 @dataclass(frozen=True)

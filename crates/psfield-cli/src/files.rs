@@ -43,6 +43,15 @@ impl Deref for OutputFile {
     }
 }
 
+impl OutputFile {
+    /// The default name of a further FITS file of this output, next to it: `a/b.fits` and the
+    /// ending `truth` give `a/b_truth.fits`.
+    pub(crate) fn beside(&self, ending: &str) -> PathBuf {
+        let stem = self.file_stem().unwrap_or_default().to_string_lossy();
+        self.with_file_name(format!("{stem}_{ending}.fits"))
+    }
+}
+
 impl AsRef<Path> for OutputFile {
     fn as_ref(&self) -> &Path {
         &self.0

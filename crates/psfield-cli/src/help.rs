@@ -16,13 +16,7 @@ const LAST_GROUP: &str = "Measure psfield itself";
 /// Builds the command line with its help texts.
 pub(crate) fn command<C: CommandFactory>() -> Command {
     // Without this, a negative number is taken for an unknown option.
-    let names = C::command()
-        .get_subcommands()
-        .map(|c| c.get_name().to_owned())
-        .collect::<Vec<_>>();
-    let command = names.into_iter().fold(C::command(), |command, name| {
-        command.mut_subcommand(name, |subcommand| subcommand.allow_negative_numbers(true))
-    });
+    let command = C::command().mut_subcommands(|command| command.allow_negative_numbers(true));
     let template = format!(
         "{{about-with-newline}}\n{{usage-heading}} {{usage}}\n\n{}Options:\n{{options}}\n\n\
          psfield COMMAND -h shows the main options of a command, psfield COMMAND --help shows all.\n",

@@ -33,7 +33,7 @@ mod values;
 use std::process::ExitCode;
 
 use anyhow::Context as _;
-use clap::{CommandFactory as _, FromArgMatches, Parser, Subcommand};
+use clap::{FromArgMatches, Parser, Subcommand};
 use context::{Context, UsageError, message_of};
 use files::NamedFiles;
 
@@ -162,22 +162,20 @@ fn main() -> ExitCode {
     #[cfg(feature = "gpu")]
     quieten_drivers();
     let (arguments, notes) = old_names::replaced(std::env::args_os());
-    let given = help::command::<Cli>().get_matches_from(arguments);
-    let cli = Cli::from_arg_matches(&given)
-        .unwrap_or_else(|error| error.format(&mut help::command::<Cli>()).exit());
+    let mut command = help::command::<Cli>();
+    let given = command
+        .try_get_matches_from_mut(arguments)
+        .unwrap_or_else(|error| error.exit());
+    let cli = Cli::from_arg_matches(&given).unwrap_or_else(|error| error.format(&mut command).exit());
     let (name, arguments) = given.subcommand().expect("clap requires a command");
-    let command = Cli::command();
-    let command = command.find_subcommand(name).expect("clap found this command");
-    let Err(error) = cli.run(NamedFiles::of(command, arguments), &notes) else {
+    let ran = command.find_subcommand(name).expect("clap found this command");
+    let Err(error) = cli.run(NamedFiles::of(ran, arguments), &notes) else {
         return ExitCode::SUCCESS;
     };
     if let Some(usage) = error.downcast_ref::<UsageError>() {
-        let mut command = help::command::<Cli>();
         command.build();
-        given
-            .subcommand_name()
-            .and_then(|name| command.find_subcommand_mut(name))
-            .expect("the command that ran")
+        let ran = command.find_subcommand_mut(name);
+        ran.expect("clap found this command")
             .error(clap::error::ErrorKind::ArgumentConflict, usage)
             .exit();
     }

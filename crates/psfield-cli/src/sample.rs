@@ -93,15 +93,10 @@ impl SampleArgs {
             }
         }
     }
-}
 
-impl SampleArgs {
     /// The file of --hold-out, next to the output. `None` without this option.
     pub(crate) fn hold_out_file(&self) -> Option<PathBuf> {
-        self.hold_out.map(|_| {
-            let stem = self.output.file_stem().unwrap_or_default().to_string_lossy();
-            self.output.with_file_name(format!("{stem}_holdout.fits"))
-        })
+        self.hold_out.map(|_| self.output.beside("holdout"))
     }
 
     /// Writes the samples, and the PSFs that are not samples.

@@ -1,6 +1,6 @@
 //! The detector of `psfield simulate`.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use detector::{Detector, ExposureReport};
 use psf_io::{Card, HeaderCards};
@@ -55,24 +55,21 @@ pub(super) struct Exposing {
 impl ExposureArgs {
     /// The default name of the noise-free image, next to `output`. `None` if a name is given or no
     /// such image is written.
-    pub(super) fn default_truth(&self, output: &Path) -> Option<PathBuf> {
+    pub(super) fn default_truth(&self, output: &OutputFile) -> Option<PathBuf> {
         let wanted = self.detector.is_some() && !self.no_truth && self.truth.is_none();
-        wanted.then(|| {
-            let stem = output.file_stem().unwrap_or_default().to_string_lossy();
-            output.with_file_name(format!("{stem}_truth.fits"))
-        })
+        wanted.then(|| output.beside("truth"))
     }
 
     /// Returns the detector to apply, if any. Checks all that can be checked before the work.
     pub(super) fn exposing(
         &self,
-        output: &Path,
+        output: &OutputFile,
         overwrite: bool,
         seed: u64,
         context: &Context,
     ) -> anyhow::Result<Option<Exposing>> {
         let files = ExposureFiles {
-            raw: output.to_owned(),
+            raw: output.to_path_buf(),
             truth: self.truth.as_deref().cloned().or(self.default_truth(output)),
             quality: self.quality.as_deref().cloned(),
             overwrite,

@@ -7,6 +7,7 @@ use std::collections::BTreeSet;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use crate::desk::{Desk, NX};
+use crate::sampling::TELESCOPE;
 
 /// A command line, its exit status, and words that its message must contain.
 type Case = (&'static str, i32, &'static [&'static str]);
@@ -785,22 +786,6 @@ const TEXTS: &[(&str, &str)] = &[
         "output,scene,psf,psf\nout.fits,scene.fits,model.fits,model.fits\n",
     ),
 ];
-
-/// A telescope that can be sampled.
-const TELESCOPE: &str = r#"name = "small"
-wavelength_nm = 633.0
-pixel_scale_arcsec = 0.1
-frame = { nx = 128, ny = 96 }
-stamp = { nx = 24, ny = 24 }
-aperture = { diameter_m = 1.2, obscuration = 0.3 }
-
-[wavefront]
-unit = "nm"
-modes = [{ noll = 4, terms = [{ x = 2, value = 60.0 }, { y = 2, value = 30.0 }] }]
-
-[detector]
-pixel_integration = true
-"#;
 
 /// Telescopes with a mistake: the file, a part of [`TELESCOPE`], and what stands there instead.
 const TELESCOPES: &[(&str, &str, &str)] = &[

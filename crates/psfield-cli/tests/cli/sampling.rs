@@ -5,8 +5,7 @@ use serde_json::Value;
 use crate::desk::{Desk, assert_keys};
 
 /// A small telescope, in focus in the middle of its field.
-const TELESCOPE: &str = r#"
-name = "small"
+pub(crate) const TELESCOPE: &str = r#"name = "small"
 wavelength_nm = 633.0
 pixel_scale_arcsec = 0.1
 frame = { nx = 128, ny = 96 }
