@@ -90,7 +90,7 @@ def main(program):
         lines = ["x,y", *(f"{x},{y}" for x, y in places)]
         (work / "places.csv").write_text("\n".join(lines) + "\n")
         stamps = work / "stamps.fits"
-        places = ["--at", work / "places.csv", "--grid", "native", "--size", STAMP]
+        places = ["--at", work / "places.csv", "--pixels", "native", "--size", STAMP]
         psfield("evaluate", psf, *places, "-o", stamps)
 
         write_image(work / "scene_zoomed.fits", scene_rows(work / "demo"), zoom=2)

@@ -21,7 +21,7 @@ def check_linear(unit: Any, name: str) -> None:
 
 
 def in_unit(values: Any, unit: Any, name: str) -> Any:
-    """Return the numbers of a Quantity in a unit, or in its own unit if that is None.
+    """Return the numbers of a Quantity in ``unit``, or in its own unit if ``unit`` is None.
 
     Values without a unit are returned as they are. Dimensionless values count as pixels.
     """

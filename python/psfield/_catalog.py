@@ -58,7 +58,7 @@ def read_catalog(
         A FITS file with the world coordinates of the frame, for positions ``ra`` and ``dec`` in
         degrees.
     wcs_extension : str or int, optional
-        The extension of that file.
+        The extension of the file ``wcs``: its number or its name.
 
     Returns
     -------
@@ -72,7 +72,7 @@ def read_catalog(
     OSError
         The file cannot be read, a column is missing, or a row is invalid.
     ValueError
-        The arguments contradict each other.
+        An argument is invalid, or arguments contradict each other.
 
     Warns
     -----

@@ -32,7 +32,7 @@ class Defaults(NamedTuple):
 
 
 class DetectorDefaults(NamedTuple):
-    """The parameters of a perfect detector, by name. None means that a step is skipped."""
+    """The parameters of a perfect detector, by name. None means that a parameter is not set."""
 
     name: str
     electrons_per_flux: float

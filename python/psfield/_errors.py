@@ -2,7 +2,7 @@
 
 
 class PsfieldWarning(UserWarning):
-    """A result that may be wrong in a way that psfield cannot check.
+    """A warning about a result that may be wrong, or about input that was skipped.
 
     For example, stars lie between pixels and the PSF stamps are not oversampled.
 

@@ -58,14 +58,16 @@ class PsfModel:
 
     Notes
     -----
-    The PSF at a field position x is ``h(u; x) = [B_0(u) + sum_k a_k(x) B_k(u)] / s(x)``. ``B_0`` is
-    the mean stamp and ``B_k`` are orthonormal components, from an SVD of the samples. The
-    coefficients ``a_k`` are interpolated between the samples. If PSFs are scaled to unit flux,
-    ``s`` is the flux of the sum in brackets, else 1.
+    The PSF at a field position ``x`` and an offset ``u`` from it is
+    ``h(u; x) = [B_0(u) + sum_k a_k(x) B_k(u)] / s(x)``. ``B_0`` is the mean stamp and ``B_k`` are
+    orthonormal components, from an SVD of the samples. The coefficients ``a_k`` are interpolated
+    between the samples. If PSFs are scaled to unit flux, ``s`` is the flux of the sum in brackets,
+    else 1.
 
-    A value of a stamp is the fraction of the flux of a source per *frame* pixel: the fraction in a
-    pixel centred there if the pixel response is included, else the fraction at that point. A stamp
-    that is oversampled ``s`` times has unit flux if its values sum to ``s**2``, as in photutils.
+    If the pixel response is included, a value of a stamp is the fraction of the flux of a source
+    that falls in a *frame* pixel centred at that point of the stamp. Otherwise it is the density
+    at that point: the fraction of the flux per frame pixel. In both cases a stamp that is
+    oversampled ``s`` times has unit flux if its values sum to ``s**2``, as in photutils.
 
     The arguments ``centre``, ``centring``, ``field_centre`` and ``normalise`` may also be spelt
     ``center``, ``centering``, ``field_center`` and ``normalize``.
@@ -133,8 +135,8 @@ class PsfModel:
         oversampling : float
             Stamp pixels per frame pixel, along each axis.
         centre : (float, float), optional
-            Reference point ``(x, y)`` of the stamps, a 0-based index that may be fractional.
-            Default: ``(nx // 2, ny // 2)``.
+            Point ``(x, y)`` of the stamps that lies at the position of the source, as a 0-based
+            index that may be fractional. Default: ``(nx // 2, ny // 2)``.
         pixel_response_included : bool
             The stamps include the response of a frame pixel. If not, the response is applied when
             the PSF is used.
@@ -346,10 +348,10 @@ class PsfModel:
         shape : (int, int)
             Rows and columns of the frame.
         threshold : float
-            Largest relative error at which the refinement stops: the error of interpolating between
-            neighbouring samples, or the difference of neighbouring samples.
+            The refinement stops where the relative error is at most this value.
         criterion : {'interpolation', 'neighbours'}
-            The error that is compared with ``threshold``.
+            The error that is compared with ``threshold``: the error of interpolating between
+            neighbouring samples, or the difference of neighbouring samples.
         measure : {'l2', 'l1'}
             Norm in which PSFs are compared.
         start : (int, int)
@@ -363,7 +365,8 @@ class PsfModel:
         rank, centring, noise, interpolation, outside, normalise
             Fit of the samples, as for `from_samples`.
         progress : callable or tqdm bar, optional
-            ``progress(done, total)`` with the number of PSFs drawn and of those known to be needed.
+            ``progress(done, total)`` with the number of PSFs drawn so far, and the number of PSFs
+            known to be needed.
 
         Returns
         -------
@@ -446,9 +449,10 @@ class PsfModel:
         detector : int, optional
             Detector to read, if the file holds several (STDPSF).
         plane_order : str, optional
-            Assignment of positions to planes (STPSF), if the version of STPSF does not tell.
+            Order of the planes (STPSF): ``'cards'`` or ``'sorted'`` (by y, then x). Needed only if
+            the header does not show which version of STPSF wrote the file.
         wavelength_um, pixel_scale_arcsec, field_centre : optional
-            Values that files of ScopeSim lack.
+            Values that a file of ScopeSim does not state.
         positions : array_like or table, optional
             Positions of the stamps of a plain cube.
         oversampling, centre, pixel_response_included : optional
@@ -476,7 +480,7 @@ class PsfModel:
         >>> model = psfield.PsfModel.from_samples([[0, 1, 0], [1, 4, 1], [0, 1, 0]], (0, 0))
         >>> _ = model.write("psf.fits", overwrite=True)
         >>> psfield.PsfModel.read("psf.fits")
-        <PsfModel: 1 nodes, stamps 3 x 3, oversampling 1>
+        <PsfModel: 1 positions, stamps 3 x 3, oversampling 1>
         """
         at = None if positions is None else tuple(axis.tolist() for axis in points(positions))
         file = {
@@ -566,7 +570,7 @@ class PsfModel:
 
     @property
     def centre(self) -> Centre:
-        """Reference point (x, y) of the stamps.
+        """Point (x, y) of the stamps that lies at the position of the source.
 
         Examples
         --------
@@ -592,7 +596,7 @@ class PsfModel:
 
     @property
     def positions(self) -> NDArray[np.float64]:
-        """Positions of the samples (or of a model's coefficients): ``[sample, 2]``, x and y.
+        """Positions of the samples or, without samples, of the coefficients: ``[position, 2]``.
 
         Examples
         --------
@@ -643,7 +647,7 @@ class PsfModel:
 
     @property
     def coefficients(self) -> NDArray[np.float64]:
-        """Coefficients of the components at `positions`: ``[sample, component]``.
+        """Coefficients of the components at `positions`: ``[position, component]``.
 
         Examples
         --------
@@ -728,9 +732,9 @@ class PsfModel:
         Parameters
         ----------
         x, y : float or array_like
-            Positions in 0-based pixels of the frame. They are broadcast.
+            Positions in 0-based pixels of the frame. ``x`` and ``y`` are broadcast together.
         pixels : {'stamp', 'frame'}
-            Sample the PSF at the pixels of the stamps, or at those of the frame. Pixels of the
+            Sample the PSF at the pixels of the stamps or at the pixels of the frame. Pixels of the
             frame include the pixel response, even if the stamps do not.
         size : int, optional
             Rows and columns of the result, which is cut or padded about the centre.
@@ -782,9 +786,9 @@ class PsfModel:
         Returns
         -------
         photutils.psf.GriddedPSFModel
-            Its ``meta['psfield_max_error']`` is the largest relative L2 error of its bilinear
-            interpolation, relative to this model and halfway between the positions. The value is
-            None if this model is itself bilinear between these positions.
+            Its ``meta['psfield_max_error']`` is the largest relative L2 difference from this model
+            halfway between the positions, where the gridded model interpolates. The value is None
+            if this model is itself bilinear between these positions.
 
         Examples
         --------
@@ -817,7 +821,7 @@ class PsfModel:
         precision: Precision = DEFAULTS.precision,
         overwrite: bool = False,
     ) -> tuple[str, ...]:
-        """Write the PSF to a file. No partial file is left if that fails.
+        """Write the PSF to a file. If the writing fails, no partial file is left.
 
         Parameters
         ----------
@@ -889,8 +893,8 @@ class PsfModel:
             Device that convolves. ``auto`` uses a GPU if that is predicted to be faster.
         frame : (int, int, int, int), optional
             Part of the scene that the image shows: first column, first row, columns, rows, in
-            pixels of the image. Field positions count from its first pixel. Light from around the
-            frame enters the image.
+            pixels of the image. Field positions count from the first pixel of the frame. Light from
+            around the frame enters the image.
         region : (int, int, int, int), optional
             Part of the frame to simulate: first column, first row, columns, rows, in pixels of the
             image counted from the first pixel of the frame. Use it to simulate a frame in pieces,
@@ -942,7 +946,7 @@ class PsfModel:
         )
 
     def __repr__(self) -> str:
-        kind = "samples" if self._handle.has_samples() else "nodes"
+        kind = "samples" if self._handle.has_samples() else "positions"
         (ny, nx), count = self.stamp_shape, len(self._handle.positions()[0])
         field = "" if self.field_shape is None else ", field {} x {}".format(*self.field_shape)
         return (

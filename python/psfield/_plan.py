@@ -99,7 +99,7 @@ class Plan:
     def for_region(self, region: tuple[int, int, int, int]) -> Plan:
         """Return a plan for another region of the same frame, with the tiles of this plan.
 
-        It takes much less time than a plan that has to choose its tiles.
+        This takes much less time than `PsfModel.plan`, which has to choose the tiles.
 
         Parameters
         ----------
@@ -279,11 +279,11 @@ class Plan:
         catalog : table or path, optional
             Stars and galaxies, as a table (astropy Table, dict of arrays, structured array, data
             frame) or as a CSV or FITS file that `read_catalog` can read. The columns are ``x``,
-            ``y`` (or ``x_0``, ``y_0``) in 0-based pixels of the image, which may lie outside it,
-            and ``flux``. Galaxies have a Sersic profile with the columns ``re`` (half-light radius
-            along the major axis in pixels, where 0, NaN or masked means a star), ``n``, ``q`` and
-            ``angle`` (degrees from +x towards +y). A number in place of a column holds for all
-            rows.
+            ``y`` (or ``x_0``, ``y_0``) and ``flux``. Positions are in pixels of the image, counted
+            from the first pixel of the scene (0-based). They may lie outside the scene. Galaxies
+            have a Sersic profile with the columns ``re`` (half-light radius along the major axis in
+            pixels, where 0, NaN or masked means a star), ``n``, ``q`` and ``angle`` (degrees from
+            +x towards +y). A number in place of a column holds for all rows.
         out : numpy.ndarray, optional
             Array to which the image is written, with `image_shape` and `dtype`. Its content is
             undefined after an interruption.
@@ -413,7 +413,7 @@ class Plan:
         image : array_like, optional
             The result of `simulate` for this scene and catalogue. By default it is computed here.
         pixels : int
-            Number of pixels, at most the number of pixels of the image (or 500).
+            Number of pixels, at most the number of pixels of the image, or 500 if that is more.
         seed : int
             Seed that chooses the pixels.
 
@@ -457,7 +457,7 @@ class Plan:
             return light
         expected = f"{self.shape}"
         if self.region is not None:
-            expected += f" or of its part {self.light_region} with the shape {self._light_shape()}"
+            expected += f", or {self._light_shape()} for the light_region {self.light_region}"
         raise ValueError(f"scene: the plan is for scenes of shape {expected}, got {light.shape}")
 
     def _shown(self, light: NDArray[Any] | None) -> tuple[int, int]:

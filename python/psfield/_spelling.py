@@ -35,7 +35,7 @@ def american(function: Callable[P, R]) -> Callable[P, R]:
     """Let a function accept American spellings of its keyword arguments.
 
     The function declares ``**american: Unpack[American]`` for type checkers. It never receives
-    values through it.
+    values through this parameter.
     """
     signature = inspect.signature(function)
     parameters = [p for p in signature.parameters.values() if p.name != "american"]

@@ -12,7 +12,7 @@ OTHER_NAMES = {"x": "x_0", "y": "y_0"}
 def column_names(table: Any) -> list[Any] | None:
     """Return the names of the columns, or None for anything that is not a table.
 
-    Tables are astropy's, structured arrays, dicts of columns and data frames.
+    Tables are astropy Tables, structured arrays, dicts of columns and data frames.
     """
     names = getattr(table, "colnames", None)
     if names is None:

@@ -1,7 +1,7 @@
 """A detector, which converts the light of an image to counts in several steps.
 
-The steps are sky, photon noise, response, dark current, bad pixels, full well, read noise, gain and
-digitisation.
+The steps, in this order, are sky, response, dark current, bad pixels, photon noise, full well, read
+noise, gain with bias, and digitisation.
 
 >>> import numpy as np
 >>> from psfield.detector import Detector
@@ -76,7 +76,7 @@ class Detector:
     name : str
         Name of the detector, for human readers.
     electrons_per_flux : float
-        Electrons per unit of the flux of the image, in the exposure.
+        Electrons that one unit of the image's flux gives in the exposure.
     exposure_s : float, optional
         Exposure time in seconds. It scales the dark current, not the light.
     photon_noise : bool
@@ -84,11 +84,11 @@ class Detector:
     sky_e : float
         Sky in electrons per pixel, in the exposure, at the middle of the frame.
     sky_gradient_e_per_px : mapping, optional
-        Change of the sky per pixel, with the keys ``x`` and ``y``.
+        Change of the sky in electrons from pixel to pixel, with the keys ``x`` and ``y``.
     dark_e_per_s : float
-        Dark current in electrons per pixel and second. It needs ``exposure_s``.
+        Dark current in electrons per pixel and second. A value above 0 needs ``exposure_s``.
     response_rms : float
-        Standard deviation of the response of the pixels to light, about 1.
+        Standard deviation of the pixels' response to light. The mean response is 1.
     full_well_e : float, optional
         Largest charge of a pixel in electrons.
     read_noise_e : float
@@ -112,9 +112,9 @@ class Detector:
 
     Notes
     -----
-    The noise comes from ChaCha8 streams, one for each row and step. It depends only on the image
-    and the seed. ``pattern_seed`` belongs to the sensor: exposures with different seeds share its
-    response and bad pixels.
+    The noise comes from ChaCha8 streams, one for each row and step. It depends only on the image,
+    the parameters and the seed. ``pattern_seed`` determines the response and the bad pixels of the
+    sensor, which exposures with different seeds share.
 
     Examples
     --------
@@ -247,7 +247,8 @@ class Detector:
         seed : int
             Seed of the noise.
         bad_pixels : array_like, optional
-            Flags ``[y, x]`` of bad pixels, in addition to those that the detector draws.
+            Flags ``[y, x]``: sums of `DEAD`, `HOT` and `BAD_COLUMN`, or 0 for a good pixel. The bad
+            pixels that the detector draws at random are added.
 
         Returns
         -------

@@ -3,14 +3,15 @@
 Stamps are ``[y, x]``. Centroids are 0-based indices of the stamp and lengths are in its pixels.
 Angles are in radians from +x towards +y.
 
-Measures of the elongation of an ellipse with axes ``a >= b`` and position angle ``phi``:
+Measures of the elongation of an ellipse with axes ``a >= b`` and position angle ``phi``, and the
+attributes that hold them:
 
-==============  ================================================
-eccentricity    ``sqrt(1 - b**2 / a**2)``: ``eccentricity``
-ellipticity     ``(a**2 - b**2) / (a**2 + b**2)``: ``ellipticity``
-distortion      components of the ellipticity: ``e1``, ``e2``
-reduced shear   ``(a - b) / (a + b)``: ``g1``, ``g2``
-==============  ================================================
+==============  ======================================================================
+eccentricity    ``eccentricity``: ``sqrt(1 - b**2 / a**2)``
+ellipticity     ``ellipticity``: ``(a**2 - b**2) / (a**2 + b**2)``
+distortion      ``e1``, ``e2``: the ellipticity times ``cos(2 phi)``, ``sin(2 phi)``
+reduced shear   ``g1``, ``g2``: ``(a - b) / (a + b)`` times ``cos(2 phi)``, ``sin(2 phi)``
+==============  ======================================================================
 
 >>> import numpy as np
 >>> from psfield import metrics

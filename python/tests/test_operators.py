@@ -108,7 +108,7 @@ def test_regions_that_cannot_be():
     with pytest.raises(ValueError, match="columns and rows"):
         model.plan((96, 128), region=(0, 0, 0, 5))
     plan = model.plan((96, 128), region=(10, 10, 20, 20))
-    with pytest.raises(ValueError, match="or of its part"):
+    with pytest.raises(ValueError, match="for the light_region"):
         plan.simulate(np.ones((20, 20)))
     with pytest.raises(ValueError, match="cannot be checked"):
         plan.spot_check(np.ones((96, 128)))

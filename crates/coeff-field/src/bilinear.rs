@@ -144,7 +144,7 @@ impl GridWeights {
     }
 
     /// Returns the point at which the weights for `p` are computed, or `None` if the policy rejects
-    /// it. The point is `p` itself (extend) or the nearest point of the grid.
+    /// `p`. The point is `p` itself (extend) or the nearest point of the grid.
     fn admit(&self, p: Point) -> Option<Point> {
         if self.outside == OutsidePolicy::Extend {
             return Some(p);
@@ -212,9 +212,9 @@ impl FieldWeights for GridWeights {
     }
 }
 
-/// Predicts each sample from the other samples of its row and from those of its column. The
-/// prediction is the mean of the two. If the sample lies between other samples in only one of the
-/// two lines, only that line is used.
+/// Predicts each sample from the other samples of its row, and also from those of its column. The
+/// result is the mean of these two predictions. If the sample lies between other samples in only
+/// one of the two lines, only that line is used.
 fn grid_leave_one_out(samples: &SampleCoefficients, along: AlongAxis, outside: OutsidePolicy) -> Outcomes {
     let grid = RegularGrid::detect(samples.positions())?;
     let outside = known(outside)?;
@@ -248,7 +248,7 @@ fn grid_leave_one_out(samples: &SampleCoefficients, along: AlongAxis, outside: O
     }))
 }
 
-/// The weights that predict one line of an axis from the other lines.
+/// The weights of an axis's other lines that predict the samples on one line.
 struct LeftOutLine {
     weights: WeightList,
     /// True unless the line is the first or the last one.

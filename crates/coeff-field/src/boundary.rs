@@ -1,11 +1,13 @@
-//! The boundary of the triangulation: the positions beyond it, and the slivers along it.
+//! The boundary of the triangulation. It determines the values beyond the hull, and in the slivers
+//! along the hull.
 //!
 //! Samples along an edge of the field are rarely collinear to the last bit. A sample slightly
 //! inside the hull leaves a dent, which a sliver (a long thin triangle) closes. The sliver's long
 //! side joins two distant samples, so the value at the hull would ignore the sample in between.
-//! Therefore slivers along the hull are peeled off, and the samples behind them join the boundary.
-//! Each side of the hull then has a chain of samples along it. The depth of a dent is at most
-//! [`MAX_DENT`] times its width.
+//! Therefore slivers along the hull are peeled off: they are marked, and their weights are not
+//! used. The samples behind them join the boundary, so each side of the hull has a chain of samples
+//! along it. A sliver is peeled off only if the depth of its dent is at most [`MAX_DENT`] times the
+//! dent's width.
 
 use std::num::NonZeroU32;
 
@@ -17,8 +19,8 @@ use crate::triangles::{GradientStencil, Node, Triangles, gradient_stencil, point
 
 /// Largest depth of a dent whose sliver is peeled off, relative to the dent's width along the side.
 const MAX_DENT: f64 = 1e-3;
-/// Farther inside the hull than this multiple of the depth of a side's dents, natural neighbour
-/// weights are used without a share of linear weights.
+/// Close to a side with dents, natural neighbour weights blend into linear ones. The blending ends
+/// at this multiple of the depth of the dents.
 const CLEAR: f64 = 4.0;
 /// The edges of a dent have slopes below `1 / SLOPE` relative to the side.
 const SLOPE: f64 = 10.0;
@@ -33,8 +35,8 @@ pub(crate) struct Boundary {
 #[derive(Debug)]
 pub(crate) struct Side {
     start: Point,
-    /// The vector from the start to the end. Links are stored relative to the start too, so that
-    /// large coordinates lose no digits.
+    /// The vector from the start to the end. The samples of the chain are also stored relative to
+    /// the start, so that large coordinates lose no digits.
     span: Point,
     direction: Point,
     chain: Vec<Link>,
@@ -43,7 +45,7 @@ pub(crate) struct Side {
     depth: f64,
 }
 
-/// A sample of a chain.
+/// A sample of the chain along a side.
 #[derive(Debug)]
 pub(crate) struct Link {
     /// Distance of the sample from the start of the side, measured along the side.
@@ -70,7 +72,7 @@ pub(crate) struct Foot<'a> {
     pub(crate) to_position: Point,
 }
 
-/// The part of the hull that contains the point nearest to a position.
+/// The part of the hull's outline that contains the point nearest to a position.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum BoundaryPiece {
     /// The start of this side.
@@ -169,7 +171,7 @@ impl Boundary {
 
     /// The distance of `p` from dents, on a scale from 0 to 1. Along a side with dents, it is 0
     /// from the hull to the depth of the dents. Farther inside it grows, to 1 at [`CLEAR`] times
-    /// that depth.
+    /// that depth. Without dents it is 1.
     pub(crate) fn clearance(&self, p: Point) -> f64 {
         let uneven = self.sides.iter().filter(|side| side.depth > 0.0);
         uneven.fold(1.0, |least: f64, side| {
@@ -227,7 +229,8 @@ impl Side {
         }
     }
 
-    /// Extends the chain along one hull edge, around the slivers behind it.
+    /// Extends the chain along one hull edge. Marks the slivers behind the edge, and leads the
+    /// chain around them.
     fn follow(
         &mut self,
         triangles: &mut Triangles,
@@ -269,7 +272,8 @@ impl Side {
         dot(offset, [-self.direction[1], self.direction[0]])
     }
 
-    /// The depth of the apex of a triangle on this hull edge, if the triangle only closes a dent.
+    /// The depth of `apex`, if the triangle on the edge from `from` to `to` only closes a dent.
+    /// Otherwise `None`.
     fn dent(&self, [from, to, apex]: [Point; 3]) -> Option<f64> {
         let [t0, t1, t] = [from, to, apex].map(|offset| dot(offset, self.direction));
         let depth = self.depth_of(apex).abs();

@@ -25,7 +25,7 @@ use crate::triangles::{Node, Peeled, Triangles, area_shares, point_of, sample_of
 ///
 /// # Outside the samples
 /// * Nearest: the value at the nearest point `c` of the convex hull.
-/// * Extend: `f(c) + g(c) (x - c)`. The gradient of each hull sample is a least squares fit over
+/// * Extend: `f(c) + g(c) (x - c)`. The gradient at each hull sample is a least squares fit over
 ///   its Delaunay neighbours, with weights that fall with distance. `g` interpolates these
 ///   gradients linearly along the hull. The result is continuous and reproduces linear fields. (If
 ///   the planes of the triangles along the hull were continued instead, the field would jump from
@@ -65,8 +65,8 @@ pub struct Delaunay;
 const NEGATIVE: f64 = 1e-9;
 /// Tolerance of `sum w_i x_i = x`, relative to the mean distance of the neighbours.
 const POSITION_TOLERANCE: f64 = 1e-6;
-/// Additional tolerance relative to the largest distance of a neighbour, because its rounding
-/// affects every weight.
+/// Additional tolerance relative to the largest distance of a neighbour. The rounding of that
+/// distance affects every weight.
 const ROUNDING_OF_LARGEST: f64 = 1e-14;
 
 /// Sibson's natural neighbours.
@@ -79,12 +79,12 @@ const ROUNDING_OF_LARGEST: f64 = 1e-14;
 /// where it is continuous. It has no kinks along triangles and does not depend on the choice of a
 /// triangulation.
 ///
-/// The areas lose digits among samples much closer to each other than to the rest: the relative
-/// error of slopes is about 1e-16 times the ratio of the two distances. If this error exceeds 1e-6,
-/// the weights of [`Delaunay`](crate::Delaunay) are used. That happens around samples 1e-10 of the
-/// spacing apart, where the field has a small step between the two methods. It also happens very
-/// close to the hull, where the areas grow without bound. At the hull both methods have equal
-/// limits.
+/// The areas lose digits among samples much closer to each other than to the rest. The relative
+/// error of slopes is about 1e-16 times the distance to the rest, divided by the distance between
+/// these samples. If this error exceeds 1e-6, the weights of [`Delaunay`](crate::Delaunay) are
+/// used. That happens around samples closer to each other than about 1e-10 of the spacing. There
+/// the field has a small step between the two methods. It also happens very close to the hull,
+/// where the areas grow without bound. At the hull both methods have equal limits.
 ///
 /// Outside the samples, on the hull, in dents of the hull, and for collinear samples, the values
 /// equal those of [`Delaunay`](crate::Delaunay).
@@ -185,9 +185,9 @@ impl FieldWeights for TriangulationWeights {
         Ok(())
     }
 
-    /// Visits linear weights in runs: one for each triangle that the row crosses, except slivers.
-    /// Under [`OutsidePolicy::Nearest`], the pixels outside the hull also form runs, one for each
-    /// nearest [`BoundaryPiece`]. All other positions are visited pixel by pixel.
+    /// Visits linear weights in runs: one for each triangle that the row crosses, except long thin
+    /// ones. Under [`OutsidePolicy::Nearest`], the pixels outside the hull also form runs, one for
+    /// each nearest [`BoundaryPiece`]. All other positions are visited pixel by pixel.
     fn weights_along_row(&self, start: (i64, i64), length: usize, visit: OnRun<'_>) -> Visited {
         let row = Row::new(start, length);
         if self.natural {
@@ -319,7 +319,7 @@ impl<'a> MeshRow<'a> {
         })
     }
 
-    /// The triangle that contains `p`, also on its edges, or `None` outside the hull.
+    /// The triangle that contains `p`, inside or on an edge, or `None` outside the hull.
     fn walk_to(&mut self, p: Point) -> Option<Face<'a>> {
         let mut face = self.at.or_else(|| self.start(p))?;
         let p = Point2::new(p[0], p[1]);

@@ -93,19 +93,22 @@ impl FieldInterpolation for Auto {
         interpolation(resolve(Interpolation::Auto, positions))?.prepare(positions, outside)
     }
 
-    /// The method is selected once, for all samples. It then predicts each sample that is left out.
+    /// Selects the method once, for all samples. This method then predicts each sample from the
+    /// others.
     fn leave_one_out(&self, samples: &SampleCoefficients, outside: OutsidePolicy) -> Outcomes {
         interpolation(resolve(Interpolation::Auto, samples.positions()))?.leave_one_out(samples, outside)
     }
 }
 
-/// Number of pixels of a row whose coefficients are computed before they are written to the planes.
-/// Each plane then receives several neighbouring pixels at once, and the waiting values stay in the
-/// first cache levels.
+/// Number of pixels of a row whose coefficients are computed before they are written to the output,
+/// which has one plane per component. Each plane then receives several neighbouring pixels at once.
+/// Meanwhile the computed values stay in the first cache levels.
 const STRETCH: usize = 32;
 
 /// Coefficients interpolated over the field: `a_k(x) = sum_n w_n(x) v_nk`.
 ///
+/// `w_n(x)` is the weight of node `n`, and `v_nk` is the value of component `k` at this node (see
+/// [`FieldWeights`]).
 /// Stores the interpolator and the values at its nodes, but nothing per pixel. Evaluating a region
 /// computes each pixel's weights once for all requested components. Clones are cheap. Evaluation
 /// takes no lock, so many threads can evaluate regions at once.

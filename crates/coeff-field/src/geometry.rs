@@ -14,7 +14,8 @@ pub(crate) type Point = [f64; 2];
 /// Largest allowed magnitude of a coordinate. Products of four such coordinates, as in the test of
 /// a circumcircle, do not overflow.
 const LARGEST: f64 = 1e50;
-/// Smaller coordinates count as 0, so that products of four coordinates do not underflow.
+/// Coordinates of smaller magnitude count as 0, so that products of four coordinates do not
+/// underflow.
 const SMALLEST: f64 = 1e-40;
 /// Largest distance outside the samples at which a position still counts as covered, relative to
 /// the samples' extent (or to one pixel, if that is more). This distance is well above the rounding
@@ -35,9 +36,9 @@ pub(crate) struct Points {
 /// Lengths that separate real differences from rounding.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Scale {
-    /// Positions this far outside the samples still count as covered.
+    /// Positions up to this distance outside the samples still count as covered.
     pub(crate) covered: f64,
-    /// Samples this close to a line lie on it within rounding.
+    /// Samples up to this distance from a line count as lying on it.
     pub(crate) rounding: f64,
     /// The larger side of the bounding box.
     pub(crate) extent: f64,
@@ -176,7 +177,6 @@ pub(crate) struct Hull {
     scale: Scale,
     /// The shorter side of the bounding box.
     narrower: f64,
-    /// The policy outside the hull.
     pub(crate) outside: OutsidePolicy,
 }
 

@@ -7,8 +7,8 @@ use psf_types::{OutsidePolicy, Position, SamplePositions};
 use crate::error::CoeffFieldError;
 use crate::geometry::Points;
 
-/// A regular grid: a list of x, a list of y, and one sample at every combination of the two. The
-/// samples may be in any order.
+/// A regular grid: a list of x, a list of y, and one sample at every combination of the two (every
+/// node). The samples may be in any order.
 ///
 /// The spacing may vary (a rectilinear grid). One row, one column or a single sample is a grid too.
 /// Coordinates that differ by at most 1e-9 of the samples' extent belong to one column or row. The
@@ -33,8 +33,8 @@ pub struct RegularGrid {
     pub(crate) covered: f64,
 }
 
-/// Two coordinates belong to one line if they differ by at most this fraction of the samples'
-/// extent.
+/// Two coordinates belong to one line (a column or a row) if they differ by at most this fraction
+/// of the samples' extent.
 const SAME_LINE: f64 = 1e-9;
 
 impl RegularGrid {
@@ -44,7 +44,8 @@ impl RegularGrid {
     /// [`CoeffFieldError::NotRegular`] with the first node that has no sample.
     /// [`CoeffFieldError::SharedNode`] with the first node that has two.
     /// [`CoeffFieldError::SampleRange`] for coordinates above 1e50 pixels in magnitude.
-    /// [`CoeffFieldError::CoincidentSamples`] for samples less than about 1e-40 pixels apart.
+    /// [`CoeffFieldError::CoincidentSamples`] for samples that differ only in coordinates of
+    /// magnitudes below 1e-40 pixels, which count as 0.
     pub fn detect(positions: &SamplePositions) -> Result<Self, CoeffFieldError> {
         let points = Points::new(positions)?;
         let tolerance = SAME_LINE * points.scale.extent;
@@ -104,14 +105,14 @@ impl RegularGrid {
     pub fn sample(&self, column: usize, row: usize) -> usize {
         assert!(
             column < self.x.lines.len(),
-            "column {column} (0-based) does not exist: the grid has {}",
+            "column {column} (0-based) does not exist: the number of columns is {}",
             self.x.lines.len()
         );
         self.samples[row * self.x.lines.len() + column]
     }
 }
 
-/// The lines of a grid along one axis.
+/// The lines of a grid along one axis: its columns (x) or its rows (y).
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Axis {
     /// Coordinates of the lines, ascending.
@@ -242,9 +243,9 @@ impl Axis {
 /// The largest number of lines with a nonzero weight at a coordinate.
 const LINES: usize = 4;
 /// A cell is cut into this number of pieces. Between their ends, cubic weights are replaced by
-/// linear ones. The error of this is 1/25 of the error with one piece. The number is odd, so that a
-/// line that is left out lies in the middle of a piece. Leave-one-out errors then include the error
-/// of the pieces.
+/// linear ones. The error of this replacement is 1/25 of the error with one piece. The number is
+/// odd, so that a line that leave-one-out omits lies in the middle of a piece. Leave-one-out errors
+/// then include the error of the replacement.
 const PIECES: usize = 5;
 /// The largest allowed sum of the weights' magnitudes. Four evenly spaced lines reach 1.25, at an
 /// edge 1.63. A sum above the limit means that the spacing is too uneven: a polynomial through the
@@ -332,7 +333,7 @@ impl AxisWeights {
         Self { knots, pieces }
     }
 
-    /// The weights at a coordinate. Beyond the lines, the last piece continues linearly.
+    /// The weights at a coordinate. Beyond the lines, the outermost piece continues linearly.
     pub(crate) fn at(&self, v: f64) -> NeighbouringLines {
         let (piece, t) = self.knots.locate(v);
         let Piece { first, low, high } = &self.pieces[piece];
@@ -372,9 +373,9 @@ struct Stencil {
 }
 
 impl Stencil {
-    /// Returns a stencil of the highest degree, up to 3, whose weights stay within [`LARGEST_SUM`]
-    /// at these points of a cell. Among stencils of that degree, it is the one with the smallest
-    /// weights.
+    /// Returns a stencil of the highest degree, up to 3, whose weights' magnitudes sum to at most
+    /// [`LARGEST_SUM`] at these points of a cell. Among stencils of that degree, it has the
+    /// smallest sum.
     fn around(lines: &[f64], cell: usize, points: &[f64]) -> Self {
         (3..=LINES.min(lines.len()))
             .rev()

@@ -69,13 +69,14 @@ pub trait FieldInterpolation: Debug + Send + Sync {
     /// Predicts every sample from all others. See [`LeaveOneOut`].
     ///
     /// The provided method prepares the interpolator again for each sample left out, which is slow
-    /// for thousands of samples. The interpolators of this crate have shortcuts with equal results,
-    /// except [`Bilinear`](crate::Bilinear) and [`Bicubic`](crate::Bicubic). Without one sample
-    /// there is no regular grid, so these two predict along the sample's row and column.
+    /// for thousands of samples. The interpolators of this crate have shortcuts. Their results
+    /// equal those of the provided method, with two exceptions: without one sample there is no
+    /// regular grid, so [`Bilinear`](crate::Bilinear) and [`Bicubic`](crate::Bicubic) predict along
+    /// the sample's row and column.
     ///
     /// # Errors
-    /// [`CoeffFieldError`] when the method does not work for these samples at all. A single sample
-    /// that cannot be predicted is not an error.
+    /// [`CoeffFieldError`] when the method does not work for these samples at all. A sample that
+    /// cannot be predicted is not an error. Its outcome is [`LeftOut::Unpredictable`].
     fn leave_one_out(
         &self,
         samples: &SampleCoefficients,
@@ -105,7 +106,8 @@ pub trait FieldWeights: Debug + Send + Sync {
     /// The number of samples the interpolator was prepared for.
     fn sample_count(&self) -> usize;
 
-    /// The number of nodes. Weights refer to nodes below this number.
+    /// The number of nodes. The lists of weights refer to a node by its index, which is below this
+    /// number.
     fn node_count(&self) -> usize {
         self.sample_count()
     }
@@ -123,7 +125,7 @@ pub trait FieldWeights: Debug + Send + Sync {
     /// Replaces the content of `weights` with the (node, weight) pairs at `position`. No node
     /// appears twice.
     ///
-    /// The result depends only on the position.
+    /// The result depends only on the position, not on earlier calls.
     ///
     /// # Errors
     /// [`FieldError`] if there is no value at the position.
@@ -284,7 +286,7 @@ pub(crate) fn pair(weights: &mut WeightList, first: usize, second: usize, s: f64
     }
 }
 
-/// The error of predicting each sample by an interpolator prepared without it.
+/// The error of predicting each sample by an interpolator that is prepared from all other samples.
 ///
 /// The error is `||a_predicted - a||_2` over the components. With an orthonormal basis, this is the
 /// L2 norm of the difference between the stamps with the coefficients `a_predicted` and `a`, in the
@@ -315,13 +317,13 @@ pub struct LeaveOneOut {
 #[derive(Debug)]
 #[non_exhaustive]
 pub enum LeftOut {
-    /// The others surround the sample and predict it.
+    /// The other samples cover this sample's position and predict its value.
     Predicted {
         /// L2 error over the components.
         error: f64,
     },
-    /// The others do not cover the sample's position, such as a corner of the field. The outside
-    /// policy decided the prediction.
+    /// The other samples do not cover this sample's position, for example at a corner of the field.
+    /// The prediction follows the outside policy.
     Extrapolated {
         /// L2 error over the components.
         error: f64,
@@ -365,7 +367,8 @@ impl LeaveOneOut {
         &self.outcomes
     }
 
-    /// The (sample, error) pairs of predicted samples. Extrapolated samples are omitted.
+    /// The (sample, error) pairs of predicted samples. Extrapolated and unpredictable samples are
+    /// omitted.
     pub fn predicted(&self) -> impl Iterator<Item = (usize, f64)> + '_ {
         self.outcomes
             .iter()

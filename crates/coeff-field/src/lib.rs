@@ -8,9 +8,9 @@
 //! ```
 //!
 //! Here `w_n(x)` is the weight of node `n` at the position `x`, and `v_nk` is the value of
-//! component `k` at this node. Nodes are the samples, or the terms of a polynomial. All
-//! interpolators are linear in the sample values. So a position needs one short list of (node,
-//! weight) pairs for all components, and no cube of coefficients is stored.
+//! coefficient `k` (component `k`) at this node. Nodes are the samples, or the terms of a
+//! polynomial. All interpolators are linear in the sample values. So a position needs one short
+//! list of (node, weight) pairs for all components, and no cube of coefficients is stored.
 //!
 //! | method | weights per position | at the samples | reproduces | continuity |
 //! |---|---|---|---|---|
@@ -43,7 +43,7 @@
 //!
 //! # Rows of pixels
 //! [`FieldWeights::weights_along_row`] cuts a row into runs along which every weight is linear. The
-//! cost then grows with the number of cells, not of pixels. A run is one cell ([`Bilinear`]), a
+//! cost then grows with the number of runs, not of pixels. A run crosses one cell ([`Bilinear`]), a
 //! fifth of a cell ([`Bicubic`]), a triangle ([`Delaunay`]), the stretch between two neighbouring
 //! collinear samples, a Voronoi cell ([`Nearest`]), or the part of the row inside the hull (a
 //! [`Polynomial`] of degree 0 or 1). Other methods visit pixel by pixel. Positions with nonlinear

@@ -100,8 +100,8 @@ impl LineWeights {
         }
         let (off, foot) = self.foot(p);
         let (low, high) = (at(0)[self.axis], at(last)[self.axis]);
-        // `foot` is measured along the axis, where distances are shorter than along the line by at
-        // most a factor of sqrt(2).
+        // `foot` is measured along the axis. So along the line, the tolerance is larger than
+        // `covered` by at most a factor of sqrt(2).
         let is_covered = off.abs() <= covered && low - covered <= foot && foot <= high + covered;
         let foot = if self.outside == OutsidePolicy::Extend {
             foot
@@ -119,15 +119,16 @@ impl LineWeights {
         is_covered
     }
 
-    /// The signed distance of `p` from the line, and the coordinate of its foot along the axis.
+    /// The signed distance of `p` from the line, and the coordinate of the foot of `p` along the
+    /// axis.
     fn foot(&self, p: Point) -> (f64, f64) {
         let start = self.points.points[self.order[0]];
         let off = dot(sub(p, start), normal(self.direction));
         (off, along(p, -off, normal(self.direction))[self.axis])
     }
 
-    /// The rank (index in `order`) of the second of the two samples around a foot. Beyond the ends,
-    /// these are the last two samples.
+    /// The rank (index in `order`) of the second of the two samples around a foot. Beyond an end,
+    /// these are the two samples at that end.
     fn link(&self, foot: f64) -> usize {
         self.order
             .partition_point(|&sample| self.points.points[sample][self.axis] <= foot)

@@ -13,7 +13,7 @@ use crate::interpolation::{
 use crate::line::LineWeights;
 use crate::triangles::{Triangles, in_triangle, point_of, sample_of, triangulate};
 
-/// The triangulation and its boundary. It locates positions in both.
+/// The triangulation and its boundary.
 #[derive(Debug)]
 pub(crate) struct Mesh {
     pub(crate) triangles: Triangles,
@@ -28,7 +28,7 @@ pub(crate) struct Mesh {
 pub(crate) enum Place {
     /// In a triangle, on its edge or at a vertex.
     Inside(PositionInTriangulation),
-    /// In a sliver that was peeled off this side of the hull.
+    /// In a sliver that was peeled off this side of the hull (see [`Boundary::peel`]).
     Peeled(usize),
     /// Outside the convex hull.
     Outside,
@@ -211,7 +211,7 @@ pub(crate) type MeshMethod = fn(&Mesh, Point, OutsidePolicy, &mut WeightList) ->
 /// When a vertex is removed, its Delaunay neighbours are the corners of the triangles that fill the
 /// hole. The Voronoi cells of these neighbours divide the vertex's cell among them. So the
 /// neighbours determine the prediction. On the boundary, the continuation beyond the hull also
-/// needs the neighbours' gradients, which depend on two more rings.
+/// needs the neighbours' gradients, which depend on two more rings of neighbours.
 pub(crate) fn mesh_leave_one_out(
     method: MeshMethod,
     samples: &SampleCoefficients,
@@ -257,7 +257,7 @@ pub(crate) fn mesh_leave_one_out(
 }
 
 /// The other samples that determine the prediction of `sample`. The flag is true if they form a
-/// ring around it, away from the boundary.
+/// ring around `sample`, away from the boundary.
 fn surroundings(mesh: &Mesh, sample: usize, on_boundary: &[bool]) -> (Vec<usize>, bool) {
     let count = mesh.vertices.len();
     if count <= MAX_EXACT_SAMPLES {

@@ -303,8 +303,9 @@ impl FieldWeights for InverseDistanceWeights {
     }
 }
 
-/// A k-d tree whose results do not depend on how it was built. Distances are computed here, and of
-/// samples at equal distance the one with the lowest index is chosen.
+/// A k-d tree whose results do not depend on how it was built. The distances in results are
+/// computed here, not by the tree. Of samples at equal distance, the one with the lowest index is
+/// chosen.
 #[derive(Debug)]
 pub(crate) struct SearchTree {
     tree: ImmutableKdTree<f64, 2>,

@@ -79,7 +79,7 @@ impl FieldInterpolation for Polynomial {
     }
 
     /// All predictions come from one fit to all samples, with residuals `r_i`. A fit without sample
-    /// `i` has the residual `r_i / (1 - h_ii)` there, with `h = Q Q^T` (D. M. Allen 1974,
+    /// `i` has the residual `r_i / (1 - h_ii)` at this sample, with `h = Q Q^T` (D. M. Allen 1974,
     /// Technometrics 16, 125).
     fn leave_one_out(&self, samples: &SampleCoefficients, outside: OutsidePolicy) -> Outcomes {
         let points = Points::new(samples.positions())?;

@@ -1,4 +1,4 @@
-//! The Delaunay triangulation of the samples, made by spade.
+//! The Delaunay triangulation of the samples, made by the crate spade.
 
 use std::collections::VecDeque;
 use std::num::NonZeroU32;
@@ -9,7 +9,8 @@ use spade::{DelaunayTriangulation, HasPosition, HintGenerator, Point2, Triangula
 use crate::geometry::{Point, Points, cross, dot, foot_on_segment, sub};
 use crate::interpolation::{WeightList, pair};
 
-/// A sample as a vertex of the triangulation, which orders its vertices in its own way.
+/// A vertex of the triangulation. It stores the index of its sample, because the triangulation
+/// orders its vertices in its own way.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Node {
     point: Point2<f64>,
@@ -23,8 +24,8 @@ impl HasPosition for Node {
     }
 }
 
-/// The data of a triangle. A sliver that was peeled off a side of the hull holds the number of this
-/// side, counted from 1. Other triangles hold `None`.
+/// The data of a triangle. A sliver that was peeled off a side of the hull (see the module
+/// `boundary`) holds the number of this side, counted from 1. Other triangles hold `None`.
 pub(crate) type Peeled = Option<NonZeroU32>;
 pub(crate) type Triangles = DelaunayTriangulation<Node, (), (), Peeled, GridHints>;
 
@@ -60,7 +61,7 @@ pub(crate) fn point_of(node: &Node) -> Point {
 /// is negative.
 ///
 /// Areas are computed relative to `p`. If two corners are close to `p`, their small difference is
-/// then exact. In a flat triangle the weights follow the two shorter sides.
+/// then exact. In a flat triangle the weights are instead linear along the two shorter sides.
 pub(crate) fn in_triangle(corners: [Point; 3], samples: [usize; 3], p: Point, weights: &mut WeightList) {
     let edge = |i: usize| sub(corners[(i + 1) % 3], corners[i]);
     let squares = [0, 1, 2].map(|i| dot(edge(i), edge(i)));
@@ -89,8 +90,8 @@ pub(crate) fn area_shares(corners: [Point; 3], p: Point) -> [f64; 3] {
     areas.map(|area| area / sum)
 }
 
-/// A table of nearby vertices over a square grid of cells, from which spade starts its search for a
-/// position.
+/// For each cell of a square grid, a vertex in or near the cell. From this vertex spade starts its
+/// search for a position in the cell.
 ///
 /// The start depends only on the position. spade's own generators start from the vertex found last,
 /// so the last bit of a result could depend on earlier queries. This table needs no lock between

@@ -1,8 +1,9 @@
 //! Makes the compiler compile the main functions in this crate, for both precisions.
 //!
 //! Rust compiles a generic function again in every crate that calls it, unless the function is
-//! never inlined and its own crate has compiled it for the same types. Compiling the loops for all
-//! instruction sets takes half a minute. So they are compiled once, here, for `f32` and `f64`.
+//! never inlined and its own crate has compiled it for the same types. Compiling these functions
+//! for all instruction sets takes half a minute. So they are compiled once, here, for `f32` and
+//! `f64`.
 
 use std::hint::black_box;
 

@@ -130,8 +130,9 @@ impl<T: ConvReal> Engine<T> {
         self.gpu.as_ref().map(|gpu| &gpu.device)
     }
 
-    /// The durations of the parts of the last execution. `None` if the plan is not on a GPU, or
-    /// before the first execution.
+    /// The durations of the parts of the last execution without an error. [`stream`](Self::stream)
+    /// executes the plan band by band, and only the times of its last band are returned. `None` if
+    /// the plan is not on a GPU, or before the first execution.
     #[cfg(feature = "gpu")]
     pub fn gpu_times(&self) -> Option<GpuTimes> {
         self.gpu.as_ref().and_then(GpuEngine::times)
@@ -146,8 +147,8 @@ impl<T: ConvReal> Engine<T> {
     ///   `f` and image `g`.
     ///
     /// The light array covers the plan's whole scene ([`Plan::scene_shape`]), or only the part of
-    /// it that reaches the image ([`Plan::light_region`]). If the pixels of a row of the result are
-    /// not contiguous in memory, the result is copied and written back.
+    /// it that reaches the image ([`Plan::light_region`]). If the pixels of a row of `into` are not
+    /// contiguous in memory, this function works on a copy of `into` and writes the copy back.
     ///
     /// # Errors
     /// [`ConvError`] if the light or the image has another shape than the plan expects, if the PSF
@@ -182,7 +183,7 @@ impl<T: ConvReal> Engine<T> {
         })
     }
 
-    /// Convolves light that is read in bands of rows and writes its image in bands of rows. So
+    /// Reads light in bands of rows, convolves it, and writes the image in bands of rows. So
     /// neither the light nor the image is ever in memory as a whole. The image is the same, bit by
     /// bit, as the image that [`execute`](Self::execute) adds to an array of zeros.
     ///
@@ -201,7 +202,7 @@ impl<T: ConvReal> Engine<T> {
         progress.start(rows_of_blocks as u64);
         let shape = self.plan().region().shape();
         let mut counts = TileCounts::default();
-        // Rows of the image that are not finished yet. `written` is the index of the first.
+        // Rows of the image that are not finished yet. `written` is the index of the first of them.
         let mut pending = Array2::<T>::zeros((0, shape.nx()));
         let mut written = 0;
         for first in (0..rows_of_blocks).step_by(tiling.band()) {
@@ -214,8 +215,8 @@ impl<T: ConvReal> Engine<T> {
             } else {
                 shape.ny()
             };
-            // The rows `written..end` of the image are in memory: from the first unwritten row to
-            // the last one that this band reaches.
+            // The rows `written..end` of the image are in memory. They include all rows that this
+            // band reaches or finishes.
             let end = reached.end.max(written + pending.nrows()).max(next);
             let mut image = Array2::zeros((end - written, shape.nx()));
             image.slice_mut(s![..pending.nrows(), ..]).assign(&pending);
@@ -274,13 +275,13 @@ impl<T: ConvReal> Engine<T> {
         self.plan().direction(false) == Direction::Gather
     }
 
-    /// Rows of light that a band of blocks needs, counted from the first row that reaches the
-    /// region.
+    /// The rows of light that a band (some neighbouring rows of blocks) needs, counted from the
+    /// first row that reaches the plan's region.
     fn light_rows(&self, band: Range<usize>) -> Range<usize> {
         self.rows_of(band, !self.gathers())
     }
 
-    /// Rows of the image that a band of blocks writes to.
+    /// The rows of the image that a band of blocks writes to.
     fn image_rows(&self, band: Range<usize>) -> Range<usize> {
         self.rows_of(band, self.gathers())
     }

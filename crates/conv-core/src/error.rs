@@ -94,12 +94,14 @@ pub enum ConvError {
     #[error(transparent)]
     Gpu(#[from] GpuError),
     /// The result is not a valid image.
-    #[error("the result is not a valid image: is it empty, or are fluxes beyond the range of the precision?")]
+    #[error("the result is not a valid image: is it empty, or are fluxes beyond the range of f32 or f64?")]
     Result(#[source] DataError),
 }
 
-/// Errors of GPUs. A call that fails returns no image. If the call adds light to an image of the
-/// caller, this image may already hold part of the light.
+/// Errors of GPUs. An adapter is a GPU, or a driver that runs shaders on the processor.
+///
+/// A call that fails returns no image. If the call adds light to an image of the caller, this image
+/// may already hold part of the light.
 #[cfg(feature = "gpu")]
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 #[non_exhaustive]
@@ -159,16 +161,17 @@ pub enum GpuError {
         /// The adapter.
         adapter: String,
     },
-    /// The adapter was unplugged, reset by its driver, or taken by the system.
+    /// The adapter was closed, was unplugged, was reset by its driver, was taken by the system, or
+    /// no longer responds.
     #[error("{adapter} was lost: {reason}")]
     Lost {
         /// The adapter.
         adapter: String,
-        /// The driver's message.
+        /// The reason, usually the driver's message.
         reason: String,
     },
     /// Any other error of the driver.
-    #[error("{adapter}: {reason}")]
+    #[error("the driver of {adapter} reports an error: {reason}")]
     Driver {
         /// The adapter.
         adapter: String,

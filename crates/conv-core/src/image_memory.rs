@@ -15,8 +15,9 @@ pub(crate) fn check_shape(expected: FrameShape, (rows, columns): (usize, usize))
     Err(ConvError::FrameShape { expected, got })
 }
 
-/// Calls `work` with an image whose rows are contiguous in memory: the image itself or, if its rows
-/// are not contiguous, a copy. The copy is written back unless there is an error.
+/// Calls `work` with an image in which the pixels of each row are contiguous in memory. This is the
+/// image itself or, if its pixels have another layout, a copy. The copy is written back unless
+/// there is an error.
 pub(crate) fn with_rows_in_memory<T: ConvReal, R>(
     mut image: ArrayViewMut2<'_, T>,
     work: impl FnOnce(ArrayViewMut2<'_, T>) -> Result<R, ConvError>,
@@ -30,16 +31,18 @@ pub(crate) fn with_rows_in_memory<T: ConvReal, R>(
     Ok(result)
 }
 
-/// The assumed size of a memory page in bytes. It must not be larger than the system's pages.
+/// The assumed size of a memory page in bytes. It must not be larger than the system's pages,
+/// because [`zeros`] would then skip some of them.
 const PAGE: usize = 4096;
 
-/// Returns an image of zeros. Its memory pages are already allocated, because threads have written
-/// to each page.
+/// Returns an image `[y, x]` of zeros. Its memory pages are already allocated, because threads have
+/// written to each page.
 ///
 /// The operating system allocates a page when it is first used. An addition reads a page before it
-/// writes. The system then allocates twice: the read gets the common page of zeros, and the write
-/// gets a new page. Every processor core is interrupted to forget the common page. For a large
-/// image, these interrupts take several times as long as the convolution.
+/// writes to it. The system then works twice: for the read it lends a page of zeros that all
+/// programs share, and for the write it allocates a new page. It also interrupts every processor
+/// core, so that the core forgets the shared page. For a large image, these interrupts take several
+/// times as long as the convolution.
 pub fn zeros<T: ConvReal>((rows, columns): (usize, usize)) -> Array2<T> {
     let mut image = Array2::zeros((rows, columns));
     let pixels: &mut [T] = image.as_slice_mut().expect("new arrays are row-major");

@@ -1,7 +1,8 @@
 //! Convolution of a scene with a PSF that varies over the field.
 //!
 //! A scene `f(x)` holds the flux that arrives at pixel `x`. The PSF at field position `x` is
-//! `h(u; x)`. There are two ways to apply it ([`psf_types::Anchor`]):
+//! `h(u; x)`, where `u` is the offset from the source. There are two ways to compute the image
+//! `F(y)` ([`psf_types::Anchor`]):
 //!
 //! - **source-anchored**, `F(y) = sum_x f(x) h(y - x; x)`: each source spreads with the PSF of its
 //!   own position, as in a real instrument.
@@ -15,18 +16,19 @@
 //! | [`BasisConvolution`] | `K` whole-image FFT convolutions | `K` transforms of the image | rounding of the precision chosen |
 //! | [`PatchConvolution`] | one PSF per patch | one transform of each lit patch | the PSF jumps from patch to patch |
 //!
-//! `K` is the number of stamps of the model.
+//! `K` is the number of stamps of the model. The modes of a tile are a few stamps whose linear
+//! combinations represent all PSFs of the tile.
 //!
 //! A [`Plan`] is data: tiles, the modes of each, their stamps and coefficients. An [`Engine`]
 //! executes it on the processor or on a GPU, any number of times. The other types in the table are
 //! [`ConvolutionMethod`]s, which take a [`psf_types::PsfModel`], light and a frame. The frame is
 //! the region of the light that the image shows. The frame's first pixel is the origin of field
-//! positions. Outside the given array, light is taken as zero.
+//! positions. Outside the given array of light, all light is taken as zero.
 //!
 //! Point sources are added to the image of extended light. [`StarPainter`] and [`StarPlan`] draw
-//! each source at its sub-pixel position, from stamps interpolated as by [`StampInterpolator`]. The
-//! anchor selects the PSF, as for extended light. The painter draws stars one by one from all
-//! components. The plan draws many at once within a tolerance.
+//! each source at its sub-pixel position. They interpolate the stamps as [`StampInterpolator`]
+//! does. The anchor selects the PSF, as for extended light. The painter draws stars one by one from
+//! all components of the model. The plan draws many stars at once within a tolerance.
 //!
 //! # Normalisation
 //! The image holds the light's flux times the flux of the PSFs. The model decides the flux of the

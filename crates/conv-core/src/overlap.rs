@@ -33,8 +33,9 @@ impl<T: ConvReal> Piece<T> {
     }
 }
 
-/// The overlap of `length` values that start at index `first` with an axis of length `limit`.
-/// Returns the first index among the values, the first index on the axis, and the number of values.
+/// Finds the values that lie on an axis of length `limit`. There are `length` values, and the first
+/// has index `first` on the axis. Returns the first index among the values, the first index on the
+/// axis, and the number of values that lie on the axis. `None` if there are none.
 pub(crate) fn overlap(first: i64, length: usize, limit: usize) -> Option<(usize, usize, usize)> {
     let start = first.max(0);
     let end = first.saturating_add(length as i64).min(limit as i64);
@@ -91,8 +92,8 @@ pub(crate) fn split<'a, T>(
     parts
 }
 
-/// The smallest `n` such that no range overlaps the `n`-th range after it. Threads may then write
-/// to every `n`-th range at the same time.
+/// The number of colours: the smallest `n` such that no range overlaps the `n`-th range after it.
+/// Every `n`-th range gets one colour, and threads may write to these ranges at the same time.
 pub(crate) fn colours(ranges: &[(usize, usize)]) -> usize {
     let clear = |n: usize| ranges.iter().zip(ranges.iter().skip(n)).all(|(a, b)| a.1 <= b.0);
     (1..ranges.len())

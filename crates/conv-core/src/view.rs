@@ -91,9 +91,9 @@ impl View {
         ]
     }
 
-    /// Truncates light to the frame and a margin as wide as the stamps reach, and returns that
-    /// reach. Light beyond the margin falls on no pixel of the frame, so its PSF is never
-    /// evaluated.
+    /// Truncates light to the frame and a margin as wide as the stamps reach. Returns the view of
+    /// the truncated light, this light, and the reach. Light beyond the margin falls on no pixel of
+    /// the frame, so its PSF is never evaluated.
     pub(crate) fn within_reach<'a, T: Real>(
         light: &'a ImageView<'_, T>,
         frame: PixelRegion,
@@ -110,7 +110,6 @@ impl View {
     }
 }
 
-/// Describes a region in text.
 pub(crate) fn in_words(region: PixelRegion) -> String {
     format!("{} at ({}, {})", region.shape(), region.x0(), region.y0())
 }

@@ -21,7 +21,7 @@ use crate::error::{above_zero, at_least_zero, require};
 /// | `photon_noise` | `true` or `false` | `false` |
 /// | `sky_e` | electrons per pixel in the exposure, 0 and above | 0 |
 /// | `sky_gradient_e_per_px` | [`SkyGradient`] | none |
-/// | `dark_e_per_s` | electrons per pixel and second, 0 and above. Needs `exposure_s` | 0 |
+/// | `dark_e_per_s` | electrons per pixel and second, 0 and above. A value above 0 needs `exposure_s` | 0 |
 /// | `response_rms` | standard deviation relative to the mean, 0 to below 1 | 0 |
 /// | `full_well_e` | electrons, above 0 | none |
 /// | `read_noise_e` | electrons, standard deviation, 0 and above | 0 |
@@ -109,10 +109,10 @@ pub struct BadPixelParams {
     /// Probability that a pixel never holds charge, 0 to 1.
     pub dead_fraction: f64,
     /// Probability that a pixel is hot, 0 to 1: its dark current is higher by `hot_dark_e_per_s`.
-    /// The sum with `dead_fraction` is at most 1. Needs `hot_dark_e_per_s`.
+    /// The sum with `dead_fraction` is at most 1. A value above 0 needs `hot_dark_e_per_s`.
     pub hot_fraction: f64,
-    /// Dark current of a hot pixel in electrons per second, in addition to `dark_e_per_s`. Needs
-    /// `exposure_s`.
+    /// Dark current of a hot pixel in electrons per second, in addition to `dark_e_per_s`. A value
+    /// above 0 needs `exposure_s`.
     pub hot_dark_e_per_s: f64,
     /// Probability that a column holds no charge, 0 to 1.
     pub bad_column_fraction: f64,
@@ -146,7 +146,7 @@ impl Default for DetectorParams {
 pub enum CountUnit {
     /// Electrons, if no gain, bias or bits are given.
     Electron,
-    /// Analogue-to-digital units.
+    /// Analogue-to-digital units, if a gain, a bias or bits are given.
     Adu,
 }
 
@@ -303,7 +303,7 @@ impl Detector {
         }
     }
 
-    /// Electrons per unit of the counts.
+    /// Electrons per unit of the counts, 1 if no gain is given.
     pub fn gain(&self) -> f64 {
         self.params.gain_e_per_adu.unwrap_or(1.0)
     }
@@ -318,7 +318,7 @@ impl Detector {
         self.params.bits.map(|bits| f64::from((1_u32 << bits) - 1))
     }
 
-    /// The count at which a pixel is saturated, without read noise. This is the count of the full
+    /// The count of a saturated pixel, if there is no read noise. This is the count of the full
     /// well or the largest count of the converter, whichever is lower. `None` if there is no limit.
     pub fn saturation(&self) -> Option<f64> {
         let full = self.params.full_well_e.map(|electrons| self.counts(electrons));

@@ -1,4 +1,4 @@
-//! Exposures: applies all steps of the chain to an image, row by row.
+//! Exposures: all steps of the [chain](crate#the-chain), applied to an image row by row.
 
 use ndarray::{Array2, ArrayView1, ArrayView2};
 use psf_types::{FrameShape, Image, Real};
@@ -15,7 +15,8 @@ impl Detector {
     /// with a mask of bad pixels.
     ///
     /// # Errors
-    /// [`DetectorError::NegativeSky`] for a sky that is below 0 somewhere in this frame.
+    /// [`DetectorError::NegativeSky`] for a sky that is below 0 or not finite somewhere in this
+    /// frame.
     pub fn exposer(&self, frame: FrameShape, seed: u64) -> Result<Exposer<'_>, DetectorError> {
         Exposer::new(self, frame, seed)
     }
@@ -113,8 +114,8 @@ impl PhotonNoise {
 
 /// A detector prepared for a frame and a seed.
 ///
-/// Rows may be exposed in any order and in bands of any height. Each band has the counts that these
-/// rows have when the whole image is exposed.
+/// Rows may be exposed in any order and in bands of any height. The rows of a band have the counts
+/// that they have when the whole image is exposed.
 ///
 /// ```
 /// use psf_detector::{Detector, DetectorParams};

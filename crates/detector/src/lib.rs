@@ -10,7 +10,7 @@
 //! | step | operation | keys |
 //! |---|---|---|
 //! | light | `S = c F + sky(x, y)`, electrons expected | `electrons_per_flux`, `sky_e`, `sky_gradient_e_per_px` |
-//! | response | `S r(x, y)`, `r` normal about 1, never below 0 | `response_rms` |
+//! | response | `S r(x, y)`, `r` normal with mean 1, negative `r` become 0 | `response_rms` |
 //! | dark current | `S + (D + D_hot(x, y)) t` | `dark_e_per_s`, `exposure_s`, `bad_pixels.hot_dark_e_per_s` |
 //! | bad pixels | dead pixels and bad columns hold no charge | `bad_pixels` |
 //! | photon noise | `N ~ Poisson(S)` | `photon_noise` |
@@ -32,7 +32,7 @@
 //! # Random numbers
 //! The generator is ChaCha8, keyed by the seed (`seed_from_u64`). Each row of the image has its own
 //! stream in each step, numbered `step * 2^56 + row`. The steps are photons 1, read noise 2,
-//! response 3, bad pixels 4, bad columns 5. The bad columns of all rows come from the stream of row
+//! response 3, bad pixels 4, bad columns 5. The bad columns are drawn once, from the stream of row
 //! 0. Numbers are drawn for the pixels of a row one after the other. The result therefore depends
 //! only on the image, the parameters and the seeds, not on threads or bands of rows. Switching the
 //! read noise on does not change the photon noise.

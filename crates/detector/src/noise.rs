@@ -1,4 +1,5 @@
-//! Random numbers that depend only on the seed, the step and the row, and the steps that draw them.
+//! Random numbers, and the steps of the chain that draw them. The numbers depend only on the seed,
+//! the step and the row.
 
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -25,9 +26,9 @@ pub(crate) fn noise_stream(seed: u64, step: Step, row: usize) -> ChaCha8Rng {
     rng
 }
 
-/// Multiplies the charge that light causes in each pixel by the pixel's response, a normal deviate
-/// of mean 1, set to 0 where it is negative. The response belongs to the sensor: it follows from
-/// `pattern_seed` and is equal in every exposure.
+/// Multiplies the charge that light causes in each pixel by the pixel's response. The response is a
+/// normal deviate of mean 1, or 0 if the deviate is negative. It belongs to the sensor: it follows
+/// from `pattern_seed` and is equal in every exposure.
 pub(crate) fn apply_response(pattern_seed: u64, row: usize, rms: f64, electrons: &mut [f64]) {
     let mut rng = noise_stream(pattern_seed, Step::Response, row);
     for value in electrons {

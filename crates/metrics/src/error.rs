@@ -162,7 +162,7 @@ pub enum MetricsError {
     #[error("result and reference are identical: the signal-to-noise ratio is infinite")]
     Identical,
     /// Values so large that a result, or the sum of their squares, exceeds double precision.
-    #[error("the values reach {largest}: results computed from them exceed the range of double precision")]
+    #[error("a result exceeds the range of double precision (largest given value or error: {largest})")]
     Overflow {
         /// Largest value of the window. For a comparison or a summary: largest absolute value or
         /// error.

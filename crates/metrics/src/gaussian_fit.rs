@@ -257,7 +257,7 @@ impl GaussianFitter {
             iterations: minimum.iterations,
             covariance,
         };
-        // The other results cannot overflow if the values are finite.
+        // The other results cannot overflow, because all pixels are finite.
         if fit.flux.is_finite() && fit.amplitude.is_finite() && fit.background.is_none_or(f64::is_finite) {
             Ok(fit)
         } else {

@@ -21,8 +21,9 @@ pub(crate) enum Profile {
 /// (u, v) = L^T (x - x0, y - y0)            L L^T = inverse covariance
 /// ```
 ///
-/// Round: `A, x0, y0, s` with `u = e^s dx`, `v = e^s dy`. Elliptical: `A, x0, y0, a, b, c` with
-/// `u = e^a dx + b dy`, `v = e^c dy`. The background `B`, if fitted, is the last parameter. Any
+/// With `dx = x - x0` and `dy = y - y0`, a round model has the parameters `A, x0, y0, s` in
+/// `u = e^s dx` and `v = e^s dy`. An elliptical model has `A, x0, y0, a, b, c` in
+/// `u = e^a dx + b dy` and `v = e^c dy`. The background `B`, if fitted, is the last parameter. Any
 /// values give a positive definite covariance, so the parameters need no bounds. A round ellipse is
 /// not a special case.
 #[derive(Debug, Clone, Copy)]
@@ -145,11 +146,11 @@ const SIGMA_RATIO: f64 = 1.5;
 
 /// Returns the best round Gaussian of a coarse search, or `None` if none has a positive amplitude.
 ///
-/// It tries three centres: the brightest pixel, and the centre of the brightest box, for boxes of
-/// 3 x 3 pixels and of a quarter of the window's shorter side. The boxes find a wide PSF in noise.
-/// The sigmas are a geometric series from 0.4 pixels to the window's longer side. For each pair of
-/// centre and sigma, linear least squares give the amplitude and the background. The pair with the
-/// smallest sum of squares is returned.
+/// It tries three centres: the brightest pixel, and the centre of the brightest box, for boxes with
+/// sides of 3 pixels and of about a quarter of the window's shorter side. The boxes find a wide PSF
+/// in noise. The sigmas are a geometric series from 0.4 pixels to the window's longer side. For
+/// each pair of centre and sigma, linear least squares give the amplitude and the background. The
+/// pair with the smallest sum of squares is returned.
 pub(crate) fn coarse_search(cutout: &Cutout, background: bool) -> Option<Start> {
     let (rows, columns) = cutout.values.dim();
     let mut centres = Vec::new();

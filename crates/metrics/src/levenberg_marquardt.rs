@@ -88,8 +88,8 @@ impl<const N: usize> Linearised<N> {
 /// Marquardt's scaling.
 ///
 /// The iteration has converged when an undamped step would change the model by less than 1e-11 of
-/// `data_norm`. This change is `|P_J r|`, the length of the projection of the residuals onto the
-/// model's tangent space.
+/// `data_norm`, the norm of the fitted data. This change is `|P_J r|`, the length of the projection
+/// of the residuals onto the model's tangent space.
 pub(crate) fn minimise<const N: usize>(
     start: SVector<f64, N>,
     data_norm: f64,

@@ -319,7 +319,8 @@ impl AdaptiveMomentFinder {
     /// * [`MetricsError::WindowOutsideStamp`]: the window does not fit on the stamp.
     /// * [`MetricsError::TooFewPixels`]: fewer than 5 pixels along an axis.
     /// * [`MetricsError::NonFinite`]: NaN or infinity in the window.
-    /// * [`MetricsError::DegenerateCovariance`]: a start whose sigma is not finite and positive.
+    /// * [`MetricsError::DegenerateCovariance`]: a start whose squared sigma is not finite and
+    ///   positive.
     /// * [`MetricsError::NonPositiveFlux`]: the weighted flux is not positive.
     /// * [`MetricsError::CentreLeftWindow`]: the centroid or the start lies outside the window.
     /// * [`MetricsError::WeightCollapsed`]: the PSF or the start is too narrow for the grid (see

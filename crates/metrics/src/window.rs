@@ -14,7 +14,7 @@ use crate::MetricsError;
 ///
 /// ```
 /// use psf_metrics::Window;
-/// let window = Window::central(15);                  // of a 64 x 64 stamp:
+/// let window = Window::central(15);
 /// assert_eq!(window.ranges(64, 64)?, (25..40, 25..40)); // columns and rows 25 to 39
 /// assert!(Window::about(15, 3, 30).ranges(64, 64).is_err());
 /// # Ok::<(), psf_metrics::MetricsError>(())

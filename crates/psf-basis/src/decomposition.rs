@@ -90,8 +90,9 @@ type Decomposition = (Vec<f64>, Mat<f64>);
 /// values in descending order and the singular vectors `[pixel, k]`.
 ///
 /// For some matrices with repeated rows, faer loses singular values without an error. The sum of
-/// the squared singular values is then too small. In this case the decomposition is repeated after
-/// a QR decomposition, and if that also fails, without divide and conquer.
+/// the squared singular values is then too small. In this case, or without convergence, the
+/// decomposition is repeated after a QR decomposition, and if that also fails, without divide and
+/// conquer.
 pub(crate) fn decompose(rows: ArrayView2<'_, f64>) -> Result<Decomposition, BasisError> {
     let usual: SvdParams = *Spec::<SvdParams, f64>::default();
     let qr_first = SvdParams {
@@ -216,8 +217,8 @@ pub(crate) fn fix_signs(components: &mut Array2<f64>, coefficients: &mut Array2<
 /// Returns the basis and the coefficients `[node, component]` in it.
 ///
 /// The components are the singular vectors of the sums at the nodes, in descending order of their
-/// singular values. They are found without forming the sums. Components at the rounding level of
-/// the total are omitted. Use this function after a linear operation on the stamps of a basis, such
+/// singular values. They are found without forming the sums. Components whose singular values
+/// are rounding errors are omitted. Use this function after a linear operation on the stamps of a basis, such
 /// as resampling.
 ///
 /// ```
@@ -232,8 +233,9 @@ pub(crate) fn fix_signs(components: &mut Array2<f64>, coefficients: &mut Array2<
 /// ```
 ///
 /// # Errors
-/// [`BasisError::Data`] when the parts do not match each other, are not finite, or leave neither a
-/// mean nor components. [`BasisError::NoConvergence`] when the decomposition fails.
+/// [`BasisError::Data`] when the parts do not match each other, the mean is not finite, or neither
+/// a mean nor components remain. [`BasisError::NoConvergence`] when the decomposition fails, for
+/// example for stamps that are not finite. [`BasisError::Memory`] when memory is too small for it.
 pub fn orthonormal(
     mean: Option<Array2<f64>>,
     stamps: Array3<f64>,

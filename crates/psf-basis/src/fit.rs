@@ -344,9 +344,9 @@ fn max_errors_by_rank(
     for (j, (row, a)) in centred.outer_iter().zip(coefficients.outer_iter()).enumerate() {
         let stamp = samples.stamp(j);
         let norm2: f64 = stamp.iter().map(|v| v * v).sum();
-        // The squared norm of the part outside all components, by Pythagoras. The rounding of this
-        // difference is relative to `whole`. Samples that took part in the decomposition have no
-        // such part.
+        // The squared norm of the sample after all components are subtracted, by Pythagoras. The
+        // rounding of this difference is relative to `whole`. The samples took part in the
+        // decomposition, so the true value is about 0.
         let whole = row.dot(&row);
         let outside = whole - a.dot(&a);
         let mut rest = if outside > PYTHAGORAS_ROUNDING * whole {

@@ -1,18 +1,20 @@
-//! PSF bases: from samples of a PSF to a few orthonormal stamps and the samples' coefficients.
+//! PSF bases: a few orthonormal stamps and the samples' coefficients, computed from samples of a
+//! PSF.
 //!
-//! A sample `h_j` (a stamp) becomes `h_j(u) = B_0(u) + sum_k a_jk B_k(u)`, with a mean stamp `B_0`
-//! (absent if the basis is not centred) and orthonormal stamps `B_k`. A [`BasisMethod`] finds these
-//! stamps. [`Svd`] uses the singular value decomposition, and [`GivenStamps`] uses stamps from
-//! elsewhere. Implement the trait for other methods.
+//! A sample `h_j` (a stamp) is approximated by `B_0(u) + sum_k a_jk B_k(u)` at pixel `u`, with a
+//! mean stamp `B_0` (absent if the basis is not centred) and orthonormal stamps `B_k`. A
+//! [`BasisMethod`] finds these stamps and the coefficients `a_jk`. [`Svd`] uses the singular value
+//! decomposition, and [`GivenStamps`] uses stamps from elsewhere. Implement the trait for other
+//! methods.
 //!
 //! # Choosing the rank
 //! [`RankSelection`] selects the number of components. Every fit by [`Svd`] reports its
 //! [`Spectrum`]:
 //!
-//! * **Elbow** of the cumulative-weight curve `c_k = sum_{i<=k} s_i / sum_i s_i`: the point
-//!   furthest above the chord from `(0, 0)` to `(m, 1)`, for `m` singular values ("Kneedle",
-//!   Satopaa et al. 2011). If the singular values fall by more than a factor of 1000 from one to
-//!   the next within the first half of the curve, the elbow is at that cliff.
+//! * **Elbow** of the cumulative-weight curve `c_k = sum_{i<=k} s_i / sum_i s_i` of the `m`
+//!   singular values `s_i`: the point furthest above the chord from `(0, 0)` to `(m, 1)`
+//!   ("Kneedle", Satopaa et al. 2011). If the singular values fall by more than a factor of 1000
+//!   from one to the next within the first half of the curve, the elbow is at that cliff.
 //! * **Noise**: white noise of standard deviation sigma, in `P` samples of `L` pixels, has singular
 //!   values up to `sigma (sqrt L + sqrt P)`, the noise edge. The noise is given or estimated
 //!   ([`PixelNoise`]). Noise alone stays below a threshold near the edge in 99 % of cases. Neither

@@ -47,7 +47,8 @@ impl NoiseFloor {
     }
 }
 
-/// Points at which the tail of the spectrum is read, as fractions of the tail from its top.
+/// Points at which the tail of the spectrum (the singular values after the signal) is read, as
+/// fractions of the tail's length from its largest value.
 const READ_AT: [f64; 5] = [0.5, 0.6, 0.7, 0.8, 0.9];
 /// Largest allowed ratio between the noise levels read at these points. If the ratio is larger, the
 /// tail is not pure noise: it contains signal that decays.
@@ -161,7 +162,8 @@ const SIGNALS: [usize; 6] = [1, 2, 4, 8, 16, 32];
 const ROUNDS: usize = 4;
 /// Allowed noise level of samples scaled by their own noise. It should be 1.
 const SCALED: std::ops::Range<f64> = 0.75..1.33;
-/// Largest ratio of noise levels among samples. The fluxes of PSF stars usually differ less.
+/// Largest ratio of noise levels among samples. For samples scaled to unit flux, this is about the
+/// ratio of the stars' fluxes, which is usually smaller.
 const MAX_NOISE_RATIO: f64 = 1e3;
 /// The samples' variances count as uneven if they scatter by more than this multiple of the scatter
 /// expected for even noise.
@@ -230,7 +232,7 @@ pub(crate) fn by_sample(
             .collect();
         let mean = variances.iter().sum::<f64>() / count as f64;
         let scatter = variances.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / count as f64;
-        // The last factor is the relative scatter of a variance of this many values.
+        // The last factor is the relative scatter of a variance computed from `left` values.
         if scatter.sqrt() <= EVEN * mean * (2.0 / left).sqrt() {
             return even;
         }

@@ -25,10 +25,11 @@ pub enum RankSelection {
     Full,
     /// This number of components.
     Fixed(usize),
-    /// The smallest number that contains this fraction of the sum of the squared singular values.
+    /// The smallest number of components that hold this fraction of the sum of the squared singular
+    /// values.
     Energy(f64),
-    /// The smallest number for which every sample's relative L2 truncation error is at most this
-    /// value.
+    /// The smallest number of components for which every sample's relative L2 truncation error is
+    /// at most this value.
     Error(f64),
 }
 
@@ -155,7 +156,7 @@ impl Spectrum {
         }
     }
 
-    /// The smallest number of components that contains the fraction `energy` of `sum s_i^2`.
+    /// The smallest number of components that hold the fraction `energy` of `sum s_i^2`.
     pub(crate) fn rank_for_energy(&self, energy: f64) -> usize {
         let total: f64 = self.singular_values.iter().map(|s| s * s).sum();
         let mut sum = 0.0;

@@ -46,7 +46,7 @@ pub enum IoErrorKind {
     /// The output exists and may not be replaced.
     Exists,
     /// The file is not a regular file, has another format, a newer version or an unsupported
-    /// compression, or lacks a part that is needed.
+    /// compression, or lacks an image or a table that is needed.
     Format,
     /// The file is cut short, or its compressed data are damaged.
     Damaged,
@@ -88,7 +88,7 @@ pub enum Place {
     Tile {
         /// The HDU.
         hdu: usize,
-        /// The tile, which is also its row in the HDU's table.
+        /// The number of the tile, which is also the number of its row in the HDU's table.
         tile: usize,
     },
     /// A pixel of an image.

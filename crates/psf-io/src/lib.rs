@@ -9,7 +9,7 @@
 //! | STPSF, WebbPSF library | [`stpsf`] | [`read_stpsf`] | [`write_gridded`] |
 //! | STDPSF library | [`stdpsf`] | [`read_stdpsf`] | |
 //! | ScopeSim's field-varying PSF | [`scopesim`] | [`read_scopesim`] | |
-//! | plain stamps | a cube or an image | [`read_stamp_cube`] | |
+//! | stamps without a table of positions | a cube or an image | [`read_stamp_cube`] | |
 //! | PSF model | [`model`] | [`read_model`] | [`write_model`] |
 //! | PSFEx model | [`psfex`] | [`read_psfex`] | [`write_psfex`] |
 //! | catalogue, positions | [`catalogue`] | [`read_catalog_with`], [`read_catalog`], [`read_positions`] | |
@@ -20,19 +20,21 @@
 //!
 //! # Conventions
 //! Arrays are `[y, x]`. Positions are 0-based, in the code and in the files of psfield. A whole
-//! number is the centre of a pixel. If another format counts from 1, its reader and writer convert.
+//! number is the centre of a pixel. If another format counts from 1, its reader and writer convert
+//! the positions.
 //!
 //! # Bad files
 //! A reader checks every header of a file and all data that it returns. If anything is wrong, it
 //! returns an [`IoError`] that names the file, the place in it, and what to do. Headers are checked
 //! against the length of the file before memory is allocated for the data. No content of a file
-//! makes this crate panic. Nothing is repaired silently: for example, a NaN pixel is an error,
-//! unless the caller asks for it ([`ImageReader::read_rows_with_undefined`]).
+//! makes this crate panic. Nothing is repaired silently. For example, a NaN pixel is an error,
+//! unless the caller chooses to replace NaN ([`ImageReader::with_nan_as`]) or to keep it
+//! ([`ImageReader::read_rows_with_undefined`]).
 //!
 //! The errors of any FITS file are [`IoErrorKind::NotFound`], [`IoErrorKind::Read`],
 //! [`IoErrorKind::Format`], [`IoErrorKind::Damaged`], [`IoErrorKind::Header`] and
-//! [`IoErrorKind::Limit`]. If there is no room to unpack a gzip file, the error is
-//! [`IoErrorKind::Write`].
+//! [`IoErrorKind::Limit`]. If a gzip file cannot be unpacked into the temporary folder, for example
+//! for lack of space, the error is [`IoErrorKind::Write`].
 //!
 //! # Compressed files
 //! FITS files compressed by gzip (`.gz`) and images compressed in tiles (`.fz`: `RICE_1`, `GZIP_1`,
@@ -47,7 +49,7 @@
 //! power ([`write_atomically`]). This holds also for files that are written by bands. An existing
 //! file is replaced only on request. A program that handles signals should call
 //! [`remove_unfinished`] before it ends.
-//! Equal input gives equal bytes: no dates are written.
+//! Equal input gives equal bytes, because this crate writes no dates of its own.
 //!
 //! # CFITSIO
 //! CFITSIO reads and writes pixels and columns. The build compiles it, so no system library is

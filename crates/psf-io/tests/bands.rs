@@ -23,7 +23,7 @@ fn assert_request<T>(result: Result<T, IoError>, text: &str) {
 /// The error text for rows that an image does not have.
 fn beyond(rows: &Range<usize>, ny: usize) -> String {
     let (first, end) = (rows.start, rows.end);
-    format!("the image has only {ny} rows, got rows {first} to {end} (0-based, the end not included)")
+    format!("the image has {ny} row(s), got the range {first} to {end} (0-based, the end not included)")
 }
 
 /// Asserts that `count` undefined pixels are refused, and that the error names the first, `index`.

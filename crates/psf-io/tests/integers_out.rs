@@ -31,7 +31,7 @@ fn every_kind_holds_the_ends_of_its_range() {
             let pixels = array![[0.0, 0.0], [0.0, bad]];
             let before = std::fs::read(&path).unwrap();
             let result = write_integers(&path, pixels.view(), kind, &HeaderCards::new(), &[], true);
-            assert_error(result, IoErrorKind::Request, ": the pixel [1, 1] ([y, x]) is ");
+            assert_error(result, IoErrorKind::Request, "[1, 1] ([y, x], 0-based) is ");
             assert_eq!(std::fs::read(&path).unwrap(), before, "an old file stays");
         }
     }

@@ -131,7 +131,7 @@ fn edited(from: &str, to: &str) -> IoError {
 #[test]
 fn errors_describe_the_defect_of_a_model() {
     let version = edited("PSFMODEL=                    1", "PSFMODEL=                    2");
-    let newer = ": this is a psf-model file of version 2, but the newest version that this psfield reads is 1: update psfield";
+    let newer = ": this is a psf-model file of version 2, but the newest version that this psfield reads is 1: update psfield if the file is newer";
     let refused = |error: IoError, kind, part| assert_error(Err::<(), _>(error), kind, part);
     refused(version, IoErrorKind::Format, newer);
     let missing = edited("PSFMODEL=", "PSFMODEX=");

@@ -267,9 +267,9 @@ impl MoffatField {
     /// otherwise the flux is infinite.
     ///
     /// # Errors
-    /// [`OpticsError::Setting`] for `beta`. [`OpticsError::ProfileSize`] or
-    /// [`OpticsError::ProfileShape`] when the shape is impossible at a corner or at the centre of
-    /// the field. Drawing returns the error for other positions.
+    /// [`OpticsError::Setting`] for a `beta` that is not a finite number above 1,
+    /// [`OpticsError::ProfileSize`] or [`OpticsError::ProfileShape`] when the shape is impossible
+    /// at a corner or at the centre of the field. Drawing returns the error for other positions.
     pub fn new(
         field: FrameShape,
         grid: StampGrid,

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use psf_types::{DataError, Position};
 use thiserror::Error;
 
-/// An error in the description of a PSF source, or in the PSF that it gives at a position.
+/// An error in the description of a PSF source, or in the PSF of a source at a position.
 ///
 /// Keys are written as in the TOML file, for example `aperture.diameter_m`. List entries are
 /// counted from 0.

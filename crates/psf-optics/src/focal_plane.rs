@@ -129,16 +129,16 @@ impl FocalPlane {
     }
 
     /// Transforms each row of the pupil along x. The index in a row then is a focal-plane column.
-    /// Rows beyond the pupil are zero and need no transform.
+    /// Rows beyond the pupil's grid are zero. They are neither stored nor transformed.
     fn transform_rows(&self, s: &mut FocalScratch) {
         for row in s.amplitude.chunks_exact_mut(self.length) {
             self.forward.process_with_scratch(row, &mut s.fft);
         }
     }
 
-    /// Transforms each column along y, squares the amplitude to the intensity, and transforms the
-    /// intensity to the lags of the pupil's autocorrelation along y. Two real columns share one
-    /// complex transform.
+    /// Transforms each column along y and squares the modulus of the amplitude, which gives the
+    /// intensity. Then transforms the intensity along y, which gives the lags of the pupil's
+    /// autocorrelation. Two real columns share one complex transform.
     fn correlate_columns(&self, s: &mut FocalScratch) {
         let (n, side) = (self.length, self.pupil.side);
         for first in (0..n).step_by(BLOCK) {

@@ -56,13 +56,14 @@
 //! obscuration, spider and aberrations, about the fraction `2 / (pi^2 r)` of the light falls
 //! outside the radius `r lambda / D` (for `r` well above 1).
 //!
-//! Approximation: the focal plane is computed on a period of `padding` times the stamp's larger
-//! side and at least 64 lambda / D. Light beyond the period reappears on the opposite side. At the
-//! default padding of 2, the error of the flux is up to 5e-5, and the error of a value is up to
-//! 2e-5 of the peak (5e-5 for an obscuration of 0.6). This was measured on stamps of 30 lambda / D
-//! against the Airy formula. Doubling the padding divides the flux error by more than 2 and takes
-//! four times as long. A wavefront so steep that it sends light beyond the period is refused
-//! ([`OpticsError::Unusable`]).
+//! Approximation: the focal plane is computed over a finite width, its period. This is at least
+//! `padding` times the stamp's larger side, and at least 64 lambda / D. Light beyond the period
+//! reappears on the opposite side. At the default padding of 2, the error of the flux is up to
+//! 5e-5, and the error of a value is up to 2e-5 of the peak (5e-5 for an obscuration of 0.6). These
+//! errors were measured on stamps of 30 lambda / D against the Airy formula. Doubling the padding
+//! divides the flux error by more than 2 and takes four times as long. A wavefront so steep that it
+//! sends light beyond the period is refused ([`OpticsError::Unusable`]).
+//!
 //! The PSF is monochromatic, in the Fraunhofer approximation (scalar, small angles).
 
 mod analytic;

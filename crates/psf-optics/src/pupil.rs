@@ -86,7 +86,8 @@ impl Aperture {
             })
     }
 
-    /// For each vane: the point's coordinates along and across the vane, and the vane's half width.
+    /// Returns for each vane the coordinates of (`x`, `y`) along and across the vane, and the half
+    /// width of the vane.
     fn vanes(&self, x: f64, y: f64) -> impl Iterator<Item = (f64, f64, f64)> {
         self.spider.into_iter().flat_map(move |s| {
             (0..s.vanes).map(move |i| {

@@ -51,9 +51,9 @@ pub struct Telescope {
     grid: StampGrid,
     wavefront: Wavefront,
     focal_plane: FocalPlane,
-    /// Transfer function of the pixel and the Gaussian blur along an axis. Value `k` is for a lag of
-    /// `k` pupil cells, which is a spatial frequency (see the crate's page). It is equal everywhere
-    /// in the field.
+    /// Transfer function of the pixel and the Gaussian blur along an axis. Value `k` is for a lag
+    /// of `k` pupil cells, which is a spatial frequency (see the crate's page). The function is
+    /// equal everywhere in the field.
     detector: Vec<f64>,
 }
 

@@ -11,7 +11,8 @@ use crate::stamp::StampGrid;
 /// Orthonormal stamps `B_k` `[component, y, x]`, and the mean stamp `B_0` if the basis is
 /// mean-centred.
 ///
-/// `h(u; x) = B_0(u) + sum_k a_k(x) B_k(u)`. The inner products of the components form the unit
+/// The PSF at position `x` and offset `u` is `h(u; x) = B_0(u) + sum_k a_k(x) B_k(u)`, before any
+/// scaling to unit flux. The inner products of the components form the unit
 /// matrix within [`PsfBasis::ORTHONORMALITY_TOLERANCE`]. Every value is finite.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "RawPsfBasis")]

@@ -29,8 +29,8 @@ pub enum Interpolation {
     },
     /// Bilinear inside the cells of a regular (rectilinear) grid.
     Bilinear,
-    /// Products of cubics through four columns and four rows of a regular (rectilinear) grid,
-    /// approximated by bilinear pieces.
+    /// Products of cubics through four columns and four rows of a regular (rectilinear) grid. Each
+    /// cell is divided into 5 x 5 parts, and the values are bilinear in each part.
     Bicubic,
     /// One polynomial in x and y over the whole field, by least squares.
     Polynomial {

@@ -166,11 +166,12 @@ pub enum FieldError {
     },
 }
 
-/// A PSF at every position: `h(u; x) = [B_0(u) + sum_k a_k(x) B_k(u)] / s(x)`.
+/// A PSF at every position: `h(u; x) = [B_0(u) + sum_k a_k(x) B_k(u)] / s(x)`, at position `x` and
+/// offset `u` from it.
 ///
 /// One array stores the stamps `B_0` (if the basis is mean-centred) and `B_1 ... B_K`, the mean
-/// first. The coefficient of the mean is 1 everywhere. `s(x)` is the flux of the sum in brackets for
-/// [`Normalisation::Unit`], and 1 for [`Normalisation::Keep`].
+/// first. The coefficient of the mean is 1 everywhere. `s(x)` is the flux of the sum in brackets
+/// for [`Normalisation::Unit`], and 1 for [`Normalisation::Keep`].
 #[derive(Debug, Clone)]
 pub struct PsfModel {
     /// `[stamp, y, x]`, beginning with the mean if there is one.
@@ -406,8 +407,8 @@ impl PsfModel {
     pub fn psf_at(&self, position: Position) -> Result<Stamp, FieldError> {
         let mut coefficients = vec![0.0; self.stamp_count()];
         self.scaled_coefficients_into(position, &mut coefficients)?;
-        // Adds stamp by stamp, over contiguous memory. A product of a vector and a row-major matrix
-        // would read the matrix with strides.
+        // The loop adds stamp by stamp, over contiguous memory. A product of a vector and a
+        // row-major matrix would read the matrix with strides.
         let mut values = Array2::zeros(self.grid.dim());
         for (&a, stamp) in coefficients.iter().zip(self.stamps.outer_iter()) {
             values.scaled_add(a, &stamp);

@@ -33,8 +33,8 @@ pub trait PsfSource: Sync {
     /// `dx` frame pixels to the right and `dy` up.
     ///
     /// # Errors
-    /// The default implementation returns [`SourceError::ShiftUnsupported`] unless `dx` and `dy`
-    /// are 0.
+    /// [`SourceError`] when the source cannot draw this PSF. The default implementation returns
+    /// [`SourceError::ShiftUnsupported`] unless `dx` and `dy` are 0.
     fn draw_shifted_into(
         &self,
         position: Position,

@@ -1,4 +1,4 @@
-//! Stars and galaxies.
+//! Stars and galaxies of a scene: the light before convolution, which may extend beyond the frame.
 
 use serde::{Deserialize, Serialize};
 

@@ -93,11 +93,11 @@ impl StampGrid {
         }
     }
 
-    /// Returns this grid with `oversampling` stamp pixels per frame pixel along each axis. It may
-    /// be any positive number. It is below 1 for stamps coarser than the frame.
+    /// Returns this grid with `oversampling` stamp pixels per frame pixel along each axis.
+    /// `oversampling` need not be an integer. It is below 1 for stamps coarser than the frame.
     ///
     /// # Errors
-    /// [`DataError::Oversampling`] when it is not finite and positive.
+    /// [`DataError::Oversampling`] when `oversampling` is not finite and positive.
     pub fn with_oversampling(self, oversampling: f64) -> Result<Self, DataError> {
         if oversampling.is_finite() && oversampling > 0.0 {
             Ok(Self { oversampling, ..self })

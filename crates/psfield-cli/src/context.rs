@@ -71,6 +71,7 @@ fn option_of(setting: &str) -> Option<String> {
         "extension" | "detector" | "positions" | "oversampling" | "centre" => format!("--psf-{setting}"),
         "pixel_response_included" => "--pixel-response".to_owned(),
         "at" => "--grid".to_owned(),
+        "oversample" => "--oversampling".to_owned(),
         "degree" => "--to psfex=DEGREE".to_owned(),
         "nan_is_masked" => "--nan-is-masked, or --mask for other bad pixels".to_owned(),
         _ => format!("--{}", setting.replace('_', "-")),

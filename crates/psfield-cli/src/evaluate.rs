@@ -28,13 +28,13 @@ pub(crate) struct EvaluateArgs {
     /// Replace the output if it exists
     #[arg(long)]
     overwrite: bool,
-    /// Pixel grid of the stamps (model: the model's own, native: the frame's)
+    /// Pixels of the stamps (model: the model's own, native: the frame's)
     #[arg(long, default_value = "model", value_enum)]
-    grid: Grid,
+    pixels: Grid,
     /// Cut or pad to N x N pixels around the centre [default: the stamp's own size]
     #[arg(long, value_name = "N", value_parser = stamp_size)]
     size: Option<usize>,
-    /// Shift each PSF by the fractional part of its position (needs --grid native)
+    /// Shift each PSF by the fractional part of its position (needs --pixels native)
     #[arg(long)]
     sub_pixel: bool,
     /// Precision of the stamps
@@ -54,8 +54,8 @@ enum Grid {
 
 impl EvaluateArgs {
     pub(crate) fn run(self, context: &Context) -> anyhow::Result<()> {
-        if self.sub_pixel && matches!(self.grid, Grid::Model) {
-            return Err(super::UsageError("--sub-pixel needs --grid native".to_owned()).into());
+        if self.sub_pixel && matches!(self.pixels, Grid::Model) {
+            return Err(super::UsageError("--sub-pixel needs --pixels native".to_owned()).into());
         }
         let positions = psf_io::read_positions_with(&self.at, &self.table.options())?;
         let psf = self.fit.open(&self.psf, context)?;
@@ -63,7 +63,7 @@ impl EvaluateArgs {
         psf.model()
             .with_context(|| format!("with the PSF of {}", self.psf.display()))?;
         let options = EvaluateOptions {
-            grid: match self.grid {
+            grid: match self.pixels {
                 Grid::Model => OutputGrid::Model,
                 Grid::Native => OutputGrid::Native,
             },

@@ -6,10 +6,7 @@ use clap::{Command, CommandFactory};
 const GROUPS: [(&str, &[&str]); 3] = [
     ("Make a PSF", &["sample", "fit", "convert", "evaluate"]),
     ("Simulate", &["simulate", "expose", "batch", "demo"]),
-    (
-        "Look and check",
-        &["preview", "measure", "compare", "validate", "roundtrip"],
-    ),
+    ("Look and check", &["preview", "measure", "compare", "validate"]),
 ];
 const LAST_GROUP: &str = "Measure psfield itself";
 

@@ -22,7 +22,6 @@ mod preview;
 mod psf_args;
 mod report_folder;
 mod reproduce;
-mod round_trip;
 mod sample;
 mod simulate;
 mod star_args;
@@ -94,8 +93,6 @@ enum Command {
     Measure(measure::MeasureArgs),
     Compare(compare::CompareArgs),
     Validate(Box<validate::ValidateArgs>),
-    #[command(name = "roundtrip")]
-    RoundTrip(Box<round_trip::RoundTripArgs>),
     Reproduce(reproduce::ReproduceArgs),
     Bench(bench::BenchArgs),
     Devices(devices::DevicesArgs),
@@ -140,7 +137,6 @@ impl Cli {
             Command::Preview(args) => args.run(&context),
             Command::Bench(args) => args.run(&context),
             Command::Devices(args) => args.run(&context),
-            Command::RoundTrip(args) => args.run(&context),
             Command::Validate(args) => args.run(&context),
             Command::Reproduce(args) => args.run(&context),
         }

@@ -2,8 +2,22 @@
 
 use std::ffi::OsString;
 
+/// Commands that have a new name: the old name and the new one.
+const COMMANDS: [(&str, &str); 1] = [("roundtrip", "validate")];
+
 /// Options that have a new name: the command, the old name and the new one.
-const OPTIONS: [(&str, &str, &str); 1] = [("fit", "--noise", "--sample-noise")];
+const OPTIONS: [(&str, &str, &str); 5] = [
+    ("evaluate", "--grid", "--pixels"),
+    ("fit", "--noise", "--sample-noise"),
+    ("roundtrip", "--threshold", "--detection-threshold"),
+    ("simulate", "--oversample", "--oversampling"),
+    ("validate", "--truth", "--reference"),
+];
+
+/// Returns the note that a name is old.
+pub(crate) fn note(old: &str, new: &str) -> String {
+    format!("{old} is now called {new}: the next release removes the old name")
+}
 
 /// Replaces old names among the arguments of the program, the first of which is its own name.
 /// Returns the arguments, and a note for each name that was replaced.
@@ -12,8 +26,15 @@ pub(crate) fn replaced(arguments: impl IntoIterator<Item = OsString>) -> (Vec<Os
     let mut notes = Vec::new();
     // Options for all commands may stand before the command, --threads with a number.
     let is_command = |text: &&str| !text.starts_with('-') && text.parse::<u16>().is_err();
-    let mut texts = arguments.iter().skip(1).filter_map(|argument| argument.to_str());
-    let command = texts.find(is_command).unwrap_or_default().to_owned();
+    let mut texts = arguments.iter().enumerate().skip(1);
+    let command = texts.find_map(|(at, text)| Some((at, text.to_str().filter(is_command)?.to_owned())));
+    let Some((at, command)) = command else {
+        return (arguments, notes);
+    };
+    if let Some((old, new)) = COMMANDS.iter().find(|(old, _)| command == *old) {
+        arguments[at] = (*new).into();
+        notes.push(note(&format!("psfield {old}"), &format!("psfield {new}")));
+    }
     for (_, old, new) in OPTIONS.iter().filter(|(of, ..)| command == *of) {
         for argument in &mut arguments {
             let text = argument.to_str().unwrap_or_default();
@@ -22,9 +43,7 @@ pub(crate) fn replaced(arguments: impl IntoIterator<Item = OsString>) -> (Vec<Os
                 .filter(|rest| rest.is_empty() || rest.starts_with('='));
             if let Some(value) = value {
                 *argument = format!("{new}{value}").into();
-                notes.push(format!(
-                    "{old} is now called {new}: the next release removes the old name"
-                ));
+                notes.push(note(old, new));
             }
         }
     }
@@ -49,6 +68,11 @@ mod tests {
         assert_eq!(
             of(&format!("{fit}=2")),
             ("psfield fit s.fits --sample-noise=2".into(), 1)
+        );
+        let trip = "psfield roundtrip f.fits --threshold 4";
+        assert_eq!(
+            of(trip),
+            ("psfield validate f.fits --detection-threshold 4".into(), 2)
         );
         let line = "psfield -q --threads 2 fit s.fits --noise 2";
         assert_eq!(of(line).1, 1);

@@ -115,7 +115,7 @@ fn as_usage(error: PsfieldError) -> anyhow::Error {
 }
 
 /// Facts that a PSF file does not state, and choices that it leaves open.
-#[derive(Debug, Clone, clap::Args)]
+#[derive(Debug, Clone, Default, PartialEq, clap::Args)]
 #[command(next_help_heading = "PSF file options")]
 pub(crate) struct PsfFileArgs {
     /// HDU of the PSF: its number (0: primary, 1: first extension) or EXTNAME (required if there
@@ -171,14 +171,14 @@ pub(crate) struct PsfFileArgs {
     pixel_response: Option<PixelResponse>,
 }
 
-#[derive(Debug, Clone, Copy, clap::ValueEnum)]
+#[derive(Debug, Clone, Copy, PartialEq, clap::ValueEnum)]
 enum PixelResponse {
     Included,
     Missing,
 }
 
 /// `X,Y`, finite.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 struct Point(Position);
 
 impl FromStr for Point {

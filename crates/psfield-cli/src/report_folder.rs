@@ -12,27 +12,28 @@ use crate::files::OutputFolder;
 
 /// The folder in which a report is written.
 #[derive(Debug, clap::Args)]
-pub(super) struct ReportFolder {
+pub(crate) struct ReportFolder {
     /// Folder for the report: report.html, report.json, tables and figures (SVG and PNG)
     ///
     /// It is made if it does not exist. It must be empty unless --overwrite is given.
     #[arg(long, value_name = "DIR")]
-    report: OutputFolder,
+    pub(crate) report: OutputFolder,
     /// Replace files that exist in the folder
     #[arg(long)]
-    overwrite: bool,
+    pub(crate) overwrite: bool,
 }
 
 const PAGE: &str = "report.html";
 const NUMBERS: &str = "report.json";
+/// Names of files that every report has.
+pub(crate) const FILES: [&str; 2] = [PAGE, NUMBERS];
 
 impl ReportFolder {
-    /// Refuses, before any work, a folder that cannot be made or has files that may not be
-    /// replaced. The folder is made later, when there is something to write.
-    pub(super) fn check(&self) -> anyhow::Result<()> {
-        check(&self.report, &[PAGE, NUMBERS], self.overwrite)?;
-        // The names of tables and figures are not known yet. Without `--overwrite`, the folder must
-        // therefore be empty.
+    /// Refuses, before any work, a folder that cannot be made or that cannot take these files. The
+    /// folder is made later, when there is something to write.
+    pub(crate) fn check(&self, files: &[&str]) -> anyhow::Result<()> {
+        check(&self.report, files, self.overwrite)?;
+        // Not all names are known yet. Without `--overwrite`, the folder must therefore be empty.
         let held = match std::fs::read_dir(&*self.report) {
             Ok(mut found) => found.next().is_some(),
             Err(_) => false,
@@ -45,9 +46,14 @@ impl ReportFolder {
         Ok(())
     }
 
+    /// Makes the folder if it does not exist.
+    pub(crate) fn make(&self) -> anyhow::Result<()> {
+        make(&self.report)
+    }
+
     /// Writes all files, the page last, so that a page exists only with all its files. Then ends
     /// the bar and prints the report. `notes`: how the PSF was read.
-    pub(super) fn publish(
+    pub(crate) fn publish(
         &self,
         document: &Document,
         (measured, notes): (&impl Serialize, Option<Vec<String>>),
@@ -55,7 +61,7 @@ impl ReportFolder {
         (context, bar): (&Context, Bar),
         text: impl FnOnce(Display<'_>) -> String,
     ) -> anyhow::Result<()> {
-        make(&self.report)?;
+        self.make()?;
         let mut files = Vec::new();
         let mut at = |name: String| {
             let path = self.report.join(&name);
@@ -98,7 +104,7 @@ impl ReportFolder {
 
 /// Refuses a folder that cannot be made, or that has one of these files if they may not be
 /// replaced. Leaves no new folders behind.
-pub(super) fn check(folder: &Path, files: &[&str], overwrite: bool) -> anyhow::Result<()> {
+fn check(folder: &Path, files: &[&str], overwrite: bool) -> anyhow::Result<()> {
     if folder.is_dir() {
         for name in files {
             psf_io::check_output(folder.join(name), overwrite)?;
@@ -118,7 +124,7 @@ pub(super) fn check(folder: &Path, files: &[&str], overwrite: bool) -> anyhow::R
 }
 
 /// Makes a folder if it does not exist.
-pub(super) fn make(folder: &Path) -> anyhow::Result<()> {
+fn make(folder: &Path) -> anyhow::Result<()> {
     std::fs::create_dir_all(folder)
         .with_context(|| format!("{}: the report folder cannot be made", folder.display()))
 }

@@ -4,7 +4,7 @@ use psf_types::FrameShape;
 use psfield_lab::report::{Reproduction, ReproductionOptions, Software, Target};
 
 use super::context::{Context, command_text};
-use super::report_folder::ReportFolder;
+use super::report_folder::{self, ReportFolder};
 use super::values::Pair;
 
 /// Remake every figure and table of the method's paper
@@ -46,7 +46,7 @@ pub(crate) struct ReproduceArgs {
 
 impl ReproduceArgs {
     pub(crate) fn run(self, context: &Context) -> anyhow::Result<()> {
-        self.folder.check()?;
+        self.folder.check(&report_folder::FILES)?;
         let options = self.options()?;
         let bar = context.bar("reproducing");
         let measured = Reproduction::run(&options, &bar)?;

@@ -11,12 +11,13 @@ use psf_optics::Telescope;
 use psf_sample::{
     Criterion, DifferenceMeasure, SampleError, Sampling, SamplingOptions, SamplingOutcome, hold_out,
 };
-use psf_stars::{CoverageMap, Detection, SOURCE_COLUMNS, StarSamples};
+use psf_stars::{CoverageMap, SOURCE_COLUMNS, StarSamples};
 use psf_types::{PsfSamples, PsfSource};
 
 use crate::UsageError;
 use crate::context::{Context, object, signature, write_samples};
 use crate::files::OutputFile;
+use crate::old_names;
 use crate::star_args::{MaskArgs, StarArgs};
 use crate::values::{Pair, above_zero};
 
@@ -49,17 +50,6 @@ pub(crate) struct SampleArgs {
     /// Replace outputs that exist
     #[arg(long)]
     overwrite: bool,
-    #[arg(
-        long,
-        value_name = "X",
-        value_parser = above_zero,
-        help = format!(
-            "Telescope: limit of --criterion, relative to the PSF [default: {}]. Frame: detection threshold (sigma) [default: {}]",
-            defaults().threshold,
-            Detection::DEFAULT_THRESHOLD,
-        )
-    )]
-    threshold: Option<f64>,
     /// Also write N PSFs that are not samples to SAMPLES_holdout.fits, for psfield validate
     ///
     /// Telescope: PSFs at random positions between the samples. Frame: N of the stars, with their
@@ -80,11 +70,19 @@ pub(crate) struct SampleArgs {
 }
 
 impl SampleArgs {
-    pub(crate) fn run(self, context: &Context) -> anyhow::Result<()> {
-        match &self.input {
-            Some(path) if is_frame(path, self.stars.extension.is_some())? => {
+    pub(crate) fn run(mut self, context: &Context) -> anyhow::Result<()> {
+        match self.input.clone() {
+            Some(path) if is_frame(&path, self.stars.extension.is_some())? => {
+                if let (Some(threshold), None) = (self.telescope.threshold, self.stars.detection_threshold) {
+                    context.note(&old_names::note(
+                        "--threshold of a frame",
+                        "--detection-threshold",
+                    ));
+                    self.stars.detection_threshold = Some(threshold);
+                    self.telescope.threshold = None;
+                }
                 refuse(self.telescope.given(), "a frame", "telescopes")?;
-                self.frame.run(path, &self, context)
+                self.frame.run(&path, &self, context)
             }
             _ => {
                 let given = self.frame.given().or(self.stars.given()).or(self.mask.given());
@@ -117,7 +115,7 @@ impl SampleArgs {
             .map_or_else(String::new, |(path, held_out)| {
                 let path = path.display();
                 format!(
-                    "\n{path}: {} PSFs that are not samples, for psfield validate --truth",
+                    "\n{path}: {} PSFs that are not samples, for psfield validate --reference",
                     held_out.len()
                 )
             })
@@ -191,6 +189,13 @@ struct TelescopeArgs {
     criterion: Option<Criterion>,
     #[arg(
         long,
+        value_name = "X",
+        value_parser = above_zero,
+        help = format!("Limit of --criterion, relative to the PSF [default: {}]", defaults().threshold)
+    )]
+    threshold: Option<f64>,
+    #[arg(
+        long,
         value_parser = measure(),
         hide_short_help = true,
         help = format!("Norm in which PSFs are compared [default: {}]", defaults().measure)
@@ -237,6 +242,7 @@ impl TelescopeArgs {
         [
             ("--preset", self.preset.is_some()),
             ("--criterion", self.criterion.is_some()),
+            ("--threshold", self.threshold.is_some()),
             ("--measure", self.measure.is_some()),
             ("--start", self.start.is_some()),
             ("--max-samples", self.max_samples.is_some()),
@@ -252,8 +258,7 @@ impl TelescopeArgs {
             (Some(path), _) => Telescope::from_toml_file(path)?,
             (None, preset) => preset.unwrap_or(Preset::Survey2m).telescope(),
         };
-        let threshold = asked.threshold.unwrap_or(defaults().threshold);
-        let sampling = self.draw(&telescope, threshold, context)?;
+        let sampling = self.draw(&telescope, context)?;
         let positions = sampling.samples.positions();
         let held_out = asked.hold_out.map(|count| {
             let drawn = (usize::from(count), asked.seed);
@@ -309,12 +314,12 @@ impl TelescopeArgs {
         })
     }
 
-    fn draw(&self, telescope: &Telescope, threshold: f64, context: &Context) -> anyhow::Result<Sampling> {
+    fn draw(&self, telescope: &Telescope, context: &Context) -> anyhow::Result<Sampling> {
         let defaults = defaults();
         let options = SamplingOptions {
             criterion: self.criterion.unwrap_or(defaults.criterion),
             measure: self.measure.unwrap_or(defaults.measure),
-            threshold,
+            threshold: self.threshold.unwrap_or(defaults.threshold),
             start: self.start.map_or(defaults.start, |Pair(nx, ny)| (nx, ny)),
             max_samples: self.max_samples.unwrap_or(defaults.max_samples),
             uniform: self.uniform.map(|Pair(nx, ny)| (nx, ny)),
@@ -370,7 +375,7 @@ impl FrameArgs {
 
     fn run(&self, path: &Path, asked: &SampleArgs, context: &Context) -> anyhow::Result<()> {
         let spinner = context.spinner("finding stars");
-        let (frame, sampling) = asked.stars.open_masked(path, asked.threshold, &asked.mask)?;
+        let (frame, sampling) = asked.stars.open_masked(path, &asked.mask)?;
         let found = sampling
             .with_hold_out(asked.hold_out.map_or(0, usize::from), asked.seed)
             .run_masked(frame)
@@ -459,7 +464,7 @@ pub(crate) fn warn_of(found: &StarSamples, context: &Context) {
     if registration.undersampled && registration.field_degree.is_none() {
         context.warn(&format!(
             "the stars are undersampled (FWHM {:.2} pixels) and their pixels are interpolated, which smears the PSF: more stars \
-             (lower --snr or --threshold) allow an oversampled PSF (--registration epsf)",
+             (lower --snr or --detection-threshold) allow an oversampled PSF (--registration epsf)",
             found.fwhm_px
         ));
     }

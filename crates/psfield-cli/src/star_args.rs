@@ -21,6 +21,8 @@ pub(crate) struct StarArgs {
     /// else the only one]
     #[arg(long, value_name = "N|NAME")]
     pub(crate) extension: Option<HduChoice>,
+    #[arg(long, value_name = "X", value_parser = above_zero, help = format!("Detection threshold (sigma) [default: {}]", Detection::DEFAULT_THRESHOLD))]
+    pub(crate) detection_threshold: Option<f64>,
     /// Smallest signal-to-noise ratio of a star [default: 10]
     #[arg(long, value_name = "X", value_parser = at_least_zero)]
     snr: Option<f64>,
@@ -139,6 +141,7 @@ impl StarArgs {
     pub(crate) fn given(&self) -> Option<&'static str> {
         [
             ("--extension", self.extension.is_some()),
+            ("--detection-threshold", self.detection_threshold.is_some()),
             ("--snr", self.snr.is_some()),
             ("--saturation", self.saturation.is_some()),
             ("--gain", self.gain.is_some()),
@@ -159,20 +162,15 @@ impl StarArgs {
     pub(crate) fn open_masked(
         &self,
         path: &Path,
-        threshold: Option<f64>,
         mask: &MaskArgs,
     ) -> anyhow::Result<(Array2<f64>, StarSampling)> {
         let mut reader = ImageReader::open_hdu(path, self.extension.as_ref())?;
-        let sampling = self.sampling_of(reader.header(), threshold)?;
+        let sampling = self.sampling_of(reader.header())?;
         Ok((mask.read(&mut reader, path)?, sampling))
     }
 
     /// Reads a frame without bad pixels and its header, and builds the settings.
-    pub(crate) fn open(
-        &self,
-        path: &Path,
-        threshold: Option<f64>,
-    ) -> anyhow::Result<(Image<f64>, HeaderCards, StarSampling)> {
+    pub(crate) fn open(&self, path: &Path) -> anyhow::Result<(Image<f64>, HeaderCards, StarSampling)> {
         let read = psf_io::read_image_hdu::<f64>(path, self.extension.as_ref());
         let (frame, header) = read
             .map_err(|error| match error.place() {
@@ -182,22 +180,24 @@ impl StarArgs {
                 _ => error.into(),
             })?
             .into_parts();
-        let sampling = self.sampling_of(&header, threshold)?;
+        let sampling = self.sampling_of(&header)?;
         Ok((frame, header, sampling))
     }
 
-    fn sampling_of(&self, header: &HeaderCards, threshold: Option<f64>) -> anyhow::Result<StarSampling> {
+    fn sampling_of(&self, header: &HeaderCards) -> anyhow::Result<StarSampling> {
         let in_header = match header.get("SATURATE").and_then(Card::value) {
             Some(CardValue::Real(level)) => Some(level),
             Some(CardValue::Integer(level)) => Some(level as f64),
             _ => None,
         };
-        let sampling = self.sampling(threshold, in_header);
+        let sampling = self.sampling(in_header);
         Ok(sampling.map_err(|e| UsageError(e.to_string()))?)
     }
 
-    fn sampling(&self, threshold: Option<f64>, in_header: Option<f64>) -> Result<StarSampling, StarError> {
-        let detection = threshold.map_or_else(|| Ok(Detection::default()), Detection::new)?;
+    fn sampling(&self, in_header: Option<f64>) -> Result<StarSampling, StarError> {
+        let detection = self
+            .detection_threshold
+            .map_or_else(|| Ok(Detection::default()), Detection::new)?;
         let background = self
             .background_mesh
             .map_or_else(|| Ok(BackgroundMesh::default()), BackgroundMesh::new)?;

@@ -1,4 +1,4 @@
-//! Plans.
+//! Plans: simulators for scenes of one shape.
 
 use std::sync::{Arc, Mutex};
 
@@ -308,7 +308,7 @@ fn simulated<T: ConvReal>(
         None => made.insert(simulator.zeros()).view_mut(),
     };
     simulator.simulate_into(scene, image.view_mut(), watch)?;
-    // Check that every pixel is finite, as the library does for images that it allocates.
+    // `new` checks that every pixel is finite, as the library does for images that it allocates.
     ImageView::new(image.view())?;
     Ok((made, simulator.warnings(scene)))
 }

@@ -166,8 +166,8 @@ impl PsfModel {
         self.0.grid().dim()
     }
 
-    /// Positions of the samples. For a model that is not fitted to samples here: the positions at
-    /// which its coefficients are given.
+    /// Positions of the samples. For a model without samples, these are the positions at which its
+    /// coefficients are given.
     fn positions<'py>(&self, py: Python<'py>) -> Points<'py> {
         points(py, self.0.positions())
     }
@@ -220,7 +220,7 @@ impl PsfModel {
     }
 
     /// Returns a gridded library: stamps, positions (x and y), oversampling, and the largest error
-    /// of bilinear interpolation.
+    /// of bilinear interpolation. The error is `None` if the model itself is bilinear there.
     fn gridded<'py>(
         &self,
         py: Python<'py>,

@@ -61,8 +61,8 @@ pub(crate) fn sample_function(
     if let Some((ny, nx)) = sampling.uniform {
         psfield::check_stack(nx.saturating_mul(ny), grid).map_err(Failure::from)?;
     }
-    // The sampling has a pool of its own. The function may call psfield itself, and threads that
-    // wait for the function must not block this call.
+    // The sampling has a pool of its own. The caller's function may itself call psfield, which then
+    // uses the common pool. Threads that wait for the function must not occupy that pool.
     let pool = threads::made(threads::threads()?)?;
     let sampled = threads::run_beside(py, progress.as_ref(), &pool, |watch, pool| {
         let source = FunctionSource {

@@ -44,7 +44,7 @@ impl FitSettings {
     pub(crate) fn choices(&self) -> PyResult<FitChoices> {
         let bad = |sigma: f64| !(sigma >= 0.0 && sigma.is_finite());
         if self.noise.is_some_and(bad) {
-            return Err(invalid("noise must be a standard deviation, 0 or more"));
+            return Err(invalid("noise (sigma) must be finite and 0 or more"));
         }
         Ok(FitChoices {
             rank: chosen(self.rank.as_deref())?,

@@ -31,7 +31,8 @@ pub(crate) fn pool() -> PyResult<Arc<ThreadPool>> {
     {
         return Ok(Arc::clone(&pool.pool));
     }
-    // Dropping the pool of the parent would wait for threads that do not exist in this process.
+    // Dropping the pool of the parent would take locks of threads that do not exist in this
+    // process, and could wait for such a lock forever.
     std::mem::forget(kept.take());
     let made = made(0)?;
     *kept = Some(Pool {
@@ -61,7 +62,8 @@ pub(crate) fn set_threads(py: Python<'_>, count: usize) -> PyResult<()> {
         process: std::process::id(),
         pool: made,
     });
-    // The thread that drops the last reference waits for the threads of the pool.
+    // Dropping the last reference takes a lock of each thread of the pool. The interpreter is
+    // released meanwhile.
     py.detach(|| drop(previous));
     Ok(())
 }

@@ -21,7 +21,7 @@ pub use placement::{CpuReason, GpuSeconds, Placement, PredictedSeconds};
 pub const MIN_SECONDS_FOR_GPU: f64 = 0.05;
 
 /// Chooses the device that executes a plan, and gives the plan to this device. The predicted speed
-/// of the processor is proportional to the number of threads of the current pool.
+/// of the processor is proportional to the number of threads of rayon's current pool.
 pub(crate) fn place<T: ConvReal>(
     plan: Plan<T>,
     options: &SimulateOptions,

@@ -91,7 +91,8 @@ impl PsfieldError {
         Self { source, ..self }
     }
 
-    /// The error for an operation that only methods with a plan offer.
+    /// The error for an operation that only methods with a plan offer. `what` is the start of the
+    /// message.
     pub(crate) fn needs_plan(what: &str) -> Self {
         let message = format!("{what} only by the methods auto and lowrank: choose one of them");
         Self::of_setting("method", message)

@@ -96,7 +96,7 @@ pub fn evaluate(
     const NONE: &str = "there are no positions: at least one is needed";
     check(model, &positions, options)?;
     let positions = SamplePositions::new(positions, model.field_shape()).map_err(|error| match error {
-        // The caller asked for positions, not for samples.
+        // The caller gave positions, not samples, so the messages speak of positions.
         DataError::NoSamples => PsfieldError::new(ErrorKind::Data, NONE).because(error),
         DataError::DuplicatePosition {
             first,

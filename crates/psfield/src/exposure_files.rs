@@ -46,12 +46,14 @@ pub struct ExposureFiles {
 }
 
 impl ExposureFiles {
-    /// Writes an exposure of `light`. The headers hold first `header` (the cards of the image that
-    /// was exposed), then `added`, then [`exposure_cards`]. All files appear, or none
+    /// Writes the files of `exposure`, which `detector` made of the image `light`. Every header
+    /// holds first `header` (the cards of `light`), then `added`, then cards that describe the
+    /// file. For the counts these are [`exposure_cards`]. All files appear, or none
     /// ([`write_together`](psf_io::write_together)).
     ///
     /// # Errors
-    /// The errors of [`Detector::truth`] and of [`write_image`](psf_io::write_image).
+    /// The errors of [`Detector::truth`], if the truth is written, and of
+    /// [`write_image`](psf_io::write_image).
     pub fn write<T: Real>(
         &self,
         exposure: &Exposure<T>,
@@ -120,7 +122,8 @@ pub fn read_bad_pixel_mask(path: impl AsRef<Path>) -> Result<BadPixelMask, Psfie
 /// | `DETNSAT`, `DETNNEG`, `DETNBAD` | numbers of saturated pixels, of pixels whose expected charge was negative, of bad pixels |
 ///
 /// # Errors
-/// No error for a checked detector, because all its values are finite.
+/// No error occurs. The type allows an error for a value that is not finite, which a checked
+/// detector does not have.
 pub fn exposure_cards(detector: &Detector, report: &ExposureReport) -> Result<Vec<Card>, CardError> {
     let params = detector.params();
     let mut cards = level_cards(detector)?;

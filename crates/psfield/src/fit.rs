@@ -1,4 +1,4 @@
-//! Fits a model of the PSF at every position to PSF samples.
+//! Fits a model to PSF samples. The model gives the PSF at every position.
 
 use std::sync::Arc;
 
@@ -22,8 +22,8 @@ pub struct FitOptions {
     pub rank: RankSelection,
     /// The choice whether to subtract the mean stamp first.
     pub centring: Centring,
-    /// The noise in the samples' pixels: estimated, or known, in units of the samples after
-    /// normalisation.
+    /// The noise in the samples' pixels: estimated, or known. A known noise is in units of the
+    /// samples after normalisation.
     pub noise: PixelNoise,
     /// The interpolation of the coefficients over the field.
     pub interpolation: Interpolation,
@@ -250,8 +250,8 @@ impl Fit {
     /// of each sample grows by the part that the removed components represented.
     ///
     /// # Errors
-    /// [`DataError::EmptyBasis`](psf_types::DataError::EmptyBasis) for rank 0 of a basis without
-    /// mean.
+    /// [`ErrorKind::Data`](crate::ErrorKind::Data) for rank 0 of a basis without mean. The cause is
+    /// [`DataError::EmptyBasis`](psf_types::DataError::EmptyBasis).
     pub fn truncated(&self, rank: usize) -> Result<Self, PsfieldError> {
         let record = self.record.truncated(rank)?;
         let values = self.record.coefficients().values();

@@ -65,15 +65,16 @@ fn utc(seconds: u64) -> String {
 }
 
 impl<T: ConvReal> Simulator<T> {
-    /// Returns cards that say how an image was made: method, anchor, precision, device, the model's
-    /// components and normalisation. For methods with a tolerance, a card holds it.
+    /// Returns cards that say how an image was made: method, anchor, precision, device, and the
+    /// model's number of components and normalisation. A method with a tolerance has a card for it.
     ///
     /// The header of a simulated image holds, in this order: the scene's own cards
     /// ([`carried_header`](Self::carried_header)), the cards of [`provenance_cards`], these cards,
     /// and the cards of its [`SpotCheck`], if there is one.
     ///
     /// # Errors
-    /// [`CardError`] for a tolerance that is not finite, which no simulator has.
+    /// No error occurs. The type allows an error for a tolerance that is not finite, which no
+    /// simulator has.
     pub fn cards(&self, made: &Preparation<'_>) -> Result<Vec<Card>, CardError> {
         let options = self.options();
         let mut cards = vec![
@@ -110,10 +111,10 @@ impl<T: ConvReal> Simulator<T> {
         Ok(cards)
     }
 
-    /// Converts the header of a scene to cards for the image of the scene. World coordinates then
-    /// refer to the frame's pixels. The cards of an earlier spot check, batch job and PSF file are
-    /// removed. If `of_image` is true, the world coordinates of `header` refer to pixels of the
-    /// scene's image. Otherwise they refer to frame pixels.
+    /// Converts the header of a scene to cards for the image of the scene. The world coordinates of
+    /// `header` refer to pixels of the scene's image if `of_image` is true, otherwise to frame
+    /// pixels counted from the scene's first pixel. The world coordinates of the result refer to
+    /// the frame's pixels. The cards of an earlier spot check, batch job and PSF file are removed.
     pub fn carried_header(&self, header: &HeaderCards, of_image: bool) -> HeaderCards {
         let (frame, s) = (self.frame(), self.options().oversample);
         let mut header = if of_image {

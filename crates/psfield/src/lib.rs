@@ -3,8 +3,7 @@
 //!
 //! ```text
 //! PSF source --psf_sample--> samples --psf_basis--> basis + coefficients --coeff_field--> model
-//!                                                                                          |
-//!                                 scene --conv_core--> image --metrics--> measurements <---+
+//! scene + model --conv_core--> image --metrics--> measurements
 //! ```
 //!
 //! Each stage is a crate of its own, re-exported here. Four types join them:

@@ -30,10 +30,12 @@ pub const MEASUREMENT_COLUMNS: [&str; 17] = [
 /// The measurements of one PSF. A field is None if its measurement failed. In this case, `note`
 /// says why. `x` and `y` are the given position, None if there is none.
 ///
-/// The fields from `flux` to `eccentricity` are from the fit of an elliptical Gaussian (`fwhm_px` is
-/// the geometric mean, `eccentricity = sqrt(1 - b^2 / a^2)`). The fields from `e1` to `ellipticity`
-/// are from adaptive moments (`e`: distortion, `g`: reduced shear, `ellipticity = |e1 + i e2|`).
-/// Lengths are in pixels of the array, but [`MeasureOptions::samples`] returns frame pixels.
+/// The fields from `flux` to `eccentricity` are from the fit of an elliptical Gaussian with axes
+/// `a >= b` (`fwhm_px` is the geometric mean, `eccentricity = sqrt(1 - b^2 / a^2)`). `angle_rad` is
+/// the direction of the major axis, from +x towards +y. The fields from `e1` to `ellipticity` are
+/// from adaptive moments (`e`: distortion, `g`: reduced shear, `ellipticity = |e1 + i e2|`). Widths
+/// and `sigma_px` are in pixels of the array, but [`MeasureOptions::samples`] returns them in frame
+/// pixels.
 #[derive(Debug, Clone, PartialEq, Default, Serialize)]
 #[non_exhaustive]
 #[allow(missing_docs, reason = "the columns of the table, described above")]
@@ -72,9 +74,9 @@ impl MeasureOptions {
     /// The size of the window about each position of an image, in pixels, if the caller gives none.
     pub const IMAGE_WINDOW: usize = 15;
 
-    /// Measures the stamps of samples. Lengths are in pixels of the frame (divided by the
-    /// oversampling). Fluxes are those on the frame (divided by its square). `window` is in pixels
-    /// of the stamp, and centroids are 0-based stamp indices. Adaptive moments use the whole stamp.
+    /// Measures the stamps of samples. Widths and fluxes are converted to frame pixels: widths are
+    /// divided by the oversampling, and fluxes by its square. `window` is in pixels of the stamp,
+    /// and centroids are 0-based stamp indices. Adaptive moments use the whole stamp.
     pub fn samples(self, samples: &PsfSamples) -> Vec<Measurement> {
         let mut rows = self.cube(samples.stamps(), Some(samples.positions().as_slice()));
         let (grid, scale) = (samples.grid(), samples.grid().oversampling());
@@ -93,7 +95,7 @@ impl MeasureOptions {
     }
 
     /// Measures every plane of a cube `[plane, y, x]`. `positions` has one position per plane.
-    /// Centroids are 0-based stamp indices. Adaptive moments use the whole plane.
+    /// Centroids are 0-based indices of the plane. Adaptive moments use the whole plane.
     pub fn cube<T: Real>(self, cube: ArrayView3<'_, T>, positions: Option<&[Position]>) -> Vec<Measurement> {
         let fit_window = self.window.map_or_else(Window::whole, Window::central);
         (0..cube.dim().0)

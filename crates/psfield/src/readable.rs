@@ -1,8 +1,8 @@
 //! Formats numbers for people to read.
 
 /// Formats a number with `figures` significant figures (at least 1) without trailing zeros: `0.05`,
-/// `9216`, `2.5e-7`. A number is written with an exponent if its size is below a thousandth, or if
-/// it has more than `figures` and more than five digits before the point. Without an exponent, all
+/// `9216`, `2.5e-7`. An exponent is written if the absolute value is below 0.001, or if the number
+/// has more than `figures` and more than five digits before the point. Without an exponent, all
 /// digits before the point are written.
 pub fn readable(value: f64, figures: usize) -> String {
     if value == 0.0 {

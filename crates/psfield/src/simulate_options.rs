@@ -23,8 +23,8 @@ use crate::PsfieldError;
 pub struct SimulateOptions {
     /// The convolution method.
     pub method: Method,
-    /// The largest relative L2 error that the engine may add to the PSF of any single pixel or
-    /// star, from 0 to below 1 ([`PlanOptions::new`]). Applies to the methods with a plan
+    /// The largest relative L2 error that a plan may add to the PSF of any single pixel or star,
+    /// from 0 to below 1 ([`PlanOptions::new`]). Applies to the methods with a plan
     /// ([`Method::has_plan`]).
     pub tolerance: f64,
     /// Chooses whether the PSF is evaluated at the position of each source or of each pixel of the
@@ -82,10 +82,11 @@ impl SimulateOptions {
     /// The largest `oversample`: pixels of the scene along each side of a frame pixel.
     pub const MAX_OVERSAMPLE: usize = 64;
 
-    /// The options of the engine. None for methods without a plan.
+    /// The options of the plan. None for methods without a plan.
     ///
     /// # Errors
-    /// [`ErrorKind::Setting`](crate::ErrorKind::Setting) for a tolerance out of range.
+    /// [`ErrorKind::Setting`](crate::ErrorKind::Setting) for a tolerance out of range, also for
+    /// methods without a plan.
     pub fn plan_options(&self) -> Result<Option<PlanOptions>, PsfieldError> {
         let options = PlanOptions::new(self.tolerance)?
             .with_anchor(self.anchor)
@@ -119,10 +120,11 @@ named!(Device, "device", "auto, cpu or gpu", "auto" => Auto, "cpu" => Cpu, "gpu"
 #[non_exhaustive]
 pub enum Method {
     /// The fast engine ([`conv_core::Engine`]). Each tile of the image is computed in the cheapest
-    /// way: by transforms, by the direct sum, or by single stamps. A tile without light is skipped.
+    /// way: by Fourier transforms, by the direct sum, or by single stamps. A tile without light is
+    /// skipped.
     #[default]
     Auto,
-    /// The fast engine, with transforms for all tiles.
+    /// The fast engine, with Fourier transforms for all tiles that have light.
     LowRank,
     /// One whole-image convolution per component ([`BasisConvolution`]).
     Basis,
@@ -149,7 +151,8 @@ impl Method {
         PsfieldError::of_setting("method", message)
     }
 
-    /// The convolution of a method without a plan. None for the other methods.
+    /// The convolution of a method without a plan. None for the methods with a plan, and for
+    /// [`Method::Own`], whose convolution the caller gives.
     ///
     /// # Errors
     /// [`ErrorKind::Setting`](crate::ErrorKind::Setting) for a patch size of 0.

@@ -87,7 +87,8 @@ pub struct Simulator<T: ConvReal> {
 #[derive(Debug)]
 struct Shared<T: ConvReal> {
     psf: Psf,
-    /// The method that convolves images. None if the engine does it.
+    /// The method that convolves images without a plan. None for a method with a plan, which an
+    /// [`Engine`] executes.
     method: Option<Box<dyn ConvolutionMethod<T>>>,
     /// The model on the scene's pixels, and the seconds that its fit took.
     image_model: OnceLock<(PsfModel, f64)>,
@@ -200,8 +201,8 @@ impl<T: ConvReal> Simulator<T> {
     /// has a region, of this region. Returns counts of the tiles of extended light, one for each
     /// way to convolve a tile.
     ///
-    /// The scene's image has the shape of the simulator's scenes. If the simulator has a region, it
-    /// may also be only the part of the scene whose light reaches the region
+    /// The image in the scene has the shape of the simulator's scenes. If the simulator has a
+    /// region, the scene may instead hold only the image of the part whose light reaches the region
     /// ([`light_region`](Self::light_region)).
     ///
     /// # Errors
@@ -271,9 +272,9 @@ impl<T: ConvReal> Simulator<T> {
         Ok(Image::new(light)?)
     }
 
-    /// Returns a simulator for another region of the same frame, in frame pixels counted from the
-    /// frame's first pixel. It uses the tiles chosen for this simulator, and shares its plan for
-    /// stars. This is much faster than a new plan.
+    /// Returns a simulator for another region of the same frame. `region` is in frame pixels
+    /// counted from the frame's first pixel. The new simulator uses the tiles that were chosen for
+    /// this one and shares its plan for stars, which is much faster than a new plan.
     ///
     /// # Errors
     /// [`ErrorKind::Setting`] for a region outside the frame or a method without a plan, and the
@@ -401,7 +402,7 @@ impl<T: ConvReal> Simulator<T> {
         if !rows && scene.image().is_none() && shape.pixel_count() > Self::MAX_PIXELS {
             let (nx, ny) = (shape.nx() / s, shape.ny() / s);
             let message = format!(
-                "{nx} x {ny} frame pixels without an image are too many: at most 2^30 = {} scene pixels are possible",
+                "a scene of {nx} x {ny} frame pixels without an image is too large: choose at most 2^30 = {} scene pixels",
                 Self::MAX_PIXELS
             );
             return Err(PsfieldError::new(ErrorKind::TooLarge, message).with_setting("shape"));
@@ -409,8 +410,8 @@ impl<T: ConvReal> Simulator<T> {
         Ok(())
     }
 
-    /// Number of pixels to add around a scene on every side. They hold the light of galaxies beyond
-    /// the scene's edges. It is 0 for a scene without galaxies.
+    /// Number of scene pixels to add on every side of a scene. The added pixels hold the light of
+    /// galaxies beyond the scene's edges. The number is 0 for a scene without galaxies.
     fn padding(&self, scene: &Scene<'_, T>) -> usize {
         if scene.galaxies().is_empty() {
             0
@@ -541,8 +542,7 @@ impl<T: ConvReal> Simulator<T> {
             );
         }
         let galaxies = self.geometry.fine_galaxies(scene.galaxies(), padding)?;
-        // Steps of the drawing do not count, because the progress counts the steps of the
-        // convolution.
+        // The progress counts only the steps of the convolution, not the steps of this drawing.
         let (first, uncounted) = ((part.x0(), part.y0()), Uncounted(progress));
         sersic::add_galaxies_with_progress(light.view_mut(), first, &galaxies, &uncounted)
             .map_err(ConvError::from)?;
@@ -550,7 +550,7 @@ impl<T: ConvReal> Simulator<T> {
         Ok((light, (part.x0() as usize, part.y0() as usize)))
     }
 
-    /// Adds the image of extended light.
+    /// Convolves extended light and adds the result to `image`.
     fn convolve_into(
         &self,
         convolver: &Convolver<T>,
@@ -580,7 +580,7 @@ impl<T: ConvReal> Simulator<T> {
         Ok(counts)
     }
 
-    /// Adds stars to a region of the frame.
+    /// Adds stars to `image`, which holds the pixels of a region of the frame.
     #[inline(never)]
     fn draw_stars_into(
         &self,

@@ -8,9 +8,9 @@ use serde::Serialize;
 
 use crate::{Method, PsfieldError, SimulateOptions};
 
-/// The largest relative r.m.s. rounding errors accepted. For images made by transforms, errors are
-/// a few times 1e-7 (f32) and 1e-15 (f64). They are larger if the scene's light varies by orders of
-/// magnitude.
+/// The largest relative r.m.s. rounding errors accepted. For images made by Fourier transforms,
+/// errors are a few times 1e-7 (f32) and 1e-15 (f64). They are larger if the scene's light varies
+/// by orders of magnitude.
 const ROUNDING_F32: f64 = 1e-5;
 const ROUNDING_F64: f64 = 1e-10;
 /// The largest accepted ratio of the relative error at the checked pixels to the relative error of
@@ -165,8 +165,8 @@ impl SpotCheck {
 
 /// Picks random pixels of an image that is read row by row. For half of them, all pixels of the
 /// image are equally probable. For the other half, the probability of a pixel is proportional to
-/// its absolute value. For an image of zeros, the other half is left out. The choice depends only
-/// on the image and the seed.
+/// its absolute value. For an image of zeros, this second half is left out. The choice depends only
+/// on the image, the number of pixels and the seed.
 #[derive(Debug, Clone)]
 pub struct PixelPicker {
     /// The pixels of the first half: `(row, column)`, ascending.
@@ -237,7 +237,8 @@ impl PixelPicker {
             .collect();
         if passed > 0.0 && passed.is_finite() {
             self.light += passed;
-            // Replaces each pixel with a probability equal to this row's share of all light so far.
+            // Replaces each picked pixel by a pixel of this row with a probability equal to the
+            // row's share of all light so far.
             let chance = passed / self.light;
             let first = self.bright.is_empty();
             self.bright.resize(self.bright_count, (0, 0, 0.0));

@@ -1,5 +1,6 @@
-//! Draws galaxies on an image, one tile of the scene after another. Pixels near a galaxy's centre
-//! are integrated one by one, and blocks of pixels far from it are drawn as polynomials.
+//! Draws galaxies on an image, which is a part of a larger scene. The scene is divided into square
+//! tiles, and many tiles are drawn at the same time. Within a tile, pixels near a galaxy's centre
+//! are integrated one by one, and blocks of pixels far from the centre are drawn as polynomials.
 
 use ndarray::{ArrayView2, ArrayViewMut2, s};
 use psf_types::{Cancelled, NoProgress, Progress, Real, SersicSource};
@@ -7,22 +8,24 @@ use rayon::prelude::*;
 
 use crate::profile::{Nearness, Profile};
 
-/// Number of tiles that are drawn at the same time. A limit keeps the memory small.
+/// Number of tiles that are drawn before they are added to the image. A limit keeps the memory
+/// small.
 const TILES_AT_ONCE: usize = 64;
 
-/// Adds galaxies to an image `[y, x]`. The image's first pixel is the pixel `(x0, y0) =
-/// first_pixel` of the scene. The galaxies' positions are in pixels of the scene (0-based, an
-/// integer is the centre of a pixel).
+/// Adds galaxies to an image `[y, x]`, which may be a part of a larger scene. The image's first
+/// pixel is the pixel `(x0, y0) = first_pixel` of the scene. The galaxies' positions are in pixels
+/// of the scene (0-based, an integer is the centre of a pixel).
 ///
 /// Each pixel receives the flux that falls on its area. Galaxies may lie partly or wholly outside
 /// the image. A galaxy's flux is the total to infinite radius, and light outside the image is lost.
 /// For the accuracy, see the [crate's page](crate).
 ///
 /// An image drawn in parts, each with its own first pixel, equals the image drawn at once. The
-/// number of threads does not change the result. The additional memory holds 64 tiles of 128 x 128
-/// pixels. The time grows with the number of galaxies times the number of tiles that their light
-/// reaches. A galaxy with a half-light radius of 3 pixels takes about 1 ms on one core. Most of
-/// this time is spent on the pixels within about 50 pixels of its centre.
+/// number of threads does not change the result. The additional memory is at most 15 MB for 64
+/// tiles of 128 x 128 pixels, and 30 kB for each galaxy whose light reaches the image. The time
+/// grows with the number of galaxies times the number of tiles that their light reaches. A galaxy
+/// with a half-light radius of 3 pixels takes about 1 ms on one core. Most of this time is spent on
+/// the pixels within about 50 pixels of the galaxy's centre.
 pub fn add_galaxies<T: Real>(
     image: ArrayViewMut2<'_, T>,
     first_pixel: (i64, i64),
@@ -84,8 +87,8 @@ pub fn add_galaxies_with_progress<T: Real>(
     Ok(())
 }
 
-/// Adds the pixels of a tile that lie on the image. The tile begins at `row` and `column` of the
-/// image.
+/// Adds a tile to the image, where both overlap. The tile begins at `row` and `column` of the
+/// image, which may be negative.
 fn add_tile<T: Real>(image: &mut ArrayViewMut2<'_, T>, column: i64, row: i64, pixels: &[f64]) {
     let tile = ArrayView2::from_shape((TILE, TILE), pixels).expect("a tile has TILE x TILE pixels");
     let overlap = |first: i64, length: usize| {
@@ -119,8 +122,8 @@ const LARGEST_SIZE: f64 = 3.5;
 
 /// Estimates the relative error of the polynomial on a block of relative size `t` (see
 /// [`Nearness`]), for both axes together. The estimate assumes that the m-th derivative times the
-/// m-th power of the size is `t^m` times the brightness. The next three functions are such
-/// estimates for the Gauss-Legendre rules.
+/// m-th power of the size is `t^m` times the brightness. The next three functions estimate the
+/// errors of the Gauss-Legendre rules with 2, 3 and 4 nodes under the same assumption.
 fn error_of_polynomial(t: f64) -> f64 {
     4.0 * (0.25 * t).powi(6) / 720.0
 }
@@ -137,7 +140,7 @@ fn error_of_gauss_4(t: f64) -> f64 {
     2.0 * t.powi(8) / 1.778e9
 }
 
-/// The nodes and the interpolation weights, which all tiles share.
+/// The nodes and the interpolation weights of the polynomials, which all tiles share.
 struct Rules {
     nodes: [f64; NODES],
     /// For each level, the interpolation weights of each pixel along a block.

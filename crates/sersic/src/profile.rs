@@ -8,13 +8,13 @@ use statrs::function::gamma::{gamma_ur, ln_gamma};
 /// Fraction of a galaxy's flux that lies outside the radius at which drawing stops.
 pub const FLUX_LEFT_OUT: f64 = 1e-9;
 
-/// A smaller half-light radius is replaced by this one. Even for `n = 8`, almost all light then
-/// falls in one pixel.
+/// A half-light radius below this value is replaced by this value. Even for `n = 8`, almost all
+/// light then falls in one pixel.
 const SMALLEST_RADIUS_PX: f64 = 1e-9;
-/// The m-th derivative along a line of the brightness `I` is at most about
+/// Along any line, the m-th derivative of the brightness `I` is at most about
 /// `I ((k + DERIVATIVE_OFFSET) / r)^m` for the orders used here (up to 8), with
 /// `k = -d ln I / d ln r`. The reason is that the derivatives of a power `r^-k` have the factors
-/// `k, k + 1 ... k + 7`.
+/// `k, k + 1 ... k + 7`, whose geometric mean is about `k + 3`.
 const DERIVATIVE_OFFSET: f64 = 3.0;
 
 /// Smallest and largest radius in the table of brightness, in units of [`Profile::longest_step`].
@@ -164,8 +164,8 @@ impl Profile {
         ]
     }
 
-    /// Compares a square with the profile in it. The square has sides of `size` pixels. Its centre
-    /// is at (`dx`, `dy`) from the galaxy's centre.
+    /// Compares the size of a square with the length over which the profile changes in it. The
+    /// square has sides of `size` pixels. Its centre is at (`dx`, `dy`) from the galaxy's centre.
     pub(crate) fn nearness(&self, dx: f64, dy: f64, size: f64) -> Nearness {
         let (u, v) = self.turned(dx, dy);
         let (middle, reach) = (u.hypot(v), self.pixel_reach * size);
@@ -206,15 +206,15 @@ fn solve_decreasing(function: impl Fn(f64) -> f64, limit: f64) -> f64 {
     }
 }
 
-/// The table has `2^PIECES_LOG2` pieces for each factor of two in the squared radius. A piece's
-/// error relative to the brightness is about `(k / 2 / 32)^4 / 384` with `k = -d ln I / d ln r`,
-/// which is 6e-7 at `k = 8`.
+/// A [`RadialTable`] has `2^PIECES_LOG2` cubic pieces for each factor of two in the squared radius.
+/// A piece's error relative to the brightness is about `(k / 2 / 32)^4 / 384` with
+/// `k = -d ln I / d ln r`, which is 6e-7 at `k = 8`.
 const PIECES_LOG2: u32 = 5;
 /// Number of mantissa bits of a double that give the position within a piece.
 const BITS_WITHIN: u32 = 52 - PIECES_LOG2;
 
-/// A function of the squared radius, as a table of cubic pieces. The leading bits of the squared
-/// radius, a double, give the number of its piece.
+/// A function of the squared radius, as a table of cubic pieces. The leading bits of a squared
+/// radius (a double) are the number of the piece that contains it.
 #[derive(Debug)]
 pub(crate) struct RadialTable {
     /// The number of the first piece.

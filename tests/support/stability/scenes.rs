@@ -227,7 +227,7 @@ fn overflow() -> Vec<Case> {
                             };
                             error(&model, &Light::of(of(|_, _| largest)), (method, precision))
                         })();
-                        Cell::refusal(got, "beyond the range of the precision")
+                        Cell::refusal(got, "beyond the range of f32 or f64")
                     })
                     .to_vec()
             })

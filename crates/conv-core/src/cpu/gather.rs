@@ -1,4 +1,5 @@
-//! Gathering: the weighted side, to whose pixels PSFs belong, collects light of the other side.
+//! Gathering: each pixel of the weighted side collects light of the other side. One side is the
+//! light, the other is the image. PSFs belong to the pixels of the weighted side.
 
 use ndarray::{Array2, ArrayViewMut2, s};
 use rayon::prelude::*;
@@ -12,9 +13,9 @@ use crate::plan::geometry::Direction;
 use crate::simd::{Lanes, WithIsa};
 use crate::{ConvError, ConvReal};
 
-/// Gathers light of the other side: `output(p) += c(p) sum_q light(q) k(p - q)`, or `k(q - p)` if
-/// stamps are turned, for each kernel `k` of the block at `p` and its coefficients `c`. Every block
-/// writes to its own pixels.
+/// Gathers light of the other side: `output(p) += c(p) sum_q light(q) k(p - q)`, or `k(q - p)` in
+/// the adjoint. The sum is added for each kernel `k` of the block at `p`, with the kernel's
+/// coefficients `c`. Every block writes to its own pixels.
 pub(crate) struct Gather<'j, 'o, T: ConvReal> {
     pub(crate) pass: LightPass<'j, T>,
     pub(crate) output: ArrayViewMut2<'o, T>,

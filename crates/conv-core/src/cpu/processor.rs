@@ -22,7 +22,7 @@ use crate::transform::TileTransform;
 pub(crate) struct Processor<T: ConvReal> {
     pub(crate) plan: Plan<T>,
     pub(crate) fft: TileTransform<T>,
-    /// 0, 1, 2 ...
+    /// 0, 1, 2 ... for the pixels of a block's row, along which coefficients are linear.
     pub(crate) ramp: Vec<T>,
     /// Workspaces that threads take and give back, so that there are never more of them than
     /// threads.
@@ -55,7 +55,7 @@ impl<T: ConvReal> Processor<T> {
 }
 
 /// One execution of some rows of a plan's blocks. It takes light from one side (the light or, in
-/// the adjoint, the image) and adds to rows of the other side.
+/// the adjoint, the image), convolves it, and adds the result to rows of the other side.
 #[derive(Clone)]
 pub(crate) struct LightPass<'a, T: ConvReal> {
     pub(crate) processor: &'a Processor<T>,
@@ -67,7 +67,7 @@ pub(crate) struct LightPass<'a, T: ConvReal> {
     pub(crate) first_light: usize,
     /// The index of the first row of the output.
     pub(crate) first_output: usize,
-    /// True if stamps are turned by 180 degrees.
+    /// True if stamps are turned by 180 degrees, as in the adjoint.
     pub(crate) flip: bool,
     /// True if tiles may be convolved by the direct sum. False on a GPU, which has no direct sums.
     pub(crate) direct_sums: bool,

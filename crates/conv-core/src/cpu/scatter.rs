@@ -1,4 +1,5 @@
-//! Scattering: light of the weighted side, to whose pixels PSFs belong, spreads to the other side.
+//! Scattering: light of the weighted side spreads to the other side. One side is the light, the
+//! other is the image. PSFs belong to the pixels of the weighted side.
 
 use ndarray::ArrayViewMut2;
 use rayon::prelude::*;
@@ -12,7 +13,8 @@ use crate::simd::{Lanes, WithIsa};
 use crate::{ConvError, ConvReal};
 
 /// Spreads light of the weighted side: `output(q) += sum_p c(p) light(p) k(q - p)`, or `k(p - q)`
-/// if stamps are turned, for each kernel `k` of a block and its coefficients `c`.
+/// in the adjoint. The sum over the pixels `p` of a block is added for each kernel `k` of this
+/// block, with the kernel's coefficients `c`.
 ///
 /// Blocks whose outputs overlap never run at the same time. In each band of rows of blocks, the
 /// blocks at every n-th row and every m-th column have one colour and run together. The colours run

@@ -9,8 +9,8 @@ use crate::plan::geometry::{Geometry, TilePart};
 use crate::simd::{Aligned, Lanes};
 use crate::transform::{TileTransform, X_STEP};
 
-/// Planes and spectra of one transform size. From one tile to the next, only `kernels` keeps its
-/// content.
+/// Planes (padded arrays of pixels) and spectra of one transform size. From one tile to the next,
+/// only `kernels` keeps its content.
 #[derive(Debug)]
 pub(crate) struct Workspace<T> {
     /// The tile's light, or the light around the tile.
@@ -45,9 +45,9 @@ impl<T: ConvReal> Workspace<T> {
 pub(crate) struct TileEngine<'a, T> {
     pub(crate) fft: &'a TileTransform<T>,
     pub(crate) geometry: Geometry,
-    /// True if stamps are turned by 180 degrees.
+    /// True if stamps are turned by 180 degrees, as in the adjoint.
     pub(crate) flip: bool,
-    /// 0, 1, 2 ...
+    /// 0, 1, 2 ... for the pixels of a block's row.
     pub(crate) ramp: &'a [T],
 }
 
@@ -61,8 +61,8 @@ pub(crate) struct LocalTile<'a, T> {
 }
 
 impl<T: ConvReal> TileEngine<'_, T> {
-    /// Copies a rectangle of `source` that begins at (`column`, `row`). Pixels outside `source`,
-    /// and the padding of rows, become zeros.
+    /// Copies a rectangle of `source` that begins at (`column`, `row`) to `plane`. Pixels outside
+    /// `source`, and the padding of rows, become zeros.
     #[inline(always)]
     pub(crate) fn load<S: Lanes<T>>(
         &self,

@@ -1,5 +1,5 @@
-//! The treatment of a tile, which is the way in which its light is convolved. Inspects the light
-//! and chooses the treatment.
+//! The choice of the treatment of a tile: the way in which the tile's light is convolved. The
+//! choice depends on the light.
 
 use std::ops::AddAssign;
 
@@ -31,7 +31,7 @@ fn brightest_allowed<T: ConvReal>() -> f64 {
     3e-5 / T::epsilon().as_f64()
 }
 
-/// The number of independent sums, which fill a vector.
+/// The number of independent sums, enough to fill a vector of any instruction set.
 const LANES: usize = 16;
 
 /// Inspects `rows` rows of `columns` pixels with `pitch` values from row to row.
@@ -60,7 +60,7 @@ fn look<T: ConvReal>(plane: &[T], pitch: usize, (rows, columns): (usize, usize))
     }
 }
 
-/// A pixel of a tile: row, column and light.
+/// A pixel of the light in or around a tile: row, column and light.
 pub(crate) type LitPixel<T> = (usize, usize, T);
 
 /// Returns all lit pixels.
@@ -78,8 +78,8 @@ fn lit_pixels<T: ConvReal>(plane: &[T], pitch: usize, (rows, columns): (usize, u
     pixels
 }
 
-/// Removes very bright pixels from a tile, because the rounding noise of their transform would hide
-/// faint light. Removes at most `most` pixels, the brightest first.
+/// Removes very bright pixels from a tile's light and returns them. The rounding noise of their
+/// transform would hide faint light. At most `most` pixels are removed, the brightest first.
 ///
 /// Each pixel is compared with the mean of the tile without its `most` brightest pixels. So a
 /// bright galaxy of a few hundred pixels does not raise this mean.
@@ -303,7 +303,6 @@ impl AddAssign for TileCounts {
 }
 
 impl TileCounts {
-    /// Counts a tile.
     pub(crate) fn count<T>(&mut self, treatment: &Treatment<T>, modes: usize) {
         self.drawn_pixels += treatment.drawn.len();
         match treatment.method {

@@ -13,12 +13,12 @@ pub struct Adapter {
     pub kind: AdapterKind,
     /// The interface through which it is driven: `vulkan`, `metal`, `dx12` or `gl`.
     pub backend: String,
-    /// The driver and its version, if it reports them.
+    /// The driver's name and version. Empty if the driver does not report them.
     pub driver: String,
-    /// Bytes of the largest buffer.
+    /// The most bytes that a buffer can have.
     pub largest_buffer: u64,
-    /// The most bytes of a buffer that a shader can access at once. Work is divided into pieces
-    /// whose buffers are no larger.
+    /// The most bytes that a shader can access in one buffer. Work is divided into pieces whose
+    /// buffers are no larger.
     pub largest_binding: u64,
     /// Bytes of memory that the threads of a workgroup share. This limits the size of transforms.
     pub workgroup_memory: u32,
@@ -118,7 +118,7 @@ impl Adapter {
     }
 
     /// Returns whether a workgroup has enough memory for transforms of planes of `nx` columns and
-    /// `ny` rows.
+    /// `ny` rows. Transforms along y have `ny / 2` complex values.
     pub(crate) fn can_transform(&self, nx: usize, ny: usize) -> bool {
         nx.max(ny / 2) <= FftSource::longest(self.workgroup_memory as usize)
     }
@@ -130,7 +130,7 @@ impl Adapter {
     }
 }
 
-/// The adapters that can run compute shaders, the preferred one first.
+/// The adapters that can run the engine's shaders, the preferred adapter first.
 ///
 /// ```
 /// for adapter in conv_core::gpu::adapters() {
@@ -175,8 +175,8 @@ fn adapters_of(backends: wgpu::Backends) -> Vec<(wgpu::Adapter, Adapter)> {
     .collect()
 }
 
-/// Returns the preferred adapter, or the first that matches a name. If there is none, returns the
-/// names of all adapters as the error.
+/// Returns the preferred adapter. If `name` is given, returns the first adapter that matches it. If
+/// there is no such adapter, returns the names of all adapters as the error.
 pub(super) fn choose(name: Option<&str>) -> Result<(wgpu::Adapter, Adapter), Vec<String>> {
     let mut adapters = open_adapters();
     let wanted = adapters

@@ -111,7 +111,7 @@ impl<'a> BatchCalls<'a> {
             amounts.extend(tile.amounts.iter().map(|v| v.to_bits()));
         }
         device.adapter().fits(
-            "the pixels of one piece of work that are drawn one by one",
+            "the pixels that one piece of work draws one by one",
             4 * pixels.len().max(amounts.len()) as u64,
         )?;
         let draws = handed_over(device, &mut working.draws, &draws);
@@ -147,8 +147,9 @@ impl<'a> BatchCalls<'a> {
     }
 }
 
-/// The tile and the kernel of each plane to be transformed along x. A tile has one plane per kernel
-/// if its light is multiplied by coefficients first, otherwise one plane.
+/// The tile and the kernel of each plane to be transformed along x. If `each_kernel` is true, each
+/// kernel's coefficients multiply the light first, so a tile has one plane per kernel. Otherwise it
+/// has one plane.
 fn planes_of<'t>(tiles: impl Iterator<Item = &'t Tile>, each_kernel: bool) -> Vec<u32> {
     tiles
         .enumerate()
@@ -159,7 +160,7 @@ fn planes_of<'t>(tiles: impl Iterator<Item = &'t Tile>, each_kernel: bool) -> Ve
         .collect()
 }
 
-/// Writes words to a buffer before the next submission.
+/// Writes words to a buffer, for the next submission. Returns the buffer.
 fn handed_over(device: &GpuDevice, buffer: &mut Growing, words: &[u32]) -> wgpu::Buffer {
     let buffer = buffer.with_room(device, 4 * words.len() as u64);
     device.queue().write_buffer(&buffer, 0, cast_slice(words));

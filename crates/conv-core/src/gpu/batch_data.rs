@@ -66,8 +66,8 @@ pub(super) struct BatchData {
 }
 
 impl BatchData {
-    /// Computes the data. With `marks`, the stopwatch measures this work as a part of an execution.
-    /// With `flip`, the spectra are computed from stamps turned by 180 degrees.
+    /// Computes the data. If `marks` is given, the stopwatch measures this work as a part of an
+    /// execution. If `flip` is true, the spectra are computed from stamps turned by 180 degrees.
     pub(super) fn new<T: ConvReal>(
         device: &Attempt,
         pipelines: &Pipelines,
@@ -191,21 +191,23 @@ fn words_of<T: ConvReal>(plan: &Plan<T>, part: &Part) -> (Vec<u32>, Vec<u32>) {
     (table.packed(part.kernels.clone()), cast_slice(stamps).to_vec())
 }
 
-/// The number of words before the table's contents: see `coefficients.wgsl`.
+/// The number of words in the header of a table: see `coefficients.wgsl`.
 const HEADER: usize = 9;
 
 impl<T: ConvReal> CoefficientTable<T> {
-    /// Packs the coefficients of some kernels in f32 for `coefficients.wgsl`. The words of the
-    /// header are, in order:
+    /// Packs the coefficients of some kernels in f32 for `coefficients.wgsl`. A coefficient is a
+    /// function of the pixel, which is linear along the *runs* of a row or given pixel by pixel.
+    /// The words of the header are, in order:
     ///
     /// - whether values are given pixel by pixel,
     /// - the number of functions,
-    /// - whether functions are divided by the first function,
-    /// - the number of kernels without a function,
+    /// - whether the other functions are divided by the first,
+    /// - the number of kernels without a function, whose coefficient is 1,
     /// - the numbers of columns and of rows,
     /// - the indices at which three arrays begin: row starts, first columns of the runs, values.
     ///
-    /// The three arrays follow the header. The indices count from the table's first word.
+    /// The arrays follow the header. If values are given pixel by pixel, there is only the array of
+    /// values. The indices count from the table's first word.
     pub(crate) fn packed(&self, kernels: Range<usize>) -> Vec<u32> {
         let functions = self.functions_of(kernels.clone());
         let plain = kernels
@@ -254,7 +256,7 @@ impl<T: ConvReal> CoefficientTable<T> {
         words
     }
 
-    /// The functions that some kernels need, the divisor first.
+    /// The functions that some kernels need. If there is a divisor, it is the first.
     fn functions_of(&self, kernels: Range<usize>) -> Vec<usize> {
         let divisor = self.role.divides().then_some(0);
         divisor

@@ -31,7 +31,7 @@ impl GpuDevice {
             .create_command_encoder(&wgpu::CommandEncoderDescriptor::default())
     }
 
-    /// A buffer filled with words.
+    /// A buffer filled with 32-bit words.
     pub(super) fn filled(&self, label: &str, words: &[u32]) -> wgpu::Buffer {
         let buffer = self.buffer(label, 4 * words.len() as u64, STORAGE);
         if !words.is_empty() {
@@ -59,7 +59,8 @@ impl Growing {
         }
     }
 
-    /// Returns the buffer, with room for `bytes`. Its content is undefined.
+    /// Returns the buffer, with room for `bytes`. If the buffer is too small, a new one replaces
+    /// it, and the content is lost.
     pub(super) fn with_room(&mut self, device: &GpuDevice, bytes: u64) -> wgpu::Buffer {
         if self.buffer.as_ref().is_none_or(|buffer| buffer.size() < bytes) {
             self.buffer = Some(device.buffer(self.label, bytes, self.usage));
@@ -117,7 +118,8 @@ impl Staging {
         let returned = buffer.clone();
         buffer.slice(..).map_async(wgpu::MapMode::Write, move |mapped| {
             if mapped.is_ok() {
-                // Sending fails only if the engine has been dropped.
+                // Sending fails only if the receiver was dropped with this `Staging`. Nothing needs
+                // the buffer then.
                 let _ = sender.send(returned);
             }
         });
@@ -126,10 +128,12 @@ impl Staging {
 
 /// If more free buffers than this are all too small, one of them is dropped.
 const KEPT: usize = 16;
-/// Sizes are multiples of this, so that buffers can be used again.
+/// The size of a staging buffer is a multiple of this, so that the buffer also fits slightly more
+/// light.
 const ROUNDING: u64 = 1 << 16;
 
-/// A buffer for a panel's result, and one for the marks of its stopwatch.
+/// A buffer from which the host reads a panel's result, and one from which it reads the panel's
+/// time marks.
 #[derive(Debug)]
 pub(super) struct Readback {
     pub(super) values: Growing,
@@ -157,7 +161,7 @@ impl Readback {
         }
     }
 
-    /// Returns the buffers, with room for `bytes` of result.
+    /// Returns the buffers, with room for `bytes` of the result.
     pub(super) fn with_room(&mut self, device: &GpuDevice, bytes: u64) -> (wgpu::Buffer, wgpu::Buffer) {
         (
             self.values.with_room(device, bytes),
@@ -167,7 +171,8 @@ impl Readback {
 }
 
 impl InFlight {
-    /// Requests that the result be readable when the submission is done.
+    /// Asks the driver to map the result and the time marks when the submission is done, so that
+    /// the host can read them.
     pub(super) fn new(
         output: Rectangle,
         marks: Marks,
@@ -180,7 +185,7 @@ impl InFlight {
             buffer
                 .slice(..length)
                 .map_async(wgpu::MapMode::Read, move |result| {
-                    // Sending fails only if reading stopped after an error.
+                    // Sending fails only if an error ended the execution before it read the panel.
                     let _ = sender.send(result);
                 });
         }
@@ -194,7 +199,7 @@ impl InFlight {
         }
     }
 
-    /// Waits for the GPU and passes the bytes of the result and of the stopwatch to `read`.
+    /// Waits for the GPU and passes the bytes of the result and of the time marks to `read`.
     pub(super) fn read<R>(
         self,
         device: &Attempt,
@@ -202,7 +207,8 @@ impl InFlight {
     ) -> Result<R, GpuError> {
         device.wait(self.submission.clone())?;
         for _ in 0..2 {
-            // Another thread may send the message a little later.
+            // If another thread polls the device, that thread may report the mapping a little
+            // later.
             let mapped = self.mapped.recv();
             let mapped = mapped.map_err(|_| device.failed(&"the result was not received"))?;
             mapped.map_err(|error| device.failed(&error))?;

@@ -30,13 +30,14 @@ struct Inner {
     device: wgpu::Device,
     queue: wgpu::Queue,
     trouble: Arc<Mutex<Trouble>>,
-    /// Compiled shaders, by the size of their planes.
+    /// Compiled shaders: one entry for each size of the planes (the arrays that shaders transform).
     pipelines: Mutex<Vec<Arc<Pipelines>>>,
 }
 
 /// Errors reported by the driver.
 #[derive(Debug, Default)]
 struct Trouble {
+    /// Why the GPU was lost, if it was.
     lost: Option<String>,
     /// The number of times that the GPU's memory was full.
     out_of_memory: u64,
@@ -46,9 +47,9 @@ struct Trouble {
     last: String,
 }
 
-/// Work on a GPU. It fails with any error that the driver reports after the work began. Several
-/// attempts may use the GPU at the same time. An error then makes all of them fail, because the
-/// driver does not report which work caused the error.
+/// Work on a GPU. It fails with any error that the driver reports after the work began, and if the
+/// GPU was lost before. Several attempts may use the GPU at the same time. An error then makes all
+/// of them fail, because the driver does not report which work caused the error.
 #[derive(Debug)]
 pub(super) struct Attempt {
     device: GpuDevice,
@@ -58,13 +59,13 @@ pub(super) struct Attempt {
 }
 
 impl GpuDevice {
-    /// Opens the preferred adapter, or the first that matches a name. A name matches if it is a
-    /// part of the adapter's name, or is the adapter's backend. Upper and lower case are equal.
-    /// Discrete GPUs are preferred to integrated ones, and software is last.
+    /// Opens the preferred adapter or, if `name` is given, the first adapter that matches it. A
+    /// name matches if it is a part of the adapter's name, or is the adapter's backend. Upper and
+    /// lower case are equal. Discrete GPUs are preferred to integrated ones, and software is last.
     ///
     /// # Errors
-    /// [`GpuError`] if there is no GPU, if none matches the name, or if the driver cannot open the
-    /// GPU.
+    /// [`GpuError`] if there is no GPU, if no GPU matches the name, or if the driver cannot open
+    /// the GPU.
     pub fn new(name: Option<&str>) -> Result<Self, GpuError> {
         let (handle, adapter) = choose(name).map_err(|present| match name {
             Some(name) if !present.is_empty() => GpuError::NoSuchAdapter {
@@ -148,7 +149,7 @@ impl std::ops::Deref for Attempt {
 }
 
 impl Attempt {
-    /// Returns the error that the driver has reported since the work began, if any.
+    /// Returns an error if the driver has reported one since the work began, or if the GPU is lost.
     pub(super) fn check(&self) -> Result<(), GpuError> {
         let adapter = &self.device.adapter().name;
         locked(&self.device.0.trouble).since(self.before, adapter)
@@ -177,7 +178,8 @@ impl Attempt {
         waited.map(drop).map_err(|error| self.failed(&error))
     }
 
-    /// Returns the error that the driver reported, otherwise an error with this reason.
+    /// Returns the error that [`check`](Self::check) finds. If it finds none, returns an error with
+    /// `reason`.
     pub(super) fn failed(&self, reason: &dyn std::fmt::Display) -> GpuError {
         self.check().err().unwrap_or_else(|| GpuError::Driver {
             adapter: self.device.adapter().name.clone(),
@@ -185,8 +187,8 @@ impl Attempt {
         })
     }
 
-    /// Returns the shaders for planes of a size. They are kept, because the driver takes long to
-    /// compile them.
+    /// Returns the compiled shaders for the planes of `source`. The device keeps them, because the
+    /// driver takes long to compile them.
     pub(super) fn pipelines(&self, source: PlaneSource) -> Result<Arc<Pipelines>, GpuError> {
         let mut made = locked(&self.device.0.pipelines);
         if let Some(found) = made.iter().find(|pipelines| pipelines.source == source) {
@@ -217,10 +219,12 @@ impl Trouble {
         (self.out_of_memory, self.complaints)
     }
 
-    /// Returns the error reported after the counts `before`, if any.
+    /// Returns an error if the GPU is lost, or if the driver has reported errors since the counts
+    /// were `before`.
     fn since(&self, before: (u64, u64), adapter: &str) -> Result<(), GpuError> {
         let adapter = adapter.to_owned();
-        // wgpu closes a device that runs out of memory while shaders run.
+        // wgpu closes a device that runs out of memory while shaders run. It then reports the lack
+        // of memory as the reason of the loss.
         let lost_for_memory = |reason: &String| reason.to_lowercase().contains("out of memory");
         // This test is first, because a failed allocation causes other errors.
         if self.out_of_memory > before.0 || self.lost.as_ref().is_some_and(lost_for_memory) {
@@ -256,8 +260,9 @@ pub(super) struct Pipelines {
 
 impl Pipelines {
     pub(super) fn new(device: &Attempt, source: PlaneSource) -> Result<Arc<Self>, GpuError> {
-        // Uses threads of its own. A thread of rayon's pool could begin other work meanwhile, and
-        // wait for the lock of the pipelines, which the caller holds.
+        // Starts new threads instead of using rayon's. While the caller waited for rayon's threads,
+        // it could begin other work of the pool. That work could wait for the lock of the
+        // pipelines, which the caller holds.
         let of_shaders = std::thread::scope(|scope| {
             let made = Shader::ALL.map(|shader| {
                 let source = &source;
@@ -293,7 +298,7 @@ fn pipeline(device: &GpuDevice, source: &PlaneSource, shader: Shader) -> wgpu::C
         module: &module,
         entry_point: Some(shader.name()),
         compilation_options: wgpu::PipelineCompilationOptions {
-            // Every value is written before it is read.
+            // Shaders write every value of this memory before they read it.
             zero_initialize_workgroup_memory: false,
             ..wgpu::PipelineCompilationOptions::default()
         },

@@ -63,7 +63,8 @@ impl GpuEngine {
         *locked(&self.times)
     }
 
-    /// Applies the operator to light and adds the result to `output`.
+    /// Applies the plan's operator, or its adjoint if `pass.flip` is true, to the light of `pass`.
+    /// Adds the result to `output`.
     pub(crate) fn run<T: ConvReal>(
         &self,
         pass: &LightPass<'_, T>,

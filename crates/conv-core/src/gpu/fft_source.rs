@@ -1,15 +1,17 @@
 //! Generates the source text of one-dimensional transforms in a workgroup's memory.
 //!
-//! Stockham's algorithm with radices 3, 4, 5 and 8: natural order in and out. A stage reads each
-//! butterfly's values, which lie `n / radix` apart, multiplies them by the roots of unity,
-//! transforms them and writes the results in the order that the next stage needs. Between stages
-//! values pass through the memory that the workgroup shares. The shader supplies the load of the
-//! first stage, and the last stage leaves its results in registers. So loading, products and
-//! storing need no extra pass.
+//! The transforms use Stockham's algorithm with radices 3, 4, 5 and 8. Their input and output are
+//! in natural order. A stage consists of *butterflies*, which are transforms of `radix` values. It
+//! reads each butterfly's values, which lie `n / radix` apart, multiplies them by the roots of
+//! unity, transforms them and writes the results in the order that the next stage needs. Between
+//! stages values pass through the memory that the workgroup shares. The shader supplies the code
+//! that loads the values of the first stage, and the last stage leaves its results in registers. So
+//! loading, products and storing need no extra pass.
 //!
 //! A product of spectra is computed in registers, and the transform back begins with the values in
 //! the registers where the forward transform left them. The transform back uses the radices in
-//! reverse order, so that both transforms assign values to the same threads.
+//! reverse order. So its first stage has the radix of the forward transform's last stage, and each
+//! thread already has the values that it needs.
 
 use std::fmt::Write as _;
 
@@ -18,14 +20,15 @@ use std::fmt::Write as _;
 pub(super) struct FftSource {
     /// The length.
     pub(super) n: usize,
-    /// The number of transforms computed together.
+    /// The number of lines (rows or columns of a plane) that are transformed together.
     pub(super) lines: usize,
     /// Threads of the workgroup.
     pub(super) threads: usize,
-    /// True if neighbouring threads work on neighbouring lines (columns of a plane), false if they
-    /// work on neighbouring values of one line (rows).
+    /// True if neighbouring threads work on neighbouring lines (for columns), false if they work on
+    /// neighbouring values of one line (for rows).
     interleaved: bool,
     radices: Vec<usize>,
+    /// True if the shared memory has room for the gaps that [`padded`] explains.
     padded: bool,
 }
 
@@ -41,8 +44,8 @@ pub(super) struct Register<'a> {
 const VALUES: usize = 2048;
 /// The number of values per thread.
 const VALUES_PER_THREAD: usize = 8;
-/// The most lines per workgroup: the values of 16 neighbouring columns, which are read together,
-/// are 128 bytes.
+/// The most lines per workgroup. The values of 16 neighbouring columns in a row are 128 bytes,
+/// which many GPUs read at once.
 const MOST_LINES: usize = 16;
 /// The most threads. The WebGPU standard requires that adapters support this number.
 const MOST_THREADS: usize = 256;
@@ -51,7 +54,8 @@ const BYTES: usize = 8;
 
 impl FftSource {
     /// Transforms of `n` values, a multiple of 16 without prime factors above 5, for a workgroup
-    /// with `memory` bytes. Returns `None` if they do not fit.
+    /// with `memory` bytes and at most `most_threads` threads. Returns `None` if a single transform
+    /// does not fit, or for any other `n`.
     pub(super) fn new(n: usize, interleaved: bool, memory: usize, most_threads: usize) -> Option<Self> {
         let room = memory / BYTES;
         if n > room {
@@ -126,9 +130,10 @@ impl FftSource {
         input + &self.stages(self.radices.iter().copied())
     }
 
-    /// The code of the transform back, which begins with the values in the registers `v` where
-    /// [`each_result`](Self::each_result) left them. The shader swaps real and imaginary parts
-    /// before and after it. [`each_result_back`](Self::each_result_back) finds the results.
+    /// The code of the transform back. It begins with values in the registers `v`, in the places
+    /// that [`each_result`](Self::each_result) names. The shader swaps real and imaginary parts
+    /// before and after it: the forward transform of swapped values is the swapped transform back.
+    /// [`each_result_back`](Self::each_result_back) names the places of the results.
     pub(super) fn back_of_swapped(&self) -> String {
         self.stages(self.radices.iter().rev().copied())
     }
@@ -177,7 +182,8 @@ impl FftSource {
         text
     }
 
-    /// The butterflies of a stage. Each value is first multiplied by its root.
+    /// The code of a stage's butterflies. From the second stage on, it first multiplies each value
+    /// by its root of unity. `done` is the product of the radices of the earlier stages.
     fn butterflies(&self, radix: usize, done: usize) -> String {
         let step = self.n / (done * radix);
         self.at_each_butterfly(radix, |first, _, b| {
@@ -245,7 +251,8 @@ fn padded(values: usize) -> usize {
     values + values / 8
 }
 
-/// The radices of a length, with 3 and 5 in the middle.
+/// The radices of a length, with 3 and 5 in the middle. `None` if the length is not a multiple of
+/// 16, or has a prime factor above 5.
 fn radices(n: usize) -> Option<Vec<usize>> {
     let mut rest = n;
     let mut odd = Vec::new();
@@ -261,7 +268,7 @@ fn radices(n: usize) -> Option<Vec<usize>> {
     let twos = rest.trailing_zeros() as usize;
     let mut even = match twos % 3 {
         0 => vec![8; twos / 3],
-        // 16 as 4 x 4.
+        // Divides 16 into 4 x 4, because there is no radix 2.
         1 => [vec![8; (twos - 4) / 3], vec![4, 4]].concat(),
         _ => [vec![8; (twos - 2) / 3], vec![4]].concat(),
     };
@@ -295,7 +302,7 @@ fn butterfly(v: &[String]) -> String {
             )
         }
         _ => {
-            // Eight as two times four.
+            // Combines two transforms of four values: of the even indices and of the odd indices.
             let pick =
                 |first: usize| -> Vec<String> { (first..8).step_by(2).map(|i| v[i].clone()).collect() };
             let (even, odd) = (pick(0), pick(1));

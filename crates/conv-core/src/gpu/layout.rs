@@ -1,4 +1,5 @@
-//! The work of a plan in one direction (forward or adjoint), divided for a GPU.
+//! The work of a plan for one operation (the convolution or its adjoint), divided for a GPU into
+//! panels and batches (`panels.rs` explains them).
 
 use std::sync::Arc;
 
@@ -65,20 +66,20 @@ impl Default for GpuOptions {
     }
 }
 
-/// The work of a plan in one direction (forward or adjoint), and the data kept for it.
+/// The work of a plan for one operation (the convolution or its adjoint), and the data kept for it.
 #[derive(Debug)]
 pub(super) struct Layout {
     pub(super) direction: Direction,
-    /// True if stamps are turned by 180 degrees.
+    /// True for the adjoint, in which stamps are turned by 180 degrees.
     pub(super) flip: bool,
     pub(super) panels: Vec<Panel>,
-    /// The data of each batch of each panel, as far as they fit into the memory.
+    /// The data of each batch of each panel, as far as they fit into the memory limit.
     pub(super) kept: Vec<Vec<Option<BatchData>>>,
     /// The size of the kept data in bytes.
     pub(super) bytes: u64,
 }
 
-/// A plan's tiles, the shaders for its transforms, and the limits for pieces of its work.
+/// A plan's tiles, the shaders for its transforms, and the limits of its work.
 #[derive(Debug)]
 pub(super) struct GpuPlan {
     pub(super) pipelines: Arc<Pipelines>,
@@ -118,16 +119,17 @@ impl GpuPlan {
         };
         for (panel, kept) in layout.panels.iter().zip(&mut layout.kept) {
             for (batch, kept) in panel.batches.iter().zip(kept) {
-                // The spectra are the largest part.
+                // The spectra are the largest part of the data. If they alone do not fit, the data
+                // of this batch and of later batches are not computed.
                 let least = batch.spectra as u64 * self.pipelines.source.bytes();
                 if layout.bytes + least > memory {
                     return Ok(layout);
                 }
                 let data = match BatchData::new(device, &self.pipelines, working, plan, (batch, flip), None) {
-                    // Each execution computes the data that do not fit.
+                    // Keeps no more data: each execution computes the data that are not kept.
                     Err(GpuError::OutOfMemory { .. }) => {
                         device.forgive();
-                        // Fails if wgpu has closed the whole device.
+                        // Returns an error if wgpu has closed the whole device.
                         device.check()?;
                         // Some of the working buffers may be invalid.
                         *working = WorkBuffers::new(device);

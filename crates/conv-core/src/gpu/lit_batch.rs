@@ -14,9 +14,10 @@ use crate::plan::geometry::{Direction, Geometry};
 use crate::simd::Lanes;
 use crate::{ConvError, ConvReal};
 
-/// The lit tiles, and the single pixels to be drawn, each with the colour of its tile. The results
-/// of tiles of one colour do not overlap. `place.table` of a tile is at first the index of the
-/// tile's part. [`find_tables`](Self::find_tables) replaces this index by the place of a table.
+/// The lit tiles to be transformed, and the tiles of which single pixels are drawn. Each tile comes
+/// with its colour: the results of tiles of one colour do not overlap. `place.table` of a tile is
+/// at first the index of the tile's part. [`find_tables`](Self::find_tables) replaces this index by
+/// the place of the part's table.
 #[derive(Debug, Default)]
 pub(super) struct LitBatch {
     pub(super) tiles: Vec<(usize, Tile)>,
@@ -32,7 +33,7 @@ impl LitBatch {
     }
 
     /// Replaces the part index in each tile's `place.table` by the index of the first word of the
-    /// part's table. `starts` holds these indices, one per part.
+    /// part's table. `starts` holds the latter index for each part.
     pub(super) fn find_tables(&mut self, starts: &[u32]) {
         let tables = self.tiles.iter_mut().map(|(_, tile)| &mut tile.place.table);
         let of_drawn = self.drawn.iter_mut().map(|(_, tile)| &mut tile.draw.place.table);
@@ -49,6 +50,8 @@ pub(super) struct DrawnTile {
     pub(super) draw: Draw,
     /// Row and column of each stamp's first pixel within the result.
     pub(super) pixels: Vec<[i32; 2]>,
+    /// The light of each pixel or, if the tile scatters light, this light times the coefficient of
+    /// each kernel.
     pub(super) amounts: Vec<f32>,
 }
 

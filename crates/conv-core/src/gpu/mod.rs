@@ -1,8 +1,8 @@
 //! The fast engine on a GPU: feature `gpu`.
 //!
 //! [`Engine::on_gpu`](crate::Engine::on_gpu) makes an engine that executes a plan on a
-//! [`GpuDevice`]. The engine then computes in f32, with the same tiles and modes as on the
-//! processor, but without direct sums.
+//! [`GpuDevice`]. This engine computes in f32. It uses the plan's tiles and modes, as on the
+//! processor, but never convolves a tile by the direct sum.
 
 mod adapter;
 mod batch_calls;

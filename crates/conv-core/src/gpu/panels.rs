@@ -1,11 +1,12 @@
 //! Division of a plan's work into pieces that a GPU can access at once.
 //!
 //! A *panel* is a rectangle of tiles whose result fits into one buffer. It lies within one *band*:
-//! a few rows of the plan's blocks that are processed together. Its tiles are processed in
-//! *batches*, whose planes, spectra, light and stamps fit into one buffer each. A *part* is the
-//! share of a block in a batch: some of its tiles and some of its kernels, in most cases all of
+//! a few rows of the plan's blocks that are processed together. A panel's tiles are processed in
+//! *batches*. The planes (the arrays that shaders transform) of a batch fit into one buffer, and so
+//! do its spectra, its light and its stamps. A *part* is the share of a block in a batch: some of
+//! the block's tiles and some of its kernels (the PSFs of its local basis), in most cases all of
 //! both. A tile's result is the sum over all parts that hold the tile. So a tile whose planes do
-//! not fit at once is processed in several batches.
+//! not fit at once can be processed in several batches.
 
 use std::ops::Range;
 
@@ -30,12 +31,12 @@ pub(crate) struct TileGrid {
     blocks_across: usize,
     /// The number of rows of blocks processed together.
     band: usize,
-    /// The number of colours along each axis, for tiles that scatter their light. Tiles of one
-    /// colour write to different pixels.
+    /// The number of colours along each axis, for tiles that scatter their light. No two tiles of
+    /// one colour write to the same pixel.
     colours: [usize; 2],
 }
 
-/// A tile along an axis.
+/// The extent of a tile along an axis, and the index of its block there.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct AxisTile {
     start: usize,
@@ -345,8 +346,9 @@ impl Packing<'_> {
             return Ok(());
         }
         if kernels == 0 {
-            // There are no kernels. An execution must nevertheless inspect the light, because lit
-            // pixels without a PSF are errors.
+            // There are no kernels to divide among batches, so each tile gets a batch. The batches
+            // are needed because an execution must inspect all light: lit pixels without a PSF are
+            // errors.
             for tile in tiles {
                 let mut batch = Batch::default();
                 self.force(&mut batch, block, std::slice::from_ref(tile), 0..0);
@@ -354,8 +356,8 @@ impl Packing<'_> {
             }
             return Ok(());
         }
-        // Adds the tiles one by one, each with all its kernels. If a tile does not fit into a
-        // batch, its kernels are divided among several batches.
+        // Adds the tiles one by one, each with all kernels of the block. If a tile does not fit
+        // into a batch, its kernels are divided among several batches.
         for tile in tiles {
             let mut first = 0;
             while first < kernels {
@@ -391,8 +393,8 @@ impl Packing<'_> {
             .max(F32 * self.plan.geometry.stamp_values() as u64)
     }
 
-    /// The number of values of a tile's light, rounded up so that the next tile begins at an offset
-    /// to which the host may write.
+    /// The number of values of a tile's light, rounded up so that the next tile's light begins at
+    /// an offset to which the host may write.
     fn light_values(&self, slot: &TileSlot) -> usize {
         let (columns, rows) = self.plan.geometry.light_size(self.direction, slot.tile.part.size);
         (columns * rows).next_multiple_of(4)
@@ -405,7 +407,7 @@ impl Packing<'_> {
         }
     }
 
-    /// Adds a part to a batch if it fits. Returns whether it did.
+    /// Adds a part to a batch if the part fits. Returns whether it fits.
     fn place(
         &self,
         batch: &mut Batch,

@@ -19,8 +19,8 @@ pub(super) struct Calls<'a> {
     params: wgpu::Buffer,
     /// The bytes of all parameters.
     bytes: Vec<u8>,
-    /// The number of bytes from the parameters of one call to the next. The adapter requires that
-    /// they begin at multiples of a given number.
+    /// The number of bytes from the parameters of one call to the next. The parameters of each call
+    /// must begin at a multiple of a number that the adapter sets.
     step: usize,
     list: Vec<Call>,
 }
@@ -63,9 +63,9 @@ impl<'a> Calls<'a> {
         }
     }
 
-    /// Adds a call of a shader by `groups` workgroups. `params` are the words of the call's
-    /// [`Params`](super::shader::Params). Buffers are bound in the order of the shader's bindings,
-    /// after the parameters.
+    /// Adds a call of a shader by `groups` workgroups, unless there are none. `params` are the
+    /// words of the call's [`Params`](super::shader::Params). Buffers are bound in the order of the
+    /// shader's bindings, after the parameters.
     pub(super) fn add(
         &mut self,
         shader: Shader,
@@ -139,7 +139,7 @@ pub struct ShaderTrial<'a> {
     pub name: &'a str,
     /// Columns and rows of the planes.
     pub planes: (usize, usize),
-    /// `Params` of `common.wgsl`.
+    /// The words of `Params` in `common.wgsl`.
     pub params: [u32; 8],
     /// The words of the buffers that are bound after the parameters, in order. `None` stands for
     /// the roots of unity. The shader changes the last buffer.
@@ -175,7 +175,7 @@ impl ShaderTrial<'_> {
     /// [`GpuError`] if the GPU cannot execute the call.
     ///
     /// # Panics
-    /// If the name is not a shader's.
+    /// If the name is not a shader's, or if there are no buffers.
     pub fn run(self, device: &GpuDevice, adapter: &Adapter) -> Result<Vec<f32>, GpuError> {
         let shader = Shader::ALL.iter().find(|shader| shader.name() == self.name);
         let shader = *shader.expect("the name of a shader");

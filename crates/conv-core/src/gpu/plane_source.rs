@@ -1,4 +1,8 @@
 //! Generates the source text of shaders for one size of planes.
+//!
+//! A *plane* is the array that a shader transforms: `nx` columns and `ny` rows of real values. The
+//! upper half of the rows becomes the imaginary part of the lower half. So a plane is stored as
+//! complex values in `nx` columns and `ny / 2` rows.
 
 use super::adapter::Adapter;
 use super::fft_source::FftSource;
@@ -65,8 +69,9 @@ impl PlaneSource {
     }
 
     /// Roots of unity for the columns, then the factors before and after transforms along y. These
-    /// factors make planes negacyclic in y: `exp(i pi y / ny)` before, and `exp(-i pi y / ny)`
-    /// divided by the number of complex values after.
+    /// factors make convolutions negacyclic in y: values that wrap around change their sign. The
+    /// factors are `exp(i pi y / ny)` before and `exp(-i pi y / ny) / values` after, with the
+    /// number of complex [`values`](Self::values) of a plane.
     pub(super) fn column_roots(&self) -> Vec<[f32; 2]> {
         let half = self.half();
         let mut all = roots(half, half, 1.0);

@@ -22,7 +22,7 @@ use crate::error::GpuError;
 use crate::simd::{Lanes, WithIsa};
 use crate::{ConvError, ConvReal};
 
-/// The most batches submitted and not finished. It limits the memory for their data.
+/// The most batches submitted and not finished. This number limits the memory for their data.
 const MOST_BATCHES: usize = 3;
 
 /// An execution.
@@ -191,7 +191,8 @@ impl<'a, 'j, T: ConvReal> Run<'a, 'j, T> {
         Ok((staging, lit))
     }
 
-    /// Copies a batch's light and submits its shaders.
+    /// Copies a batch's light to the GPU and submits the shaders for it. For the panel's first lit
+    /// batch (`first` is true), clears the panel's result beforehand.
     fn submit_batch(
         &mut self,
         panel: &Panel,
@@ -271,7 +272,7 @@ impl<'a, 'j, T: ConvReal> Run<'a, 'j, T> {
                     }
                 });
             times.host += clock.elapsed();
-            // The sums become `None` if a part was not measured.
+            // The sums become `None` if the times of a panel were not measured.
             let taken = stopwatch.and_then(|stopwatch| stopwatch.durations(&panel.marks, marks));
             times.kernels = times.kernels.zip(taken).map(|(sum, (kernels, _))| sum + kernels);
             times.transfers = times.transfers.zip(taken).map(|(sum, (_, copies))| sum + copies);
@@ -284,8 +285,8 @@ fn joined(ranges: &[(usize, usize)]) -> Vec<(usize, usize)> {
     let mut joined: Vec<(usize, usize)> = Vec::new();
     for &(first, count) in ranges {
         match joined.last_mut() {
-            // Merges over gaps of up to 3 values, which are left because the light of a tile begins
-            // at a multiple of 4. The values in gaps are never read.
+            // Merges over gaps of up to 3 values. Tiles leave such gaps, because the light of each
+            // tile begins at a multiple of 4. No shader reads the values in gaps.
             Some(last) if first - (last.0 + last.1) < 4 => last.1 = first + count - last.0,
             _ => joined.push((first, count)),
         }

@@ -4,8 +4,8 @@ use std::time::Duration;
 
 use super::device::GpuDevice;
 
-/// The durations of the parts of an execution. The host works at the same time as the GPU, so the
-/// sum may exceed the total.
+/// The durations of the parts of an execution, and the bytes copied. The host works at the same
+/// time as the GPU, so the sum of the parts may exceed the total.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub struct GpuTimes {
@@ -32,11 +32,11 @@ pub(super) struct Stopwatch {
     tick: f32,
 }
 
-/// Marks that were set, and the pairs that enclose shaders and copies.
+/// The number of time marks that were set, and the pairs of marks that enclose shaders and copies.
 #[derive(Debug, Default)]
 pub(super) struct Marks {
     count: u32,
-    /// True if there were too many marks, so that some are missing.
+    /// True if some marks were not set, because there were too many.
     incomplete: bool,
     kernels: Vec<(u32, u32)>,
     transfers: Vec<(u32, u32)>,
@@ -78,7 +78,8 @@ impl Stopwatch {
         })
     }
 
-    /// Runs `copies`. If there is a stopwatch, sets a time mark before and after them.
+    /// Runs `copies`. If there is a stopwatch, sets a time mark before and after them, unless there
+    /// are too many marks.
     pub(super) fn transfers(
         stopwatch: Option<&Self>,
         marks: &mut Marks,

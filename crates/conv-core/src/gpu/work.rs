@@ -14,8 +14,9 @@ use crate::plan::geometry::Direction;
 pub struct GpuWork {
     /// Between the host's memory and the GPU's: light to the GPU, the image from it.
     pub bus_bytes: u64,
-    /// To and from the GPU's own memory. In each pass, a value of a plane, of the light or of the
-    /// image counts once if it is read, and once if it is written. A spectrum counts once in all.
+    /// To and from the GPU's own memory. Each pass of shaders over a tile counts a value of a plane
+    /// (an array that shaders transform), of the light or of the image: once if it is read, and
+    /// once if it is written. A kernel's spectrum counts once per execution.
     pub memory_bytes: u64,
 }
 
@@ -50,7 +51,8 @@ impl GpuWork {
         self.memory_bytes += F32 * kernels * plane;
     }
 
-    /// Adds the bytes of the image that is copied to the host.
+    /// Adds the bytes of the image that is copied to the host. `weighted` is the size of the side
+    /// that PSFs belong to (the light or the image), and `other` the size of the other side.
     pub(crate) fn add_image(
         &mut self,
         weighted: (usize, usize),
@@ -114,10 +116,11 @@ impl<T: ConvReal> Plan<T> {
         work
     }
 
-    /// Predicted seconds of an execution on a GPU if every pixel is lit, from host memory to host
-    /// memory. Compare it with
+    /// Predicted seconds of an execution on a GPU if every pixel is lit, including the copies
+    /// between the host's memory and the GPU's. Compare them with
     /// [`PlanSummary::predicted_seconds`](crate::PlanSummary::predicted_seconds) divided by the
-    /// number of threads. `None` if the GPU cannot run the plan.
+    /// number of threads. `None` if the plan is in f64, or if its transforms are too long for the
+    /// GPU.
     pub fn predicted_gpu_seconds(&self, adapter: &Adapter) -> Option<f64> {
         let (nx, ny) = self.tiling.size;
         (size_of::<T>() == size_of::<f32>() && adapter.can_transform(nx, ny))

@@ -2,12 +2,13 @@
 
 use std::ops::Range;
 
-/// A stretch of an axis whose tiles share one local basis.
+/// The columns or the rows of one block, divided into tiles. The tiles of a block share one local
+/// basis.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Stretch {
     /// First pixel and length of each tile, in order.
     pub(crate) tiles: Vec<(usize, usize)>,
-    /// The number of pixels from the first pixel of the block to the first tile. It is above 0 only
+    /// The number of pixels between the start of the block and its first tile. It is above 0 only
     /// if a plan of a region omits these pixels.
     pub(crate) lead: usize,
 }
@@ -17,8 +18,8 @@ impl Stretch {
         Self { tiles, lead: 0 }
     }
 
-    /// The part of the stretch within a part of the axis, counted from the first pixel of that
-    /// part. Returns `None` if they do not overlap.
+    /// Returns the part of the stretch that lies in the range `part` of the axis. Its pixels are
+    /// counted from the start of this range. `None` if the stretch and the range do not overlap.
     fn within(&self, part: &Range<usize>) -> Option<Self> {
         let inside = |&(start, length): &(usize, usize)| {
             let (from, to) = (start.max(part.start), (start + length).min(part.end));
@@ -32,8 +33,8 @@ impl Stretch {
         })
     }
 
-    /// First pixel of each tile, its length, and its first pixel counted from the block's first
-    /// pixel.
+    /// For each tile: its first pixel on the axis, its length, and the number of pixels from the
+    /// block's first pixel to the tile's.
     pub(crate) fn placed(&self) -> impl Iterator<Item = (usize, usize, usize)> {
         let tiles = self.tiles.iter();
         tiles.map(|&(start, length)| (start, length, start - self.start() + self.lead))
@@ -63,9 +64,9 @@ pub(crate) fn even(length: usize, tile: usize, together: usize) -> Vec<Stretch> 
         .collect()
 }
 
-/// Divides an axis into stretches at the given cuts, which are ascending pixels inside the axis.
-/// Each stretch has tiles of at most `tile` pixels. With `split`, each tile is a stretch of its
-/// own.
+/// Divides an axis into stretches. A new stretch begins at each pixel in `cuts`. These pixels are
+/// ascending and inside the axis. Each stretch has tiles of at most `tile` pixels. With `split`,
+/// each tile is a stretch of its own.
 pub(crate) fn at_cuts(length: usize, cuts: &[usize], tile: usize, split: bool) -> Vec<Stretch> {
     let starts = std::iter::once(0).chain(cuts.iter().copied());
     let ends = cuts.iter().copied().chain([length]);
@@ -79,8 +80,8 @@ pub(crate) fn at_cuts(length: usize, cuts: &[usize], tile: usize, split: bool) -
     }
 }
 
-/// The stretches with pixels in a part of the axis, and their indices. The stretches are truncated
-/// to the part and counted from its first pixel.
+/// Returns the stretches with pixels in the range `part` of the axis, and their indices. The
+/// stretches are truncated to this range, and their pixels are counted from its start.
 pub(crate) fn within(stretches: &[Stretch], part: &Range<usize>) -> (Vec<Stretch>, Range<usize>) {
     let first = stretches.partition_point(|stretch| stretch.end() <= part.start);
     let cut: Vec<Stretch> = stretches[first..]

@@ -10,13 +10,14 @@ use super::local_modes::{LocalModes, PsfSpace};
 use super::region_cells::RegionCells;
 use crate::ConvReal;
 
-/// The local basis of a block, with coefficients and stamps if the plan has memory for them.
+/// The local basis of a block, with coefficients and stamps if the plan has memory for them. The
+/// kernels of a block are its reference, if it has one, and its modes.
 #[derive(Debug)]
 pub(crate) struct Block<T> {
     region: PixelRegion,
     modes: LocalModes,
     role: FluxRole,
-    /// The flux of the reference, from [`FluxRole::of`].
+    /// The flux to which the reference is scaled, from [`FluxRole::of`].
     flux: f64,
     /// The coefficients, if the plan has memory for them. Otherwise each execution computes them.
     pub(crate) table: Option<Arc<CoefficientTable<T>>>,
@@ -47,7 +48,7 @@ impl<T: ConvReal> Block<T> {
         }
     }
 
-    /// The number of modes, plus 1 if there is a reference.
+    /// The number of kernels: the modes, plus 1 if there is a reference.
     pub(crate) fn kernel_count(&self) -> usize {
         self.modes.rank() + usize::from(self.modes.reference().is_some())
     }
@@ -76,8 +77,8 @@ impl<T: ConvReal> Block<T> {
         })
     }
 
-    /// The kernels as vectors `[kernel, direction]`: the reference, if there is one, then the
-    /// modes.
+    /// The kernels as vectors `[kernel, direction]` in a [`PsfSpace`]: the reference, if there is
+    /// one, then the modes.
     fn directions(&self) -> Array2<f64> {
         let modes = self.modes.modes.view();
         match self.modes.reference() {
@@ -90,7 +91,8 @@ impl<T: ConvReal> Block<T> {
     }
 }
 
-/// Computes the stamps of several blocks by one matrix product.
+/// Computes the kernels' stamps of several blocks by one matrix product. `stamps` holds the stamps
+/// of a [`PsfSpace`].
 pub(crate) fn stamps_of<T: ConvReal>(stamps: ArrayView2<'_, f64>, blocks: &[&Block<T>]) -> Vec<Vec<T>> {
     let directions: Vec<Array2<f64>> = blocks.iter().map(|block| block.directions()).collect();
     let views: Vec<ArrayView2<'_, f64>> = directions.iter().map(|d| d.view()).collect();

@@ -1,4 +1,4 @@
-//! Local coefficients at every pixel of a region.
+//! The coefficients of local modes at every pixel of a region.
 
 use psf_types::{FieldError, PixelRegion, PsfModel};
 
@@ -11,9 +11,10 @@ use crate::ConvReal;
 pub enum FluxRole {
     /// The flux is the same everywhere and is included in the reference.
     Constant,
-    /// The reference is multiplied by the flux.
+    /// The reference is multiplied by the flux of the PSF at each pixel.
     Weight,
-    /// PSFs are scaled to unit flux: the modes are divided by the flux, the reference is not.
+    /// PSFs are scaled to unit flux: the modes are divided by the flux of the unscaled PSF. The
+    /// reference is not, because it already has unit flux.
     Divisor,
     /// There is no reference.
     NoReference {
@@ -27,7 +28,8 @@ pub enum FluxRole {
 pub struct CoefficientTable<T> {
     pub(crate) region: PixelRegion,
     pub(crate) role: FluxRole,
-    /// The number of functions: the flux first, if the role uses it at every pixel, then the modes.
+    /// The number of functions. The first is the flux, if its role needs it at every pixel. The
+    /// others are the coefficients of the modes.
     pub(crate) functions: usize,
     pub(crate) values: Values<T>,
     /// `(row, column)` of the pixels without a PSF.
@@ -36,7 +38,7 @@ pub struct CoefficientTable<T> {
 
 #[derive(Debug)]
 pub(crate) enum Values<T> {
-    /// Runs along which every function is linear.
+    /// Runs: neighbouring pixels of a row, along which every function is linear.
     Linear {
         /// The index of each row's first run, then the number of all runs.
         row_starts: Vec<u32>,
@@ -49,12 +51,12 @@ pub(crate) enum Values<T> {
     Dense(Vec<T>),
 }
 
-/// Fluxes count as equal if they differ by less than this fraction.
+/// Fluxes count as equal if they differ by at most this fraction.
 const SAME_FLUX: f64 = 4e-16;
 
 impl FluxRole {
-    /// Returns the role of the flux in a region, and the flux of the reference: the PSFs' flux if
-    /// that is constant, otherwise 1.
+    /// Returns the role of the flux in a region, and the flux to which the reference is scaled: the
+    /// PSFs' flux if that is constant, otherwise 1.
     pub fn of(model: &PsfModel, modes: &LocalModes, cells: &RegionCells) -> (Self, f64) {
         let scaled = model.needs_flux_scaling();
         if modes.reference().is_none() {
@@ -169,8 +171,8 @@ impl<T: ConvReal> CoefficientTable<T> {
         values + size_of_val(&self.undefined[..])
     }
 
-    /// Returns an error for the first lit pixel without a PSF. `lit(row, column)` counts from the
-    /// region's first pixel.
+    /// Returns an error for the first pixel that has no PSF and for which `lit(row, column)` is
+    /// true. Row and column count from the region's first pixel.
     pub(crate) fn check(
         &self,
         model: &PsfModel,
@@ -183,15 +185,16 @@ impl<T: ConvReal> CoefficientTable<T> {
                 model.scaled_coefficients_into(position, &mut coefficients)?;
                 return Err(FieldError::External {
                     position,
-                    source: "the weights of the field are not finite, or missing for some pixels".into(),
+                    source: "the coefficient field gives no weights, or weights that are not finite, for this pixel".into(),
                 });
             }
         }
         Ok(())
     }
 
-    /// Multiplies the light of a row's pixels by the coefficient of a kernel. `row` and `first`
-    /// (the first column) count from the region's first pixel. `ramp` holds 0, 1, 2 ... .
+    /// Multiplies the light of a row's pixels by the coefficients of a kernel, and writes the
+    /// products to `weighted`. `row` and `first` (the first column) count from the region's first
+    /// pixel. `ramp` holds 0, 1, 2 ... .
     #[inline(always)]
     pub fn weigh(
         &self,
@@ -254,7 +257,8 @@ impl<T: ConvReal> CoefficientTable<T> {
         }
     }
 
-    /// Calls `work` with the pieces of a function along part of a row. Columns count from `first`.
+    /// Calls `work` with the pieces of a function along part of a row. The part begins at column
+    /// `first`, and the columns that `work` receives are counted from there.
     #[inline(always)]
     fn apply(
         &self,
@@ -306,8 +310,8 @@ enum Piece<'a, T> {
 struct Builder<'a> {
     modes: &'a LocalModes,
     ends: [Vec<f64>; 2],
-    /// The number of leading values that are not stored: 1 if the flux is not a function, otherwise
-    /// 0.
+    /// The number of leading values that are not stored: 1 if the table does not need the flux,
+    /// otherwise 0.
     skip: usize,
     divides: bool,
     undefined: Vec<(u32, u32)>,
@@ -317,7 +321,7 @@ impl Builder<'_> {
     /// Calls `visit` for each cell of each row, with row, first column, length, the functions'
     /// values at the first column and their slopes. If functions are divided by the flux, and the
     /// flux is not positive at an end of a cell's row, calls `visit` for each pixel of this row of
-    /// the cell.
+    /// the cell, because only some of these pixels may have a PSF.
     fn each_piece(
         &mut self,
         cells: &RegionCells,
@@ -334,8 +338,8 @@ impl Builder<'_> {
                 for (cell, corners) in cells.cells_of(band).iter().zip(values) {
                     if cells.corners(cell).is_none() {
                         self.undefined(row, cell.column, cell.length);
-                        // These pixels must be dark, so any finite factor is allowed. A divisor of
-                        // 1 avoids 0 / 0.
+                        // `check` returns an error if light needs these factors, so any finite
+                        // factor is allowed. A divisor of 1 avoids 0 / 0.
                         self.ends[0].fill(0.0);
                         self.ends[0][0] = 1.0;
                         visit(row, cell.column, cell.length, &self.ends[0][self.skip..], &|_| {

@@ -5,7 +5,8 @@ use crate::transform::{X_STEP, Y_STEP};
 
 /// Predicted seconds of one thread. The constants are in the source code, so that plans are the
 /// same on every machine. They were measured in f32 on one core of an AVX-512 machine
-/// (`cargo bench -p conv-core`). Only ratios matter for the choice of tiles.
+/// (`cargo bench -p conv-core`). Only ratios matter for the choice of tiles. A plane is the array
+/// that is transformed: a tile and its padding.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct CostModel {
     /// 1 for f32. 2 for f64, which moves twice the bytes through half the lanes.
@@ -72,7 +73,7 @@ impl CostModel {
         self.width * MULTIPLY * (nx * ny) as f64
     }
 
-    /// Convolving a tile by transforms of `size`. The cost of the kernels' spectra is separate.
+    /// Convolving a tile by transforms of `size`, without the cost of the kernels' spectra.
     pub(crate) fn tile(self, tile: (usize, usize), size: (usize, usize), kernels: f64) -> f64 {
         let pixels = (tile.0 * tile.1) as f64;
         let plane = (size.0 * size.1) as f64;

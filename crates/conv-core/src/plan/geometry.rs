@@ -6,7 +6,8 @@ use psf_types::{Anchor, PixelRegion};
 
 use crate::view::Reach;
 
-/// The direction in which light passes through the operator.
+/// The direction in which light passes through an operator, which is a convolution or its adjoint.
+/// PSFs belong to the pixels of one side of the operator: the light or the image.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Direction {
     /// From the side that PSFs belong to: the tile's own light spreads.
@@ -24,7 +25,7 @@ pub(crate) struct TilePart {
     pub(crate) size: (usize, usize),
 }
 
-/// A tile of the weighted side.
+/// A tile of the weighted side ([`Geometry`]).
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct PlacedTile {
     /// Its first pixel on the weighted side.
@@ -68,7 +69,8 @@ impl Geometry {
     }
 
     /// The first pixel of the other side that pixel (`column`, `row`) of the weighted side reaches.
-    /// Both count from the first pixels of their regions.
+    /// Both pixels count from the first pixels of their regions. The result may lie outside its
+    /// region.
     pub(crate) fn reach_from(&self, column: usize, row: usize) -> (i64, i64) {
         (
             column as i64 + self.weighted.x0() - self.other.x0() - self.before.0 as i64,

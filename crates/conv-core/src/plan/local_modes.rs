@@ -8,15 +8,15 @@ use super::region_cells::{CORNERS, RegionCells};
 
 /// Coordinates in which the norm of a vector is the L2 norm of its PSF.
 ///
-/// The components of a basis are already orthonormal. One more direction holds the part of the mean
-/// stamp that the components do not span. A PSF of the model is `mean + sum_n w_n node_n`, where
-/// `w_n` is the weight of node `n` of the coefficient field.
+/// Each direction is a stamp, and these stamps are orthonormal. The first are the components of the
+/// basis. One more direction holds the part of the mean stamp that the components do not span. An
+/// unscaled PSF of the model is `mean + sum_n w_n node_n`, where `w_n` is the weight of node `n` of
+/// the coefficient field.
 #[derive(Debug)]
 pub struct PsfSpace {
     /// Orthonormal stamps, `[direction, stamp pixel]`.
     pub(crate) stamps: Array2<f64>,
-    /// For each node of the coefficient field, the PSF minus the mean in these coordinates,
-    /// `[node, direction]`.
+    /// For each node of the coefficient field, its PSF minus the mean, `[node, direction]`.
     nodes: Array2<f64>,
     pub(crate) mean: Array1<f64>,
     /// The flux of each orthonormal stamp.
@@ -39,8 +39,9 @@ impl PsfSpace {
         let components = flat.slice(s![first.., ..]);
         let rank = components.nrows();
         let values = model.field().node_values();
-        // Divides the mean into its part along the components and the rest. Two passes are enough
-        // (Kahan, in Parlett 1980, section 6-9).
+        // Divides the mean into its part along the components and the rest. After two passes the
+        // rest is orthogonal to the components up to rounding (Kahan, in Parlett 1980, section
+        // 6-9).
         let mut along = Array1::zeros(rank);
         let mut rest: Array1<f64> = if first == 1 {
             flat.row(0).to_owned()
@@ -96,11 +97,12 @@ pub(crate) fn norm(v: ArrayView1<'_, f64>) -> f64 {
 /// their mean squared coefficient, the largest first. As few modes are kept as represent every PSF
 /// of the region within the tolerance. The error of a PSF is relative to the PSF's own norm.
 ///
-/// It is enough to test the corners of each cell. PSFs are bilinear in a cell, so along any row or
-/// column of the cell the norm of the error is convex. Its limit is the tolerance times the PSF's
-/// projection on the region's mean, which is linear there. If the norm is within the limit at both
-/// ends, it is therefore within it in between. The projection is at most the PSF's norm, so the
-/// relative error is within the tolerance.
+/// It is enough to test the corners of each cell ([`RegionCells`]), because PSFs are bilinear in a
+/// cell. Along any row or column of the cell, the norm of the error is convex. The limit for this
+/// norm is the tolerance times the PSF's projection on the region's mean. Along the row or column,
+/// this limit is linear. So if the norm is within the limit at both ends, it is also within the
+/// limit in between. The projection is at most the PSF's norm, so the relative error is within the
+/// tolerance.
 #[derive(Debug)]
 pub struct LocalModes {
     /// The region's mean PSF, scaled to unit flux, `[direction]`. `None` if it holds too little
@@ -114,25 +116,25 @@ pub struct LocalModes {
     node_values: Array2<f64>,
 }
 
-/// The number of bands of a region whose PSFs determine the directions of the modes. All bands
-/// determine how many modes are kept.
+/// The number of bands (neighbouring rows, [`RegionCells`]) whose PSFs determine the directions of
+/// the modes. All bands determine how many modes are kept.
 const SUPPORT_BANDS: usize = 5;
 /// The largest number of cells used from each of these bands. The last cell of the band is used in
 /// addition.
 const SUPPORT_CELLS: usize = 16;
-/// The region's mean is the reference if it holds at least this fraction of the largest flux that a
-/// vector of its norm can hold.
+/// The region's mean is the reference if it holds more than this fraction of the largest flux that
+/// a vector of its norm can hold.
 const MIN_REFERENCE_FLUX: f64 = 1e-3;
-/// The part of a node along the flux direction counts as rounding if it is at most this fraction of
-/// the largest norm of the nodes. A span has no flux if at most this fraction of the vector of
-/// fluxes lies in it ([`flux_axis`]).
+/// The flux direction is the direction of the vector [`PsfSpace::fluxes`]. The part of a node along
+/// it counts as rounding if it is at most this fraction of the largest norm of the nodes. A span
+/// has no flux if at most this fraction of the vector lies in the span ([`flux_axis`]).
 const NO_FLUX: f64 = 1e-12;
 /// A direction counts as rounding if no node's part along it exceeds this fraction of the largest
 /// norm of the nodes.
 const ROUNDING: f64 = 2e-16;
 
-/// The remainder of a node counts as rounding if less than this fraction of it is orthogonal to the
-/// earlier directions.
+/// In [`span`], the remainder of a node counts as rounding if less than this fraction of it is
+/// orthogonal to the directions found before.
 const MIN_NEW_PART: f64 = 0.5;
 
 impl LocalModes {
@@ -338,7 +340,7 @@ fn span(nodes: ArrayView2<'_, f64>, offset: ArrayView1<'_, f64>, least: f64) -> 
     rows
 }
 
-/// The direction of flux within a span, if the span has any flux.
+/// The direction of flux in the coordinates of a span, if the span has any flux.
 fn flux_axis(span: &Array2<f64>, fluxes: ArrayView1<'_, f64>) -> Option<Array1<f64>> {
     let axis = span.dot(&fluxes);
     let length = norm(axis.view());
@@ -346,7 +348,7 @@ fn flux_axis(span: &Array2<f64>, fluxes: ArrayView1<'_, f64>) -> Option<Array1<f
 }
 
 /// Returns orthonormal columns orthogonal to a unit vector: all columns but the first of the
-/// reflection that maps it to the first axis.
+/// reflection that maps this vector to the first axis, up to its sign.
 fn complement(axis: &Array1<f64>) -> Array2<f64> {
     let n = axis.len();
     let mut normal = axis.clone();

@@ -3,10 +3,11 @@
 //!
 //! PSFs belong to the pixels of one side: the light (source-anchored) or the image
 //! (output-anchored). A plan divides this side into tiles and groups neighbouring tiles into blocks
-//! ([`tiling`]). For each block it finds the few modes that represent every PSF within the
-//! tolerance ([`local_modes`]). It computes them from the weights with which the coefficient field
-//! combines its nodes in the block ([`region_cells`]). It keeps the stamps and coefficients of
-//! these modes ([`coefficient_table`]).
+//! ([`tiling`]). For each block it finds the modes: a few stamps whose linear combinations
+//! represent every PSF of the block within the tolerance ([`local_modes`]). At each pixel, the
+//! coefficient field of the PSF model is a weighted sum over nodes, such as PSF samples. The plan
+//! computes the modes from these weights in the block ([`region_cells`]). It keeps the stamps and
+//! coefficients of the modes ([`coefficient_table`]).
 
 pub(crate) mod axis_cuts;
 pub(crate) mod block;
@@ -95,8 +96,9 @@ impl<T: ConvReal> Plan<T> {
     /// Their image covers only the region. `progress` is polled and may cancel the planning. No
     /// steps are reported to it.
     ///
-    /// This function chooses the tiles again, as for the whole frame.
-    /// [`for_other_region`](Self::for_other_region) reuses them.
+    /// Each call chooses the tiles of the whole frame, which takes long. To plan many regions of a
+    /// frame, make one plan in this way and the others by
+    /// [`for_other_region`](Self::for_other_region), which reuses the tiles.
     ///
     /// ```
     /// use std::sync::Arc;
@@ -280,23 +282,23 @@ impl<T: ConvReal> Plan<T> {
         self.region
     }
 
-    /// The part of the light that reaches the frame (or only the plan's region, if it has one), in
-    /// pixels of the light.
+    /// The part of the light that reaches the plan's [region](Self::region), in pixels of the
+    /// light.
     pub fn light_region(&self) -> PixelRegion {
         let [columns, rows] = &self.light;
         let shape = FrameShape::new(columns.len(), rows.len()).expect("the part contains the region");
         PixelRegion::new(columns.start as i64, rows.start as i64, shape)
     }
 
-    /// An image `[y, x]` of zeros with the shape of the frame, or of the plan's region of it, for
-    /// [`Engine::execute`](crate::Engine::execute). It is faster to add to it than to another large
-    /// array of zeros, because its memory pages have already been written to.
+    /// An image `[y, x]` of zeros with the shape of the plan's [region](Self::region), for
+    /// [`Engine::execute`](crate::Engine::execute). It is faster to add to this image than to
+    /// another large array of zeros, because its memory pages have already been written to.
     pub fn zeros(&self) -> Array2<T> {
         zeros((self.region.shape().ny(), self.region.shape().nx()))
     }
 
-    /// The columns and rows that reach the region, in an array of light with shape `got`: the whole
-    /// light, or only the part that reaches the region.
+    /// Returns the columns and rows of an array of light that reach the region. The array has the
+    /// shape `got`: it holds the whole light, or only the part that reaches the region.
     pub(crate) fn light_part(&self, got: FrameShape) -> Result<[Range<usize>; 2], ConvError> {
         let (part, whole) = (self.light_region(), self.scene_shape());
         if got == part.shape() {
@@ -334,8 +336,9 @@ impl<T: ConvReal> Plan<T> {
         &self.blocks[row * self.tiling.columns.len() + column]
     }
 
-    /// For each column (axis 0) or row (axis 1) of blocks, the first pixel and the end of the range
-    /// that it reaches on the other side. The blocks divide one side, the light or the image.
+    /// The blocks divide one side, the light or the image. For each column (axis 0) or row (axis 1)
+    /// of blocks, returns the first pixel and the end of the range that it reaches on the other
+    /// side.
     pub(crate) fn extents(&self, axis: usize) -> Vec<(usize, usize)> {
         let stretches = [&self.tiling.columns, &self.tiling.rows][axis].iter();
         let reached = stretches.map(|s| self.geometry.reached(axis, s.start()..s.end()));

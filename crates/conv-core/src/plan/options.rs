@@ -8,16 +8,16 @@ use crate::{ConvError, ConvReal};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub enum Paths {
-    /// The cheapest method for each tile: transforms, the direct sum or single stamps. Dark tiles
-    /// are skipped.
+    /// The cheapest method for each tile: transforms, the direct sum, or one stamp per lit pixel.
+    /// Dark tiles are skipped.
     #[default]
     Cheapest,
     /// Only transforms. Dark tiles are skipped.
     Transforms,
 }
 
-/// Tolerance, anchoring and limits of a [`Plan`](crate::Plan). A [`StarPlan`](crate::StarPlan) uses
-/// these options too, except for the methods for tiles.
+/// Tolerance, anchoring, methods for tiles and memory limit of a [`Plan`](crate::Plan). A
+/// [`StarPlan`](crate::StarPlan) uses these options too, except for the methods for tiles.
 ///
 /// ```
 /// use conv_core::PlanOptions;
@@ -73,8 +73,9 @@ impl PlanOptions {
     /// Limits the memory for the coefficients and stamps that the plan keeps. Each execution
     /// computes again the coefficients and stamps that do not fit, which takes time. The choice of
     /// tiles considers this time, so another limit may lead to other tiles. The result then differs
-    /// within the tolerance. The limit does not include the model, the modes (a few kB per block)
-    /// or the working memory of threads (a few MB each, with a spectrum for each mode of a tile).
+    /// within the tolerance. The limit does not include the model, the modes in compact form (a few
+    /// kB per block) or the working memory of threads (a few MB each, with a spectrum for each mode
+    /// of a tile).
     #[must_use]
     pub fn with_memory(self, bytes: usize) -> Self {
         Self {
@@ -88,11 +89,11 @@ impl PlanOptions {
         self.tolerance
     }
 
-    /// The tolerance, but at least the rounding of a working precision: no mode is kept for PSF
-    /// errors that are only rounding.
+    /// The tolerance, but at least the rounding of the working precision `T`: no mode is kept for
+    /// PSF errors that are only rounding.
     pub(crate) fn tolerance_in<T: ConvReal>(&self) -> f64 {
-        // The rounding is a sixteenth of epsilon in f32. In f64 it is 1e-15, because the
-        // coordinates themselves are only accurate to a few epsilon.
+        // The rounding is a sixteenth of epsilon in f32. In f64 it is 1e-15, because modes are
+        // computed in f64, and the PSFs' coordinates are only accurate to a few epsilon.
         self.tolerance.max((T::epsilon().as_f64() / 16.0).max(1e-15))
     }
 
@@ -106,7 +107,7 @@ impl PlanOptions {
         self.paths
     }
 
-    /// The largest number of bytes that the plan keeps.
+    /// The largest number of bytes that the plan keeps ([`with_memory`](Self::with_memory)).
     pub fn memory_bytes(&self) -> usize {
         self.memory_bytes
     }

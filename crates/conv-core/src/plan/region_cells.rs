@@ -7,8 +7,8 @@ use std::ops::Range;
 
 use psf_types::{CoefficientField, PixelRegion};
 
-/// Rectangles of pixels in which the nodes' weights are bilinear: bands of rows, each divided into
-/// stretches of columns.
+/// Cells: rectangles of pixels in which the nodes' weights are bilinear. A region is divided into
+/// bands of rows, and each band is divided into cells at some columns.
 #[derive(Debug, Default)]
 pub struct RegionCells {
     pub(crate) bands: Vec<Band>,
@@ -33,15 +33,14 @@ pub(crate) struct Cell {
     /// First column, counted from the region's first column.
     pub(crate) column: usize,
     pub(crate) length: usize,
-    /// The ranges of the weights at the corners, in the order of [`Corners`]. `None` if the field
-    /// has no value there.
+    /// The ranges of the list `weights` that belong to the corners, in the order of [`Corners`].
+    /// `None` if the field has no value in the cell.
     corners: Option<[Range<usize>; CORNERS]>,
 }
 
 /// The weights at a cell's corners: first and last pixel of its first row, then of its last row.
 pub(crate) type Corners<'a> = [&'a [(usize, f64)]; CORNERS];
 
-/// The number of corners of a cell.
 pub(crate) const CORNERS: usize = 4;
 
 /// A stretch of one row, as the field returns it.
@@ -62,7 +61,7 @@ impl RegionCells {
                 rows.filter(|&row| row > 0.0 && row < ny as f64)
                     .map(|row| row as usize),
             );
-            // A field may return its lines in any order.
+            // A field should return ascending lines. The sort is for a field that does not.
             starts.sort_unstable();
             starts.dedup();
         } else {
@@ -195,8 +194,8 @@ impl RegionCells {
             if nodes.len() > room {
                 nodes.sort_unstable();
                 nodes.dedup();
-                // Doubles the room before the next sort, because some regions have tens of
-                // thousands of nodes.
+                // The list may double before the next sort, so that few sorts are needed even in
+                // regions with tens of thousands of nodes.
                 room = ROOM_FOR_NODES.max(2 * nodes.len());
             }
         }
@@ -213,7 +212,7 @@ impl RegionCells {
     }
 
     /// The weights of [`nodes`](Self::nodes) at the corners of a cell. `None` if the field has no
-    /// value there.
+    /// value in the cell.
     pub(crate) fn corners(&self, cell: &Cell) -> Option<Corners<'_>> {
         let corners = cell.corners.as_ref()?;
         Some(corners.each_ref().map(|range| &self.weights[range.clone()]))

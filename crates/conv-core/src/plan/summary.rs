@@ -32,13 +32,15 @@ pub struct PlanSummary {
     pub blocks: usize,
     /// The number of blocks that have 0, 1, 2 ... modes, the reference included.
     pub blocks_by_modes: Vec<usize>,
-    /// Tiles with at most this many lit pixels are drawn stamp by stamp. The number is for a block
-    /// with the mean number of modes.
+    /// Tiles with at most this many lit pixels are drawn stamp by stamp. The number is for the
+    /// largest tile and the mean number of modes in a source-anchored plan. An output-anchored plan
+    /// draws tiles with at most about a sixth of this number.
     pub drawn_up_to: usize,
     /// True if the processor convolves fully lit tiles by the direct sum. A GPU always uses
     /// transforms for them.
     pub direct: bool,
-    /// Predicted seconds of one execution on one thread if every pixel is lit.
+    /// Predicted seconds of one execution on one thread if every pixel is lit, without the time to
+    /// compute coefficients and stamps that are not kept.
     pub predicted_seconds: f64,
     /// Bytes kept for coefficients, and bytes kept for stamps.
     pub kept_bytes: (usize, usize),

@@ -104,8 +104,8 @@ fn best_tiling<T: ConvReal>(
     Ok(best.expect("at least one size is tried").1)
 }
 
-/// The first pixels of the field's grid cells, counted from the weighted side's first pixel. `None`
-/// if the field has no grid.
+/// The first pixels of the field's grid cells, counted from the first pixel of the weighted side
+/// ([`Geometry`]). `None` if the field has no grid.
 fn cuts(model: &PsfModel, geometry: &Geometry) -> Option<[Vec<usize>; 2]> {
     let [xs, ys] = model.field().grid_lines()?;
     let cuts = |lines: &[f64], first: i64, length: usize| {
@@ -197,7 +197,7 @@ impl Tiling {
     }
 
     /// The number of rounds in which [`THREADS`] threads take one block each. Neighbouring blocks
-    /// are not in the same round.
+    /// are not in the same round, because their outputs may overlap.
     fn rounds(&self) -> usize {
         let halves = |n: usize| [n.div_ceil(2), n / 2];
         let band = self.band();

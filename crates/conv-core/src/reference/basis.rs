@@ -1,4 +1,4 @@
-//! The method in its original form: one whole-image convolution per basis stamp.
+//! The method of Bai, Jia et al. in its original form: one whole-image convolution per basis stamp.
 
 use std::ops::Range;
 
@@ -16,6 +16,9 @@ use crate::working_range::{Rescaling, take_back};
 use crate::{ConvError, ConvReal};
 
 /// `K` whole-image convolutions by FFT, exact up to rounding, and their exact adjoint.
+///
+/// `f` is the light, `F` the image, `B_k` a stamp of the model (1 to `K`), and `a_k` the stamp's
+/// coefficient at each pixel.
 ///
 /// - [`Anchor::Source`]: `F = sum_k (a_k f) * B_k`. The products are summed as spectra, so there is
 ///   only one inverse transform.
@@ -75,8 +78,8 @@ impl BasisConvolution {
         Self { anchor }
     }
 
-    /// The exact adjoint `A^T g`: from an image of the frame to a plane of the light's shape, such
-    /// that `<A f, g> = <f, A^T g>` for every light `f`.
+    /// The exact adjoint `A^T g` of the convolution `A f`. It maps an image `g` of the frame to a
+    /// plane of the light's shape, `shape`, such that `<A f, g> = <f, A^T g>` for every light `f`.
     ///
     /// # Errors
     /// [`ConvError`] as for [`ConvolutionMethod::convolve`], and [`ConvError::FrameShape`] if
@@ -434,6 +437,7 @@ fn for_tiles<T: ConvReal>(
         .enumerate()
         .map(|(strip, planes)| strip_work(strip, planes))
         .collect();
-    // Returns the error of the first strip that has one, not the error that occurred first.
+    // `collect` returns the error of the first strip that has one, not the error that occurred
+    // first.
     strips.into_iter().collect()
 }

@@ -1,4 +1,4 @@
-//! The exact double sum.
+//! The exact double sum, with which every other method is compared.
 
 use ndarray::{Array2, ArrayView2, ArrayView3, s};
 use psf_types::{Anchor, FrameShape, Image, ImageView, PixelRegion, Progress, PsfModel};
@@ -9,8 +9,8 @@ use crate::overlap::{Piece, add_in_order, overlap};
 use crate::view::{Reach, View};
 use crate::{ConvError, ConvReal};
 
-/// `F(y) = sum_x f(x) h(y - x; x)` or `sum_x f(x) h(y - x; y)`, summed in f64 pixel by pixel: the
-/// reference that every other method is compared with.
+/// `F(y) = sum_x f(x) h(y - x; x)` or `sum_x f(x) h(y - x; y)`, summed in f64 pixel by pixel. The
+/// [crate's page](crate) explains the symbols. Every other method is compared with this one.
 ///
 /// A whole image costs `K` multiplications for each lit pixel and each pixel of a stamp.
 /// [`Direct::at_pixels`] computes single pixels of a large image.
@@ -90,7 +90,7 @@ impl Direct {
             model.scaled_coefficients_into(field.position(column, row), &mut coefficients)?;
         }
         let mut sum = 0.0;
-        // Adds the light of the source at `pixel - u`, for every offset `u` of the stamp.
+        // The loops add the light of the source at `pixel - u`, for every offset `u` of the stamp.
         for j in 0..stamps.dim().1 {
             let Some(y) = (row + reach.below)
                 .checked_sub(j)

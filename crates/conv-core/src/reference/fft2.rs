@@ -4,8 +4,8 @@
 //! transforms along the plane's columns run over contiguous memory. No plane is ever transposed as
 //! a whole, because that takes 10 to 40 % more time. Rows are read and written in blocks of
 //! [`BLOCK`], so that the transposed side is accessed in whole cache lines. Rows without light are
-//! never transformed. Nothing is normalised: a forward and an inverse transform multiply by
-//! `rows * columns`.
+//! never transformed. Nothing is normalised: a forward and an inverse transform together multiply a
+//! plane by `rows * columns`.
 
 use std::sync::Arc;
 
@@ -219,8 +219,8 @@ impl<T: ConvReal> RealFft2<T> {
                 }
                 for (row, mut out) in target.outer_iter_mut().enumerate() {
                     let transformed = &mut rows[row * half..(row + 1) * half];
-                    // For a real plane, these two values are real. Sets their imaginary rounding
-                    // errors to 0, because `realfft` would reject them.
+                    // For a real plane, these two values are real. `realfft` would reject rounding
+                    // errors in their imaginary parts, which are therefore set to 0.
                     transformed[0].im = T::zero();
                     if self.columns.is_multiple_of(2) {
                         transformed[half - 1].im = T::zero();

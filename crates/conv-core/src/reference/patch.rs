@@ -79,7 +79,7 @@ impl<T: ConvReal> ConvolutionMethod<T> for PatchConvolution {
             frame: view.frame,
         };
         // The region that is divided into patches, and the frame's first pixel in it. This region
-        // is the frame if PSFs belong to the image, otherwise all light.
+        // is the frame if each output pixel has its own PSF, otherwise all light.
         let (region, origin) = match self.anchor {
             Anchor::Output => (view.frame, (0, 0)),
             _ => (view.shape.region(), view.first_pixel()),

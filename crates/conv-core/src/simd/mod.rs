@@ -230,7 +230,7 @@ impl<T: ConvReal> Aligned<T> {
         &mut self.values[self.start..self.start + self.length]
     }
 
-    /// Makes room for at least `length` values. Their content is then undefined.
+    /// Makes room for at least `length` values. The content of all values is undefined afterwards.
     pub(crate) fn at_least(&mut self, length: usize) {
         if self.length < length {
             *self = Self::zeros(length);

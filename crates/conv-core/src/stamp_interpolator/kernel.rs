@@ -119,7 +119,7 @@ fn sinc(t: f64) -> f64 {
 }
 
 /// The coefficients that contribute to each of several values: their indices and weights. No
-/// coefficient contributes to a value beyond the stamp.
+/// coefficient contributes to a value at a coordinate outside [`Kernel::domain`].
 #[derive(Debug)]
 pub(crate) struct Taps {
     starts: Vec<usize>,

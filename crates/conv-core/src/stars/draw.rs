@@ -1,5 +1,5 @@
-//! Draws the stars of each block together into a tile, row by row. Then adds the tiles to bands of
-//! image rows.
+//! Draws the stars of each block together, row by row, into a tile: an array of the pixels that
+//! these stars may light. Then adds the tiles to bands of image rows.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -19,8 +19,8 @@ use crate::{ConvError, ConvReal};
 /// Rows of the image to which one task adds.
 const BAND: usize = 32;
 
-/// The order in which stars are drawn. Rounding depends on this order, so the order depends only on
-/// the stars.
+/// Stars are drawn in the order of these keys. Rounding depends on this order, so the order depends
+/// only on the stars.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct StarKey {
     pub(super) block: BlockKey,
@@ -137,7 +137,8 @@ const STARS_PER_POLL: usize = 1 << 10;
 
 impl<T: ConvReal> BlockDraw<'_, T> {
     /// Adds the stars to a tile that holds all their columns. Adds row `j` of every star before row
-    /// `j + 1`, so that row `j` of all kernels stays in the first-level cache.
+    /// `j + 1`. The stars' rows `j` share few rows of coefficients, which then stay in the
+    /// first-level cache.
     ///
     /// The order of additions to a pixel does not depend on which rows the tile holds.
     #[inline(always)]
@@ -180,18 +181,19 @@ impl<T: ConvReal> BlockDraw<'_, T> {
     }
 }
 
-/// One row of one star. It is a sum over the taps: rows of coefficients of a block's kernels.
+/// One row of one star. It is a sum over the block's kernels, over the *row taps* (the rows of
+/// coefficients that contribute to this row) and over the *column taps* (the columns of
+/// coefficients that contribute to a pixel).
 #[derive(Clone, Copy)]
 struct StarRow<'a, T, const TAPS: usize> {
-    /// The block's coefficients `[row, kernel, chunk, residue, pixel]`, from the row of the first
-    /// tap on.
+    /// The block's coefficients `[row, kernel, chunk, residue, pixel]`, from the first row tap on.
     values: &'a [T],
-    /// `[row, kernel]`.
+    /// `[row tap, kernel]`.
     weights: &'a [T],
     layout: RowLayout,
-    /// The residue of the columns' first tap.
+    /// The residue of the first column tap.
     first: usize,
-    /// The columns' weights.
+    /// The weights of the column taps.
     taps: &'a [T; TAPS],
 }
 

@@ -3,11 +3,13 @@
 //! In each block of the field, the few PSFs of a local basis (the *kernels* of the block) replace
 //! the model's components, as in [`crate::Plan`].
 //!
-//! If the oversampling is a whole number `s`, a star uses the same sub-pixel phases of an
-//! oversampled stamp in all its pixels: the interpolation weights apply to every `s`-th
-//! coefficient. So coefficients are stored by residues modulo `s`. A row of a star is then a linear
-//! combination of contiguous values. One sum runs over the block's kernels and over the rows of
-//! coefficients that contribute to the row of the star (the *taps*).
+//! Each pixel of a star is interpolated from coefficients of the stamp: its values, or the
+//! coefficients of its spline. The coefficients that contribute to a pixel are its *taps*. If the
+//! oversampling of the stamp is a whole number `s`, the taps of neighbouring pixels are `s`
+//! coefficients apart and have equal weights. So coefficients are stored by their *residue*, which
+//! is their index modulo `s`. A row of a star is then a linear combination of contiguous values.
+//! The sum runs over the block's kernels, the rows of coefficients that contribute to the row of
+//! the star, and the taps along the row.
 
 mod draw;
 mod painter;

@@ -13,7 +13,7 @@ use crate::{ConvError, ConvReal};
 
 /// The number of sources that one task draws.
 const PER_TASK: usize = 32;
-/// The number of painted sources in memory at a time.
+/// The most painted sources that [`StarPainter::at_pixels`] holds in memory at a time.
 const SOURCES_IN_MEMORY: usize = 1024;
 
 /// Draws stars one by one in f64, each from all components of the model. It is the reference for
@@ -29,7 +29,8 @@ pub struct StarPainter<'a> {
     target: StampGrid,
 }
 
-/// The interpolators of all stamps, computed when first needed. Painters of one model share them.
+/// The interpolators of all stamps, computed when first needed. Clones share them, so the painters
+/// of one [`crate::StarPlan`] compute them once.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct StampSplines(Arc<OnceLock<Vec<StampInterpolator>>>);
 
@@ -77,7 +78,7 @@ impl<'a> StarPainter<'a> {
         })
     }
 
-    /// The pixels that a star may light, relative to its own pixel.
+    /// The pixels that a star may light, relative to the pixel that the star lies on.
     pub(crate) fn window(&self) -> Window {
         let axis = |centre: f64, count: usize| (-(centre as i64), count as i64 - centre as i64);
         Window {

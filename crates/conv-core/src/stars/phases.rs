@@ -1,4 +1,5 @@
-//! Sub-pixel phases of stamps whose oversampling is a whole number, and the stars that use them.
+//! The sub-pixel phases of stars: the positions of a star's pixels relative to the pixels of its
+//! stamp. The oversampling of the stamp is a whole number, so all pixels of a star have one phase.
 
 use std::ops::Range;
 
@@ -11,21 +12,21 @@ use crate::stamp_interpolator::{Kernel, MOST_TAPS};
 /// is rounding.
 const ON_PIXEL: f64 = 1e-9;
 
-/// One axis of a stamp `s` times finer than the frame. Its coefficients are stored by residue
-/// modulo `s`: coefficient `p = s q + r` at `[r][q]`. They include the coefficients that the
-/// interpolation kernel needs beyond the ends of the axis. A star uses the same residues in every
-/// pixel of the frame, and neighbouring pixels use neighbouring `q`.
+/// One axis of a stamp `s` times finer than the frame. Its interpolation coefficients are stored by
+/// residue modulo `s`: coefficient `p = s q + r` at `[r][q]`. They include the coefficients that
+/// the interpolation kernel needs beyond the ends of the axis. A star uses the same residues in
+/// every pixel of the frame, and neighbouring pixels use neighbouring `q`.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct PhasedAxis {
     kernel: Kernel,
     length: usize,
     centre: f64,
     pub(super) oversampling: usize,
-    /// The pixels that a star may light, relative to its own pixel.
+    /// The pixels that a star may light, relative to its own pixel (the pixel that it lies on).
     window: (i64, i64),
     /// The position in the stamp of the first coefficient kept. Coefficients that no star can use
-    /// are not kept. The first tap of every star is then at residue `s` at most, where vectors
-    /// start at cache lines.
+    /// are not kept. The first coefficient that a star uses is then at index `s` at most. So the
+    /// values of every star's row begin at `q = 0`, where vectors start at cache lines.
     first: i64,
     /// The number of coefficients kept.
     pub(super) kept: usize,
@@ -34,11 +35,13 @@ pub(super) struct PhasedAxis {
 /// A star's position on an axis.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Phase {
-    /// The first coefficient of the pixel that the star lies on, counted from the first one kept.
+    /// The first coefficient that the star's own pixel uses, counted from the first coefficient
+    /// kept.
     first: i64,
-    /// The pixels `from..to` that the stamp reaches, relative to the pixel that the star lies on.
+    /// The pixels `from..to` that the stamp reaches, relative to the star's own pixel.
     pub(super) from: i64,
     pub(super) to: i64,
+    /// The weights of the coefficients that a pixel uses, equal for all pixels.
     pub(super) weights: [f64; MOST_TAPS],
 }
 
@@ -76,8 +79,8 @@ impl PhasedAxis {
         self.kernel.tap_count()
     }
 
-    /// The index in the stamp of coefficient `kept`, counted from the first one kept. `None` if
-    /// this coefficient is zero.
+    /// The index in the stamp of a coefficient. `kept` is its number, counted from the first
+    /// coefficient kept. `None` if the coefficient is zero.
     pub(super) fn index(&self, kept: usize) -> Option<usize> {
         self.kernel.index(kept as i64 + self.first, self.length)
     }
@@ -120,8 +123,8 @@ impl PhasedAxis {
 }
 
 impl Phase {
-    /// The first coefficient that a pixel uses, counted from the first one kept. `pixel` is
-    /// relative to the pixel that the star lies on.
+    /// The first coefficient that a pixel uses, counted from the first coefficient kept. `pixel` is
+    /// relative to the star's own pixel.
     pub(super) fn first_of(&self, pixel: i64, oversampling: usize) -> usize {
         (self.first + pixel * oversampling as i64) as usize
     }
@@ -158,10 +161,10 @@ pub(super) struct PhasedStar<T> {
     pub(super) first_row: usize,
     /// The residue of the first column of coefficients that its first pixel uses.
     pub(super) first_residue: usize,
-    /// The range of its weights in the list of its group, `[row, kernel]`: the weight of each tap
-    /// of the rows times the coefficient of each kernel times the star's flux.
+    /// The range of its weights in the list of its group, `[row, kernel]`: the weight of each row
+    /// of coefficients times the coefficient of each kernel times the star's flux.
     pub(super) weights: Range<usize>,
-    /// The columns' weights.
+    /// The weights of the columns of coefficients that contribute to a pixel.
     pub(super) taps: [T; MOST_TAPS],
 }
 

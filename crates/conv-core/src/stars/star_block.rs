@@ -29,8 +29,9 @@ const MARGIN: f64 = 0.5;
 
 /// The layout of the coefficients of a kernel's row: `[chunk, residue, pixel]`, with the pixels of
 /// the frame in chunks. With an oversampling of `s`, coefficient `s q + residue` belongs to pixel
-/// `q`. Residues continue beyond `s`, so that the taps of a star are neighbours wherever the first
-/// tap is.
+/// `q`. Residues continue beyond `s - 1`, so some coefficients are stored more than once. The taps
+/// of a pixel (the coefficients that contribute to it) are then neighbours, wherever the first tap
+/// is.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct RowLayout {
     residues: usize,
@@ -139,7 +140,7 @@ fn coefficients_of(
 /// Row and column of a block of the field. The row is first, so that blocks are sorted by rows.
 pub(super) type BlockKey = (i64, i64);
 
-/// Blocks, and their size in bytes.
+/// Blocks, and the size of all of them in bytes.
 type Kept<T> = (BTreeMap<BlockKey, Arc<StarBlock<T>>>, usize);
 
 /// Blocks computed so far, as many as the memory limit allows.

@@ -16,8 +16,8 @@ use crate::{ConvError, ConvReal};
 /// A plan for drawing point sources through one model.
 ///
 /// If the plan is source-anchored and the stamps' oversampling is a whole number, stars are drawn
-/// in the working precision from local bases. Each block of the field has a local basis: the few
-/// PSFs that the tolerance requires. The relative L2 error of a star's PSF, at the stamps' own
+/// from local bases in the working precision `T`. Each block of the field has a local basis: the
+/// few PSFs that the tolerance requires. The relative L2 error of a star's PSF, at the stamps' own
 /// sampling, is at most the tolerance. Every star is tested. A star that would exceed the tolerance
 /// is drawn from all components in f64. This choice depends only on the star's position, so the
 /// image is linear in the fluxes. Other plans draw all stars from all components in f64. The image
@@ -94,7 +94,7 @@ struct Catalogue<'a> {
 /// Columns and rows of a block of the field. A smaller block needs fewer kernels. But drawing a
 /// catalogue reads the kernels of all blocks, and smaller blocks have more kernels in total.
 const BLOCK: i64 = 256;
-/// The approximate number of stars prepared at a time.
+/// Groups of stars are prepared together up to about this many stars.
 const MOST_AT_ONCE: usize = 1 << 15;
 /// The most groups of stars drawn at a time. A group belongs to one block of the field.
 const TILES_AT_ONCE: usize = 64;
@@ -102,9 +102,10 @@ const TILES_AT_ONCE: usize = 64;
 const MIN_STARS_PER_TASK: usize = 1 << 10;
 
 impl<T: ConvReal> StarPlan<T> {
-    /// Plans stars through a model. If `size` is given, a star is drawn on `size` columns and rows.
-    /// The pixel that the star lies on has index `size / 2` in both. Otherwise the star is drawn as
-    /// far as its stamp reaches. Light beyond these pixels is lost. `size` must be at least 1.
+    /// Makes a plan for drawing stars through a model. If `size` is given, a star is drawn on
+    /// `size` columns and rows. The pixel that the star lies on has index `size / 2` in both.
+    /// Otherwise the star is drawn as far as its stamp reaches. Light beyond these pixels is lost.
+    /// `size` must be at least 1.
     ///
     /// # Errors
     /// [`ConvError::PixelResponse`] if the stamps do not include the pixel response.
@@ -258,8 +259,8 @@ impl<T: ConvReal> StarPlan<T> {
         Ok(missed.into_iter().flatten().collect())
     }
 
-    /// Returns the block of some stars with the phases and weights of each, and the indices of the
-    /// stars that would exceed the tolerance.
+    /// Returns the block of some stars with the sub-pixel phases and weights of each star. Leaves
+    /// out stars that would exceed the tolerance, and returns their indices.
     fn prepare(
         &self,
         phased: &Phased<T>,

@@ -94,7 +94,7 @@ pub(crate) fn butterfly<T: ConvReal, S: Lanes<T>, const R: usize>(
             let even = butterfly4(simd, [x[0], x[2], x[4], x[6]]);
             let odd = butterfly4(simd, [x[1], x[3], x[5], x[7]]);
             let half = simd.splat(T::nearest(std::f64::consts::FRAC_1_SQRT_2));
-            // odd_1 exp(-i pi / 4) and odd_3 exp(-3 i pi / 4).
+            // `one` is odd_1 exp(-i pi / 4). `three` is the conjugate of odd_3 exp(-3 i pi / 4).
             let one = [
                 simd.mul(simd.add(odd[1][0], odd[1][1]), half),
                 simd.mul(simd.sub(odd[1][1], odd[1][0]), half),

@@ -67,8 +67,8 @@ impl<T: ConvReal> Stages<T> {
     }
 
     /// The inverse transform times `len`, for values whose real and imaginary parts are swapped.
-    /// The parts are swapped in the result too. The inverse transform of swapped values is the
-    /// swapped forward transform.
+    /// The parts are swapped in the result too. The forward transform of swapped values is the
+    /// swapped inverse transform times `len`, so the twiddles of the forward transform are used.
     #[inline(always)]
     pub(crate) fn inverse_of_swapped<S: Lanes<T>>(&self, simd: S, values: &mut [Pair<S::V>]) {
         let values = &mut values[..self.len];

@@ -30,7 +30,8 @@ pub struct TileTransform<T> {
     untwist: Vec<Pair<T>>,
 }
 
-/// Sizes are multiples of these numbers, so that they hold whole vectors in every instruction set.
+/// The columns and rows of planes are multiples of these numbers, so that planes hold whole vectors
+/// in every instruction set.
 pub(crate) const X_STEP: usize = 16;
 pub(crate) const Y_STEP: usize = 32;
 
@@ -84,9 +85,9 @@ impl<T: ConvReal> TileTransform<T> {
     }
 
     /// Computes the spectrum of a plane `[y, x]`. From one row to the next there are
-    /// [`pitch`](Self::pitch) values. Only the first `rows x columns` values are used. The values
-    /// of these rows from `columns` up to the next multiple of [`X_STEP`] must be zero. The rest is
-    /// not read.
+    /// [`pitch`](Self::pitch) values. Only the first `rows` rows and `columns` columns are used.
+    /// The values of these rows from `columns` up to the next multiple of [`X_STEP`] must be zero.
+    /// The rest is not read. `column` is working memory of [`column_len`](Self::column_len) values.
     #[inline(always)]
     pub fn forward<S: Lanes<T>>(
         &self,
@@ -177,7 +178,8 @@ impl<T: ConvReal> TileTransform<T> {
         }
     }
 
-    /// The transforms along x of a group, of which only the first `columns` values are set.
+    /// The transforms along x of a group. Only the group's first `columns` values are set, and the
+    /// others count as zero.
     #[inline(always)]
     fn across<S: Lanes<T>>(&self, simd: S, group: &mut [Pair<S::V>], columns: usize) {
         let filled = columns.next_multiple_of(S::LANES);
@@ -185,8 +187,10 @@ impl<T: ConvReal> TileTransform<T> {
         self.across.forward(simd, &mut group[..self.nx], filled);
     }
 
-    /// Computes the first `rows x columns` values of the plane of a spectrum whose real and
-    /// imaginary parts are swapped. The spectrum is overwritten.
+    /// Computes the first `rows` rows and `columns` columns of a plane from its spectrum, whose
+    /// real and imaginary parts are swapped. In these rows, the columns up to the next whole vector
+    /// are overwritten, too. The spectrum is overwritten. `column` is working memory, as for
+    /// [`forward`](Self::forward).
     #[inline(always)]
     pub fn inverse_of_swapped<S: Lanes<T>>(
         &self,

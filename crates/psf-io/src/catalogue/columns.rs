@@ -22,12 +22,12 @@ use crate::fits::hdu::HduChoice;
 /// | `q` | `q` | galaxies: minor over major axis, 0.001 to 1; 1 without such a column |
 /// | `angle` | `angle` | galaxies: angle of the major axis in degrees, from +x towards +y; 0 without such a column |
 ///
-/// The caller may choose the column of a role. Any other role uses its default column, if it
-/// exists. If the default columns of `x`, `y`, `ra` and `dec` all exist, `x` and `y` are used.
-/// Likewise, `flux` is used rather than `mag`. A zero point together with fluxes is an error. So if
-/// a table has the columns `flux` and `mag` and a zero point is set, choose the column of the role
-/// `mag`. A catalogue with a column for `re` has galaxies and needs a column for `n`. Case is
-/// ignored in names.
+/// The caller may choose the column of a role. A role without a choice uses its default column, if
+/// that column exists. If the default columns of `x`, `y`, `ra` and `dec` all exist, `x` and `y`
+/// are used. Likewise, `flux` is used rather than `mag`. A zero point together with fluxes is an
+/// error. So if a table has the columns `flux` and `mag` and a zero point is set, choose the column
+/// of the role `mag`. A catalogue with a column for `re` has galaxies and needs a column for `n`.
+/// Case is ignored in names.
 ///
 /// Text form: `role=COLUMN`, separated by commas.
 ///
@@ -47,7 +47,6 @@ pub struct CatalogColumns {
 /// The names of the roles, in the order of [`Role`].
 const ROLES: [&str; 10] = ["x", "y", "ra", "dec", "flux", "mag", "re", "n", "q", "angle"];
 
-/// The role of a column.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Role {
     X,
@@ -79,7 +78,6 @@ impl Picked {
         self.columns.iter().position(|(r, _)| *r == role)
     }
 
-    /// The name of the column of a role.
     pub(crate) fn name(&self, role: Role) -> Option<&String> {
         self.place(role).map(|place| &self.columns[place].1)
     }
@@ -132,7 +130,7 @@ impl CatalogColumns {
         Ok(Picked { columns })
     }
 
-    /// The name of the column of a role.
+    /// The chosen name of the column of a role, or the default name.
     fn column(&self, role: Role) -> &str {
         self.given[role as usize]
             .as_deref()

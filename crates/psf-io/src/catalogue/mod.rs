@@ -188,7 +188,6 @@ pub fn read_positions_with(
     (0..rows.numbers.rows).map(position).collect()
 }
 
-/// The rows of a catalogue.
 struct Rows<'a> {
     path: &'a Path,
     options: &'a CatalogOptions,

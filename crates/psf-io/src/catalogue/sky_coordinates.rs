@@ -69,7 +69,8 @@ impl SkyCoordinates {
     /// Reads the world coordinates from a header.
     ///
     /// # Errors
-    /// [`WorldCoordinatesError`] with the keyword that is missing or not supported.
+    /// [`WorldCoordinatesError`] with the keyword that is missing or not supported, or for a matrix
+    /// that has no inverse.
     pub fn from_header(header: &HeaderCards) -> Result<Self, WorldCoordinatesError> {
         let header = World { header };
         let types = [header.text("CTYPE1")?, header.text("CTYPE2")?];
@@ -162,7 +163,8 @@ impl SkyCoordinates {
     }
 
     /// The pixel position (0-based) of a position on the sky in degrees. Returns `None` if the
-    /// projection does not reach the position, or if the coordinates are not valid.
+    /// projection does not reach the position, if the distortion has no inverse there, or if the
+    /// coordinates are not valid.
     pub fn pixel(&self, longitude_deg: f64, latitude_deg: f64) -> Option<Position> {
         if !longitude_deg.is_finite() || !(-90.0..=90.0).contains(&latitude_deg) {
             return None;

@@ -34,8 +34,8 @@ impl TableFile {
         })
     }
 
-    /// Returns a table, and the result of `take` for its column names. It is the chosen table, or
-    /// without a choice the only table whose names `take` accepts. A text file holds one table, so
+    /// Returns a table, and the result of `take` for its column names. The table is the chosen one,
+    /// or without a choice the only one whose names `take` accepts. A text file holds one table, so
     /// a choice is an error. If a FITS file has no tables, the error lists the columns in `needed`.
     pub(crate) fn pick<R>(
         &self,
@@ -135,9 +135,8 @@ pub fn read_columns<const N: usize>(
 /// ```
 ///
 /// # Errors
-/// [`IoErrorKind::Table`] if a row does not have one field per column, [`IoErrorKind::Exists`] if
-/// the file exists and `overwrite` is false, [`IoErrorKind::NotFound`] if the directory does not
-/// exist, or [`IoErrorKind::Write`].
+/// [`IoErrorKind::Table`] if a row does not have one field per column, and the errors of
+/// [`write_atomically`].
 pub fn write_csv<R: Serialize>(
     path: impl AsRef<Path>,
     columns: &[&str],

@@ -10,14 +10,14 @@ use crate::fits::header_cards::HeaderCards;
 const LARGEST_SIP_ORDER: usize = 9;
 /// Number of terms of TPV: orders 0 to 7, where each odd order has a further term in the radius.
 const TPV_TERMS: usize = 40;
-/// The search for the inverse of a distortion ends when a step is at most this fraction of a size.
-/// The size is 1e-6 plus the larger magnitude of the two wanted coordinates. The search also ends
-/// after [`INVERSE_STEPS`] steps.
+/// The search for the point that a distortion maps to a wanted point ends when a step is at most
+/// this fraction of the wanted point's size. That size is 1e-6 plus the larger magnitude of the two
+/// wanted coordinates. The search also ends after [`INVERSE_STEPS`] steps.
 const INVERSE_ACCURACY: f64 = 1e-13;
 const INVERSE_STEPS: usize = 50;
 /// A found point is rejected if the distortion maps it to a point that differs from the wanted one
-/// by more than this fraction of that size. The search has then failed, for example because the
-/// distortion folds the plane there.
+/// by more than this fraction of the wanted point's size. The search has then failed, for example
+/// because the distortion folds the plane there.
 const INVERSE_TOLERANCE: f64 = 1e-9;
 
 /// The reason why a header does not give world coordinates.

@@ -241,7 +241,7 @@ macro_rules! card_value_from {
 card_value_from!(bool => Logical, i64 => Integer, i32 => Integer, u32 => Integer, f64 => Real, f32 => Real, &str => Text, String => Text);
 
 impl From<usize> for CardValue {
-    /// Counts of things in memory always fit.
+    /// A number of things in memory always fits into the `i64` of a card.
     fn from(value: usize) -> Self {
         Self::Integer(value as i64)
     }
@@ -307,7 +307,8 @@ fn plain_value(field: &[u8]) -> Option<CardValue> {
     value.is_finite().then_some(CardValue::Real(value))
 }
 
-/// The shortest decimal number that is read back as the same bits, with a point and a capital E.
+/// The shortest decimal number that is read back as the same bits. It always has a decimal point.
+/// An exponent follows a capital E.
 fn real_text(value: f64) -> String {
     let text = format!("{value:?}").to_uppercase();
     match text.split_once('E') {
@@ -316,10 +317,10 @@ fn real_text(value: f64) -> String {
     }
 }
 
-/// The largest length of a string, with its quotes doubled, in a record that another record
-/// continues.
+/// The largest length of the text in a record that another record continues. A quote within the
+/// text is written twice and counts twice.
 const CONTINUED_TEXT: usize = 67;
-/// The largest length of a string, with its quotes doubled, in a single record.
+/// The largest length of the text in a single record, counted like [`CONTINUED_TEXT`].
 const SINGLE_TEXT: usize = 68;
 
 /// Keeps printable ASCII and escapes all other characters.
@@ -337,8 +338,8 @@ pub(crate) fn padded(text: &[u8]) -> Record {
     record
 }
 
-/// Makes a record from keyword and value in `text`, and as much of the comment as there is room
-/// for.
+/// Makes a record from `text`, which holds keyword and value, and from as much of `comment` as
+/// there is room for.
 fn with_comment(mut text: String, comment: &str) -> Record {
     if !comment.is_empty() && text.len() + 4 < RECORD {
         text.push_str(" / ");
@@ -356,8 +357,8 @@ pub(crate) fn text_records(keyword: &str, text: &str, comment: &str) -> Vec<Reco
             comment,
         )];
     }
-    // The two halves of a doubled quote must stay in one record, so the split is between characters
-    // of `text`.
+    // Both quotes of a doubled quote must be in one record. So this loop splits `text`, in which
+    // quotes are not yet doubled, and doubles each quote when it adds it to a record.
     let mut parts = vec![String::new()];
     for c in text.chars() {
         let piece = if c == '\'' { "''".to_owned() } else { c.to_string() };

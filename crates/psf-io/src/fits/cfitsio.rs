@@ -1,5 +1,5 @@
-//! Safe wrappers of the functions of CFITSIO that this crate needs. This is the only `unsafe` code
-//! of the workspace.
+//! Safe wrappers of the functions of CFITSIO that this crate needs. No other file of this crate has
+//! `unsafe` code.
 //!
 //! Files are opened and created through the disk-file entry points (`ffdkopn`, `ffdkinit`), so that
 //! brackets, `+` and `!` in a name have no special meaning. CFITSIO is built reentrant, which a
@@ -23,7 +23,7 @@ use crate::fits::card::{RECORD, Record};
 use crate::fits::hdu::FitsSource;
 use crate::fits::image::beyond_single;
 
-/// The length of the longest file name, without the closing NUL.
+/// The length in bytes of the longest file name that CFITSIO accepts, without the closing NUL.
 const NAME_LIMIT: usize = sys::FLEN_FILENAME as usize - 1;
 /// CFITSIO's status for a value that the requested type cannot hold.
 const NUM_OVERFLOW: c_int = 412;
@@ -44,8 +44,8 @@ pub(crate) struct Fits {
     path: PathBuf,
     /// True if the current HDU is an image that this handle writes.
     writes_image: bool,
-    /// Keeps an unpacked copy on the disk while this handle is open. `None` for a file that is
-    /// written.
+    /// The file that is read. If it is an unpacked copy, this field keeps the copy on the disk
+    /// while the handle is open. `None` if the handle writes.
     source: Option<FitsSource>,
 }
 
@@ -132,11 +132,12 @@ impl Fits {
         let (mut any_null, mut status) = (0, 0);
         let (any, told) = (&raw mut any_null, &raw mut status);
         // SAFETY: `pixels` holds the requested number of values of the type that `datatype` names.
-        // `null` is null or points to one such value. It outlives the call, as do `any_null` and
-        // `status`. (CFITSIO writes to `any_null` whenever it finds an undefined value.)
+        // `null` is a null pointer or points to `nan`, a value of this type. `nan`, `any_null` and
+        // `status` outlive the call. (CFITSIO writes to `any_null` whenever it finds an undefined
+        // value.)
         unsafe { sys::ffgpv(fits, datatype::<T>(), first, count, null, data, any, told) };
         if status == NUM_OVERFLOW && size_of::<T>() == size_of::<f32>() {
-            // SAFETY: clears the message stack. CFITSIO protects it by a lock.
+            // SAFETY: `ffcmsg` only clears CFITSIO's message stack, which a lock protects.
             unsafe { sys::ffcmsg() };
             return Err(beyond_single(&self.path));
         }
@@ -310,7 +311,7 @@ impl Drop for Fits {
         // SAFETY: the handle is open and not used again.
         unsafe { sys::ffclos(self.handle.as_ptr(), &raw mut status) };
         if emptied != 0 || status != 0 {
-            // SAFETY: clears the message stack. CFITSIO protects it by a lock.
+            // SAFETY: `ffcmsg` only clears CFITSIO's message stack, which a lock protects.
             unsafe { sys::ffcmsg() };
         }
     }
@@ -347,7 +348,7 @@ fn failure(path: &Path, doing: &'static str, status: c_int, writes: bool) -> IoE
     } else {
         IoErrorKind::Read
     };
-    IoError::new(path, kind, format!("{doing}: CFITSIO status {status}: {text}"))
+    IoError::new(path, kind, format!("{doing}: CFITSIO error {status}: {text}"))
 }
 
 /// The text before the first NUL.

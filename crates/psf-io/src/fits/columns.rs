@@ -45,7 +45,6 @@ impl<'a> Table<'a> {
         Ok(Self { hdu, columns, rows })
     }
 
-    /// The names of the columns.
     pub(crate) fn names(&self) -> Vec<String> {
         self.columns.iter().map(|column| column.name.clone()).collect()
     }
@@ -66,7 +65,7 @@ impl<'a> Table<'a> {
         let column = self.column(name)?;
         if !b"BIJKED".contains(&column.code) || column.repeat != repeat {
             let problem = format!(
-                "the column {:?} has the format {}, but {repeat} number(s) per row are needed (such as {repeat}D)",
+                "the column {:?} has the format {}, but {repeat} number(s) per row are needed (format {repeat}D, for example)",
                 column.name, column.form
             );
             return Err(self.hdu.error(IoErrorKind::Table, problem));
@@ -99,13 +98,13 @@ pub(crate) fn columns(hdu: &Hdu, row_bytes: usize) -> Result<Vec<Column>, IoErro
         let keyword = format!("TFORM{number}");
         let form = hdu
             .text(&keyword)
-            .ok_or_else(|| hdu.header_error(&keyword, "must be a string"))?;
+            .ok_or_else(|| hdu.header_error(&keyword, "must exist and be a string"))?;
         let column = Column::new(
             number,
             hdu.text(&format!("TTYPE{number}")).unwrap_or_default(),
             form,
         );
-        let column = column.ok_or_else(|| hdu.header_error(&keyword, "must be a column format"))?;
+        let column = column.ok_or_else(|| hdu.header_error(&keyword, "must be a format such as 1D"))?;
         let bytes = column.bytes().and_then(|bytes| width.checked_add(bytes));
         width = bytes.ok_or_else(|| hdu.header_error(&keyword, "the column is wider than any table"))?;
         columns.push(column);
@@ -146,7 +145,7 @@ impl Column {
         element.bytes().next().map(|letter| letter.to_ascii_uppercase())
     }
 
-    /// Length in bytes per row.
+    /// Length in bytes per row, or `None` if it overflows.
     pub(crate) fn bytes(&self) -> Option<usize> {
         let size = match self.code {
             b'X' => return Some(self.repeat.div_ceil(8)),
@@ -210,8 +209,8 @@ pub(crate) fn bad_value(path: &Path, row: Row, column: &str, got: &str) -> IoErr
     .at(Place::Value { row, column })
 }
 
-/// The names for an error message, without empty ones. At most [`LISTED`] names are given, and the
-/// number of the others: "and 3 more".
+/// The names for an error message, without empty ones. If there are more than [`LISTED`] names, the
+/// last entry is the number of the names left out: "and 3 more".
 fn listed<'a>(names: impl IntoIterator<Item = &'a String>) -> Vec<String> {
     let mut named = names.into_iter().filter(|name| !name.is_empty());
     let quoted = |name: &String| format!("{:?}", shown(name.as_bytes()));
@@ -243,7 +242,7 @@ pub(crate) enum Nans {
 pub(crate) struct NumberColumns {
     pub(crate) values: Vec<Vec<f64>>,
     pub(crate) rows: usize,
-    /// The line of each row of a text table. `None` for a FITS table, whose rows are numbered.
+    /// The line number of each row of a text table. `None` for a FITS table, which has no lines.
     pub(crate) lines: Option<Vec<u64>>,
 }
 

@@ -1,4 +1,4 @@
-//! One HDU and its mandatory keywords.
+//! One HDU with its mandatory keywords, the choice of an HDU, and the file that holds it.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -39,7 +39,7 @@ pub(crate) struct Hdu {
     pub(crate) axes: Vec<usize>,
     /// The position of the first byte of the data in the file.
     pub(crate) data_start: u64,
-    /// Length in bytes, without the padding to whole blocks.
+    /// Length of the data in bytes, without the padding to whole blocks.
     pub(crate) data_length: u64,
 }
 
@@ -134,12 +134,12 @@ impl Hdu {
         self.kind == HduKind::Image && !self.axes.is_empty() && self.axes.iter().all(|&n| n > 0)
     }
 
-    /// Returns whether this is an ASCII table.
     pub(crate) fn is_ascii_table(&self) -> bool {
         self.text("XTENSION").as_deref() == Some("TABLE")
     }
 
-    /// The EXTNAME, unless it is the default name for the table of a compressed image.
+    /// The EXTNAME. `None` if there is none, or if it is the default name for the table of a
+    /// compressed image.
     pub(crate) fn name(&self) -> Option<String> {
         self.text("EXTNAME")
             .map(|name| name.trim().to_owned())
@@ -252,7 +252,7 @@ impl Hdu {
     }
 
     /// The value of a keyword. A missing keyword is an error, and so is a value of another type.
-    /// The error states what was `expected`.
+    /// The error describes an allowed value by `expected`.
     pub(crate) fn required<T: FromValue>(
         &self,
         keyword: &'static str,
@@ -304,7 +304,7 @@ impl Hdu {
     }
 
     pub(crate) fn missing_keyword(&self, keyword: &str, expected: &str) -> IoError {
-        self.header_error(keyword, format!("the keyword is missing ({expected})"))
+        self.header_error(keyword, format!("the keyword is missing: it must be {expected}"))
     }
 }
 
@@ -325,7 +325,7 @@ impl Hdu {
 pub enum HduChoice {
     /// An HDU number, counted from 0 (the primary HDU).
     Number(usize),
-    /// The first HDU with this `EXTNAME`.
+    /// The first HDU with this `EXTNAME`, and with this `EXTVER` if a version is given.
     Name {
         /// The `EXTNAME`, upper or lower case.
         name: String,
@@ -351,7 +351,7 @@ impl std::str::FromStr for HduChoice {
     type Err = DataError;
     fn from_str(text: &str) -> Result<Self, DataError> {
         const ALLOWED: &str = "a number counted from 0 (the primary HDU), or NAME or NAME,VERSION";
-        let refused = || DataError::setting("an extension", ALLOWED, text);
+        let refused = || DataError::setting("the choice of an HDU", ALLOWED, text);
         let trimmed = text.trim();
         if let Ok(number) = trimmed.parse() {
             return Ok(Self::Number(number));

@@ -23,9 +23,9 @@ const SECTIONS: &[&str] = &["DATASEC", "TRIMSEC", "BIASSEC", "CCDSEC", "DETSEC",
 const NUMBERED_TABLE: &[&str] = &[
     "TTYPE", "TFORM", "TUNIT", "TNULL", "TSCAL", "TZERO", "TDISP", "TDIM",
 ];
-/// The name given to the table of a compressed image if the image has none.
+/// The EXTNAME that CFITSIO gives to the table of a compressed image without a name.
 pub(crate) const TILED_NAME: &str = "COMPRESSED_IMAGE";
-/// Keywords that name or number one HDU and have no meaning for another.
+/// Keywords that concern only the HDU in whose header they are. No other HDU inherits them.
 const OWN: &[&str] = &["EXTNAME", "EXTVER", "EXTLEVEL", "HDUNAME", "HDUVER", "INHERIT"];
 /// Keywords of world coordinates, without the letter of an alternate system.
 const WORLD: &[&str] = &["WCSAXES", "WCSNAME", "LONPOLE", "LATPOLE"];
@@ -34,13 +34,13 @@ const NUMBERED_WORLD: &[&str] = &[
     "CTYPE", "CRVAL", "CRPIX", "CDELT", "CUNIT", "CROTA", "CD", "PC", "PV", "PS", "LTV", "LTM", "A_", "B_",
     "AP_", "BP_",
 ];
-/// Comments that CFITSIO writes at the top of every primary header.
+/// Comments that CFITSIO writes at the top of every primary header. They are not copied.
 const STANDARD_COMMENTS: [&str; 2] = [
     "  FITS (Flexible Image Transport System) format is defined in 'Astronomy",
     "  and Astrophysics', volume 376, page 359; bibcode: 2001A&A...376..359H",
 ];
 
-/// The cards of a FITS header, in order, which may be copied from an input to an output.
+/// The cards of a FITS header, in order. They may be copied from an input to an output.
 ///
 /// Headers returned by [`read_image`](crate::read_image) lack the cards about the structure of the
 /// input file (SIMPLE, BITPIX, NAXISn, BSCALE, CHECKSUM ...). The output has its own. They also
@@ -216,8 +216,9 @@ impl HeaderCards {
 
     /// The cards of an extension together with those that it inherits from its primary header (the
     /// convention of `INHERIT = T`). The inherited cards are listed first. A card of the primary
-    /// header is not inherited if the extension has a card with its keyword, or if it is a text
-    /// card or names an HDU. World coordinates are not inherited if the extension has its own.
+    /// header is not inherited if the extension has a card with this keyword. Text cards and cards
+    /// that concern only one HDU, such as EXTNAME, are not inherited. World coordinates are not
+    /// inherited if the extension has its own.
     pub(crate) fn inheriting(&self, primary: &Self) -> Self {
         let own: HashSet<String> = self.cards.iter().map(Card::keyword).collect();
         let has_world = own.iter().any(|keyword| keyword.starts_with("CTYPE"));
@@ -235,8 +236,8 @@ impl HeaderCards {
         }
     }
 
-    /// Adds cards to a copy of this list. Each added card replaces the cards with its keyword.
-    /// Cards about the structure of a file are removed.
+    /// Adds cards to a copy of this list, each in the way of [`set`](Self::set). Then removes the
+    /// cards about the structure of a file from the copy.
     pub(crate) fn with(&self, added: &[Card]) -> Self {
         let mut all = self.clone();
         added.iter().cloned().for_each(|card| all.set(card));
@@ -280,8 +281,8 @@ impl FromIterator<Card> for HeaderCards {
 }
 
 impl HeaderCards {
-    /// The cards for a binned image. Each of its pixels covers `factor` by `factor` pixels of this
-    /// image, starting with the first.
+    /// The cards for a binned image. Each of its pixels covers `factor` by `factor` pixels of the
+    /// image that these cards describe, from the first pixel on. `factor` must be above 0.
     ///
     /// A pixel coordinate `p` (1-based) becomes `(p - 1/2) / factor + 1/2`, which changes the
     /// reference pixels. Steps in the world (`CDELTi`, `CDi_j`) are multiplied by `factor`. SIP

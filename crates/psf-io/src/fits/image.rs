@@ -6,7 +6,7 @@
 //! |---|---|---|
 //! | HDU | the primary if it has pixels, else the only image extension, or the one chosen ([`HduChoice`]) | the primary |
 //! | axes | `NAXIS = 2`, or more if the further axes have length 1 | `NAXIS = 2` |
-//! | pixels | any `BITPIX`; `BSCALE` and `BZERO` are applied; NaN, infinities and `BLANK` pixels are refused | `BITPIX` -32 (f32) or -64 (f64) |
+//! | pixels | any `BITPIX`; `BSCALE` and `BZERO` are applied; NaN, infinities and `BLANK` pixels are refused | `BITPIX` -32 (f32) or -64 (f64), or whole numbers ([`IntegerKind`](crate::IntegerKind)) |
 //! | header | all cards except those about the structure of the file; an extension inherits the cards of an empty primary HDU, unless `INHERIT = F` | the cards of the input, then the cards that the caller adds |
 //!
 //! `NAXIS1` is x. The pixel at array index `[y, x]`, 0-based, is FITS pixel `(x + 1, y + 1)`. World
@@ -39,7 +39,7 @@ use crate::fits::header_cards::HeaderCards;
 use crate::fits::structure::FitsStructure;
 use crate::fits::tiles;
 
-/// The expected axes, for errors about an image that may be a stack.
+/// The expected axes of an image that may be a cube, for errors.
 const STACK: &str = "an image [y, x] or a cube [plane, y, x]";
 
 /// An image with its header cards.
@@ -81,7 +81,7 @@ pub fn read_image<T: Real>(path: impl AsRef<Path>) -> Result<FitsImage<T>, IoErr
 /// # Errors
 /// [`IoErrorKind::Setting`] if a choice is needed or wrong (the message lists the HDUs),
 /// [`IoErrorKind::Axes`] for a cube, [`IoErrorKind::Data`] for a pixel that is not finite,
-/// [`IoErrorKind::Limit`] if a value of a double-precision file is too large for f32, and the
+/// [`IoErrorKind::Limit`] if `T` is f32 and a value is too large for it, and the
 /// [errors of any FITS file](crate#bad-files).
 pub fn read_image_hdu<T: Real>(
     path: impl AsRef<Path>,
@@ -160,7 +160,7 @@ pub fn read_header_hdu(path: impl AsRef<Path>, choice: Option<&HduChoice>) -> Re
 /// ```
 ///
 /// # Errors
-/// [`IoErrorKind::Setting`] if a choice is needed, or if the chosen HDU is not an image, and the
+/// [`IoErrorKind::Setting`] if a choice is needed, or if no image HDU matches the choice, and the
 /// [errors of any FITS file](crate#bad-files).
 pub fn read_cards(path: impl AsRef<Path>, choice: Option<&HduChoice>) -> Result<HeaderCards, IoError> {
     let structure = FitsStructure::scan(path.as_ref())?;
@@ -195,14 +195,14 @@ pub(crate) fn band_width(path: &Path, expected: usize, got: usize) -> IoError {
 pub(crate) fn bad_rows(path: &Path, rows: &Range<usize>, ny: usize) -> IoError {
     let (first, end) = (rows.start, rows.end);
     let problem =
-        format!("the image has only {ny} rows, got rows {first} to {end} (0-based, the end not included)");
+        format!("the image has {ny} row(s), got the range {first} to {end} (0-based, the end not included)");
     IoError::new(path, IoErrorKind::Request, problem)
 }
 
-/// The error for a value that single precision cannot hold.
+/// The error for a value that is too large for single precision, or NaN.
 pub(crate) fn beyond_single(path: &Path) -> IoError {
     const BEYOND: &str =
-        "a value is beyond single precision (3.4e38): use double precision, or smaller values";
+        "a value is NaN or too large for single precision (3.4e38): use smaller values or double precision";
     IoError::new(path, IoErrorKind::Limit, BEYOND)
 }
 
@@ -232,7 +232,8 @@ pub(crate) fn beyond_single(path: &Path) -> IoError {
 #[derive(Debug)]
 pub struct ImageReader {
     pixels: Pixels,
-    /// The index of the first pixel of the image in its HDU, which may hold several images.
+    /// The index of the first pixel of the image in its HDU. This is not 0 if the image is a later
+    /// plane of a cube.
     origin: usize,
     shape: FrameShape,
     header: HeaderCards,
@@ -307,8 +308,8 @@ impl ImageReader {
         })
     }
 
-    /// Sets a value that replaces each NaN and `BLANK` pixel read. Without it, such pixels are
-    /// errors. Infinite pixels stay errors.
+    /// Sets a value that replaces each NaN and `BLANK` pixel that is read. With `None`, the
+    /// default, such pixels are errors. Infinite pixels are always errors.
     #[must_use]
     pub fn with_nan_as(self, nan_as: Option<f64>) -> Self {
         Self { nan_as, ..self }
@@ -336,7 +337,7 @@ impl ImageReader {
     /// # Errors
     /// The errors of [`read_rows_into`](Self::read_rows_into).
     pub fn read_rows<T: Real>(&mut self, rows: Range<usize>) -> Result<Array2<T>, IoError> {
-        // Checked before memory is allocated.
+        // This check comes before memory is allocated for the rows.
         self.check_rows(&rows)?;
         let mut band = Array2::zeros((rows.len(), self.shape.nx()));
         self.read_rows_into(rows.start, band.view_mut())?;
@@ -348,8 +349,8 @@ impl ImageReader {
     ///
     /// # Errors
     /// [`IoErrorKind::Request`] for rows that the image does not have or a band of another width,
-    /// [`IoErrorKind::Data`] if pixels are not finite, [`IoErrorKind::Limit`] if a value of a
-    /// double-precision file is too large for f32, and the errors of CFITSIO. The
+    /// [`IoErrorKind::Data`] if pixels are not finite, [`IoErrorKind::Limit`] if `T` is f32 and a
+    /// value is too large for it, and [`IoErrorKind::Read`] for an error of CFITSIO. The
     /// [`IoErrorKind::Data`] error has the place of the first pixel that is not finite, and states
     /// how many such pixels these rows have.
     pub fn read_rows_into<T: Real>(
@@ -388,7 +389,8 @@ impl ImageReader {
     /// pixels without testing each of them.
     ///
     /// # Errors
-    /// [`IoErrorKind::Request`] for rows that the image does not have, and the errors of CFITSIO.
+    /// [`IoErrorKind::Request`] for rows that the image does not have, and [`IoErrorKind::Read`]
+    /// for an error of CFITSIO.
     pub fn read_rows_with_undefined(&mut self, rows: Range<usize>) -> Result<Array2<f64>, IoError> {
         self.check_rows(&rows)?;
         let mut band = Array2::zeros((rows.len(), self.shape.nx()));
@@ -399,7 +401,7 @@ impl ImageReader {
         Ok(band)
     }
 
-    /// Reads into rows that are not contiguous in memory.
+    /// Reads into rows that are not contiguous in memory. Returns whether all pixels are finite.
     fn load_scattered<T: Real>(
         &mut self,
         first: usize,
@@ -446,7 +448,7 @@ impl Pixels {
     /// holds the data of the HDU.
     fn open(hdu: &Hdu) -> Result<Self, IoError> {
         tiles::check(hdu)?;
-        // CFITSIO replaces other values by 1 and 0, without an error.
+        // If BSCALE or BZERO is not a number, CFITSIO uses 1 or 0 without an error.
         for keyword in ["BSCALE", "BZERO"] {
             let value = hdu.optional::<f64>(keyword, FINITE)?;
             if !value.is_none_or(f64::is_finite) || (keyword == "BSCALE" && value == Some(0.0)) {
@@ -494,7 +496,7 @@ impl Pixels {
     /// pixels.
     fn non_finite(&mut self, first: usize, count: usize) -> Result<Option<(usize, f64, usize)>, IoError> {
         let mut found = None;
-        // In chunks, because a second copy of the pixels might not fit into memory.
+        // This reads in chunks, because a second copy of the pixels might not fit into memory.
         let mut values = vec![0.0_f64; CHUNK];
         for start in (first..first + count).step_by(CHUNK) {
             let chunk = &mut values[..CHUNK.min(first + count - start)];
@@ -508,7 +510,7 @@ impl Pixels {
         Ok(found)
     }
 
-    /// Index of a pixel along each axis.
+    /// The index along each axis of the pixel with the index `flat` in the HDU.
     fn index(&self, mut flat: usize) -> Vec<usize> {
         let mut index = vec![0; self.shape.len()];
         for (place, &n) in index.iter_mut().zip(&self.shape).rev() {
@@ -525,7 +527,7 @@ impl Pixels {
 /// The HDU is part of a [`FitsStructure`](FitsStructure), which has checked that the file holds the
 /// data of the HDU. So memory is bounded by the length of the file.
 fn read_pixels<T: Real>(hdu: &Hdu) -> Result<Vec<T>, IoError> {
-    // The tiles are checked on opening, before memory is allocated for the size that they claim.
+    // `open` checks the tiles before memory is allocated for the size that the header claims.
     let mut pixels = Pixels::open(hdu)?;
     let mut values = vec![T::zero(); hdu.axes.iter().product()];
     if pixels.load(0, &mut values)? {

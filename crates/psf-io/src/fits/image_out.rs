@@ -15,10 +15,11 @@ use crate::output::PendingFile;
 
 /// Writes an image: `BITPIX` -32 for f32, -64 for f64.
 ///
-/// `header` holds cards copied from an input. If the image is cut out of this input, call
-/// [`HeaderCards::shifted_origin`] first. Each card of `added` replaces the cards with its keyword,
-/// or is appended if there are none. Text cards (HISTORY, COMMENT) are always appended. The file
-/// appears complete or not at all ([`write_atomically`](crate::write_atomically)).
+/// `header` holds cards copied from an input. If the image is cut out of this input, change these
+/// cards first by [`HeaderCards::shifted_origin`]. Each card of `added` replaces the cards with its
+/// keyword, or is appended if there are none. Text cards (HISTORY, COMMENT) are always appended.
+/// The file appears complete or not at all ([`write_atomically`](crate::write_atomically)). An
+/// existing file is replaced only if `overwrite` is true.
 ///
 /// ```
 /// # let directory = tempfile::tempdir()?;
@@ -35,8 +36,8 @@ use crate::output::PendingFile;
 /// ```
 ///
 /// # Errors
-/// The errors of [`check_output`](crate::check_output), or an error of the file system or of
-/// CFITSIO.
+/// The errors of [`check_output`](crate::check_output), [`IoErrorKind::Limit`] for a path that is
+/// too long for CFITSIO, and [`IoErrorKind::Write`] for an error of the file system or of CFITSIO.
 pub fn write_image<T: Real>(
     path: impl AsRef<Path>,
     image: &Image<T>,
@@ -52,8 +53,9 @@ pub fn write_image<T: Real>(
 /// Writes an image one band of rows at a time, from row 0 on. The whole image need never be in
 /// memory.
 ///
-/// The file is equal byte by byte to the file that [`write_image`](crate::write_image) would write.
-/// It gets its final name when [`finish`](Self::finish) succeeds. A writer that is dropped before
+/// The file is equal byte by byte to the file that [`write_image`](crate::write_image) would write,
+/// unless [`create_reserving`](Self::create_reserving) reserved room that stays unused. The file
+/// gets its final name when [`finish`](Self::finish) succeeds. A writer that is dropped before
 /// that leaves nothing behind, and an old file at the path stays untouched. Besides the caller's
 /// band, the writer needs buffers of some 100 kB. A writer cannot be sent to another thread.
 ///
@@ -89,8 +91,7 @@ impl<T: Real> ImageWriter<T> {
     /// same meaning as in [`write_image`](crate::write_image).
     ///
     /// # Errors
-    /// The errors of [`check_output`](crate::check_output), or an error of the file system or of
-    /// CFITSIO.
+    /// The errors of [`write_image`](crate::write_image).
     pub fn create(
         path: impl AsRef<Path>,
         shape: FrameShape,
@@ -105,8 +106,9 @@ impl<T: Real> ImageWriter<T> {
     /// that [`finish_with`](Self::finish_with) will add.
     ///
     /// A card is one record of 80 characters. A string of more than 68 characters, or a text of
-    /// HISTORY of more than 72, needs more records. Unused room is filled with blank records, which
-    /// FITS allows at the end of a header. At most 100 000 records (8 MB) are reserved.
+    /// HISTORY or COMMENT of more than 72, needs more records. Unused room is filled with blank
+    /// records, which FITS allows at the end of a header. At most 100 000 records (8 MB) are
+    /// reserved.
     ///
     /// # Errors
     /// The errors of [`create`](Self::create).
@@ -149,9 +151,10 @@ impl<T: Real> ImageWriter<T> {
     ///
     /// # Errors
     /// [`IoErrorKind::Request`] for more rows than the image has or a band of another width,
-    /// [`IoErrorKind::Data`] for a pixel that is NaN or infinite, or an error of the file system or
-    /// of CFITSIO. The source of the [`IoErrorKind::Data`] error is [`DataError::NonFinite`] with
-    /// the index `[y, x]` of the first such pixel, counted from row 0 of the whole image.
+    /// [`IoErrorKind::Data`] for a pixel that is NaN or infinite, and [`IoErrorKind::Write`] for an
+    /// error of the file system or of CFITSIO. The source of the [`IoErrorKind::Data`] error is
+    /// [`DataError::NonFinite`] with the index `[y, x]` of the first such pixel, counted from row 0
+    /// of the whole image.
     pub fn write_rows(&mut self, rows: ArrayView2<'_, T>) -> Result<(), IoError> {
         let clean = |row: ArrayView1<'_, T>| row.fold(true, |clean, value| clean & value.is_finite());
         self.check_shape(rows)?;
@@ -177,7 +180,7 @@ impl<T: Real> ImageWriter<T> {
             fits.write_pixels(first, values)?;
         } else {
             for (y, row) in rows.rows().into_iter().enumerate() {
-                // Copies one row at a time, and only if its pixels are not contiguous.
+                // `as_standard_layout` copies the row only if its pixels are not contiguous.
                 let row = row.as_standard_layout();
                 fits.write_pixels(first + y * nx, row.as_slice().expect("the layout is standard"))?;
             }
@@ -203,8 +206,8 @@ impl<T: Real> ImageWriter<T> {
     ///
     /// # Errors
     /// [`IoErrorKind::Request`] unless all rows were written, [`IoErrorKind::Exists`] if a file
-    /// that may not be replaced has appeared at the path, or an error of the file system or of
-    /// CFITSIO. After an error the unfinished file is removed.
+    /// that may not be replaced has appeared at the path, and [`IoErrorKind::Write`] for an error
+    /// of the file system or of CFITSIO. After an error the unfinished file is removed.
     pub fn finish(self) -> Result<(), IoError> {
         self.finish_with(&[])
     }
@@ -254,7 +257,7 @@ pub(crate) struct NewFits {
 impl NewFits {
     pub(crate) fn create(path: &Path, overwrite: bool) -> Result<Self, IoError> {
         let (file, fits) = PendingFile::create(path, overwrite, |temporary| {
-            // CFITSIO creates the file itself.
+            // CFITSIO creates the file itself, and refuses to if the file exists.
             std::fs::remove_file(temporary).map_err(unwritable(path))?;
             Fits::create(temporary, path)
         })?;
@@ -283,7 +286,8 @@ fn bitpix<T: Real>() -> i32 {
     -8 * size_of::<T>() as i32
 }
 
-/// Writes the header of a new image HDU before the pixels, so that CFITSIO need not move them.
+/// Adds an image HDU and writes its whole header, but no pixels yet. If cards were added after the
+/// pixels, CFITSIO might have to move the pixels.
 pub(crate) fn write_image_header(
     fits: &mut Fits,
     shape: &[usize],
@@ -312,7 +316,7 @@ pub(crate) fn write_image_hdu<T: Real>(
     fits.write_pixels(0, pixels)
 }
 
-/// Converts values to single precision. Returns an error if one of them is too large or NaN.
+/// Converts values to single precision. Returns an error if a value is too large or NaN.
 pub(crate) fn in_single_precision<'a>(
     path: &Path,
     values: impl IntoIterator<Item = &'a f64>,
@@ -420,7 +424,7 @@ pub fn write_integers<V: Copy + Into<f64>>(
             let value: f64 = value.into();
             if !(f64::from(lowest)..=f64::from(highest)).contains(&value) || value.fract() != 0.0 {
                 let problem = format!(
-                    "the pixel {:?} ([y, x]) is {value}, but it must be a whole number from {lowest} to {highest}",
+                    "the pixel {:?} ([y, x], 0-based) is {value}, but it must be a whole number from {lowest} to {highest}",
                     [y, x]
                 );
                 return Err(IoError::new(path, IoErrorKind::Request, problem));
@@ -446,8 +450,8 @@ pub fn write_integers<V: Copy + Into<f64>>(
 /// ```
 ///
 /// # Errors
-/// [`IoErrorKind::Limit`] for a value that is not finite in single precision, the errors of
-/// [`check_output`](crate::check_output), or an error of the file system or of CFITSIO.
+/// [`IoErrorKind::Limit`] for a value that is not finite in single precision, and the errors of
+/// [`write_image`](crate::write_image).
 pub fn write_cube(
     path: impl AsRef<Path>,
     cube: ArrayView3<'_, f64>,

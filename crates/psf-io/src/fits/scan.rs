@@ -146,8 +146,8 @@ fn truncated(path: &Path, hdu: usize, needed: u64, length: u64) -> IoError {
 
 /// The first bytes of every gzip file.
 pub(crate) const GZIP: &[u8] = b"\x1f\x8b";
-/// A gzip file of any size may unpack to this many bytes (1 GiB), because an image of a single
-/// value shrinks to almost nothing.
+/// A gzip file of any size may unpack to this many bytes (1 GiB), because an image whose pixels are
+/// all equal shrinks to almost nothing.
 const ALWAYS_ALLOWED: u64 = 1 << 30;
 /// In addition, a gzip file may unpack to this many bytes for each of its own bytes. Images shrink
 /// to a half or a tenth, and images with few different values to a hundredth.
@@ -228,6 +228,7 @@ pub(crate) fn unpack(path: &Path) -> Result<Temporary, IoError> {
 struct Unpacker<'a> {
     path: &'a Path,
     stream: MultiGzDecoder<BufReader<File>>,
+    /// Number of unpacked bytes so far.
     done: u64,
     /// Length of the compressed file in bytes.
     length: u64,

@@ -94,8 +94,8 @@ impl FitsStructure {
         }
     }
 
-    /// The only HDU for which `accepts` is true. If there are several, the error says that
-    /// `setting` chooses one.
+    /// The only HDU for which `accepts` is true. If there are several, the error describes them by
+    /// `what` and says that `setting` chooses one.
     pub(crate) fn only(
         &self,
         what: &str,
@@ -137,8 +137,8 @@ impl FitsStructure {
         Ok(self.hdus.iter().find(describes).unwrap_or(&self.hdus[0]))
     }
 
-    /// The cards of an image that may be copied to another file. An image in an extension inherits
-    /// the cards of an empty primary HDU, unless `INHERIT = F`.
+    /// The cards of an image, without the cards that must not be copied to another file. An image
+    /// in an extension inherits the cards of a primary HDU without pixels, unless `INHERIT = F`.
     pub(crate) fn cards(&self, hdu: &Hdu) -> HeaderCards {
         let primary = &self.hdus[0];
         if hdu.index == 0 || primary.has_pixels() || hdu.value("INHERIT") == Some(false) {
@@ -172,7 +172,7 @@ impl FitsStructure {
         IoError::new(&self.path, IoErrorKind::Format, ASCII).at(Place::Hdu(hdu.index))
     }
 
-    /// The error for a choice that names no HDU, or one for which `accepts` is false.
+    /// The error for a choice that matches no HDU, or whose HDU `accepts` refuses.
     pub(crate) fn no_such(
         &self,
         choice: &HduChoice,

@@ -1,13 +1,13 @@
 //! Checks of the codes in compressed tiles, before CFITSIO decodes them.
 //!
 //! # RICE_1
-//! CFITSIO checks only once per block of pixels whether the bytes of a tile have ended, and may
-//! read beyond the end within a block. A tile (Pence et al., FITS standard 4.0, section 10.4.1) is
-//! its first pixel, uncoded, and then blocks of differences between pixels. A block begins with a
-//! code. Code 0 stands for a block of equal pixels. Code FS + 1 stands for differences that are
-//! split into high bits and FS low bits. Such a difference is stored as a run of zeros, whose
-//! length is the number in the high bits, then a one, then the FS low bits. The largest code stands
-//! for differences that are stored uncoded.
+//! A tile (Pence et al., FITS standard 4.0, section 10.4.1) consists of its first pixel, uncoded,
+//! and then blocks of differences between successive pixels. CFITSIO checks only once per block
+//! whether the bytes of the tile have ended, and may read beyond their end within a block. A block
+//! begins with a code. Code 0 stands for a block of equal pixels. Code FS + 1 stands for
+//! differences that are split into high bits and FS low bits. Such a difference is stored as a run
+//! of zeros, whose length is the number in the high bits, then a one, then the FS low bits. The
+//! largest code stands for differences that are stored uncoded.
 //!
 //! # PLIO_1
 //! This algorithm stores a tile as a list of runs of equal pixels. CFITSIO does not check the
@@ -26,7 +26,7 @@ const MOST_PARAMETERS: usize = 9;
 pub(crate) struct Rice {
     /// Pixels per block.
     block: u64,
-    /// Bits of an uncoded pixel.
+    /// Bits of an uncoded pixel or difference.
     pixel_bits: u64,
     /// Bits of the code at the start of a block.
     head_bits: u32,
@@ -40,7 +40,7 @@ impl Rice {
     /// `ZVALi`, and almost never by the name in `ZNAMEi`.
     pub(crate) fn of(table: &Hdu) -> Result<Self, IoError> {
         let name = |number: usize| table.text(&format!("ZNAME{number}"));
-        // An old convention, in which pixels have 4 bytes.
+        // A second parameter NOISEBIT marks an old convention, in which pixels have 4 bytes.
         let old = name(2).is_some_and(|name| name.trim() == "NOISEBIT");
         let first = table.structural("ZVAL1", Some(32))?;
         let second = if old {
@@ -48,6 +48,7 @@ impl Rice {
         } else {
             table.structural("ZVAL2", Some(4))?
         };
+        // CFITSIO takes two such values as exchanged.
         let ((block_key, block), (width_key, width)) = if first < 16 && second > 8 {
             (("ZVAL2", second), ("ZVAL1", first))
         } else {
@@ -79,8 +80,8 @@ impl Rice {
         Ok(Self::new(block as u64, width))
     }
 
-    /// The parameters for blocks of `block` pixels. The sizes of the codes are taken from
-    /// `ricecomp.c` in CFITSIO, which treats pixels of 8 bytes like pixels of 4 bytes.
+    /// The parameters for blocks of `block` pixels. The numbers are taken from `ricecomp.c` in
+    /// CFITSIO, which treats pixels of 8 bytes like pixels of 4 bytes.
     fn new(block: u64, pixel_bytes: i64) -> Self {
         let (pixel_bits, head_bits, plain) = match pixel_bytes {
             1 => (8, 3, 7),
@@ -95,8 +96,8 @@ impl Rice {
         }
     }
 
-    /// Returns whether the bytes of a tile hold the codes of this many pixels. More bytes may
-    /// follow.
+    /// Returns whether the bytes of a tile suffice for this many pixels and all codes are known.
+    /// More bytes may follow.
     pub(crate) fn is_sound(&self, tile: &[u8], pixels: u64) -> bool {
         let mut bits = Bits {
             bytes: tile,
@@ -158,16 +159,18 @@ impl Bits<'_> {
         self.within().then_some((word >> (u64::BITS - count)) as u32)
     }
 
-    /// Skips `count` codes. Each is a run of bits 0, a bit 1, and `low` further bits. Returns false
-    /// if the tile ends before the bit 1 of the last code. The further bits of the last code may
-    /// lie beyond the end, so the caller must check this.
+    /// Skips `count` coded differences. Each is a run of bits 0, a bit 1, and `low` further bits.
+    /// Returns false if the tile ends before the bit 1 of the last difference. The further bits of
+    /// the last difference may lie beyond the end, so the caller must test this by
+    /// [`within`](Self::within).
     fn pass_codes(&mut self, count: u64, low: u32) -> bool {
         let (mut left, per_word) = (count, codes_per_word(low));
         while left > 0 {
             let (mut word, length) = self.ahead();
             let (mut passed, then) = (0, left.saturating_sub(per_word));
             loop {
-                // The lowest bit may be set, because it is not one of the `length` usable bits.
+                // Setting the lowest bit does no harm, because it is not one of the `length` usable
+                // bits.
                 let zeros = (word | 1).leading_zeros();
                 if passed + zeros >= length {
                     // The run of zeros may continue in the next word.
@@ -190,9 +193,9 @@ impl Bits<'_> {
     }
 }
 
-/// The number of codes that fit into almost every word of [`Bits::ahead`], if `low` bits follow the
-/// bit 1 of each code. Allows for two zeros per code on average. A loop of this fixed length is
-/// easy for the processor to predict.
+/// The number of coded differences that fit into almost every word of [`Bits::ahead`]. A difference
+/// is counted as two bits 0 (a typical run), a bit 1, and `low` further bits. A loop of this fixed
+/// length is easy for the processor to predict.
 fn codes_per_word(low: u32) -> u64 {
     u64::from((56 / (low + 3)).max(1))
 }

@@ -111,8 +111,8 @@ enum Algorithm {
     Plio,
 }
 
-/// A column of descriptors. Each holds the number of elements of a tile and their position in the
-/// heap.
+/// A column of descriptors, one per tile. A descriptor holds the number of elements of the tile and
+/// their position in the heap, the part of the data after the rows of the table.
 #[derive(Clone, Copy)]
 struct Descriptors {
     /// Offset in bytes from the start of a row.
@@ -135,7 +135,7 @@ struct Tiles<'a> {
     tile: Vec<usize>,
     row_bytes: usize,
     rows: usize,
-    /// Start of the heap, counted from the start of the data.
+    /// Position of the first byte of the heap, counted from the start of the data.
     heap: u64,
     compressed: Descriptors,
     uncompressed: Option<Descriptors>,
@@ -229,8 +229,8 @@ impl<'a> Tiles<'a> {
         lengths.product()
     }
 
-    /// Number of elements that the heap holds for a row, and the position of the first, counted
-    /// from the start of the data.
+    /// Number of elements that the heap holds for a row, and the position of their first byte,
+    /// counted from the start of the data.
     fn descriptor(&mut self, row: usize, column: Descriptors) -> Result<(u64, u64), IoError> {
         let mut bytes = [0; 16];
         let bytes = &mut bytes[..2 * column.width];

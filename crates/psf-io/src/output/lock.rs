@@ -45,11 +45,12 @@ impl OutputLock {
     /// file system without locks, every call succeeds.
     ///
     /// # Errors
-    /// The errors of [`check_output`](crate::check_output) for an output that may be replaced.
+    /// The errors of [`check_output`](crate::check_output) for an output that may be replaced, and
+    /// [`IoErrorKind::Write`](crate::IoErrorKind::Write) if the file of the lock cannot be created.
     pub fn acquire(output: impl AsRef<Path>) -> Result<Option<Self>, IoError> {
         let output = output.as_ref();
         let target = checked_target(output, true)?;
-        // FNV-1a, which is the same on all machines and in all releases.
+        // The hash FNV-1a is the same on all machines and in all releases.
         let name = target.file_name().unwrap_or_default().as_encoded_bytes().iter();
         let hash = name.fold(0xcbf2_9ce4_8422_2325, |hash: u64, &byte| {
             (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3)

@@ -82,8 +82,8 @@ thread_local! {
 /// `write` calls functions of this crate that write files. Until `write` returns, files that are
 /// complete keep their temporary names. Then all files get their final names, one after the other,
 /// in the order in which they were written. If `write` fails or the process ends before that, no
-/// file appears. `write` must not read these files, and must write them on the thread that calls
-/// it.
+/// file appears. `write` must not read these files, and must write them on the thread that called
+/// `write_together`.
 ///
 /// ```
 /// # let directory = tempfile::tempdir()?;

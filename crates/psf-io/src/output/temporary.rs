@@ -178,8 +178,8 @@ pub(crate) fn claim(temporary: &Path) -> Option<File> {
 /// Removes the temporary files and locks that killed processes have left in the folder of `target`.
 /// A file that cannot be removed does no harm.
 pub(crate) fn remove_left(target: &Path) {
-    /// The folders in which this process has written, which are listed only once: a folder may hold
-    /// tens of thousands of files.
+    /// The folders in which this process has already looked for such files. It looks only once in
+    /// each folder, because a folder may hold tens of thousands of files.
     static SEEN: Mutex<BTreeSet<PathBuf>> = Mutex::new(BTreeSet::new());
 
     let directory = directory_of(target);
@@ -231,7 +231,7 @@ fn remove_if_abandoned(temporary: &Path) {
     // On network file systems an exclusive lock needs a file that is open for writing, and a shared
     // lock needs a file that is open for reading.
     let opened = File::options().read(true).write(true).open(temporary);
-    // The file may have been replaced by another process's after it was opened.
+    // Another process may have replaced the file after it was opened here.
     if opened.is_ok_and(|file| file.try_lock().is_ok() && is_at(&file, temporary)) {
         let _ = fs::remove_file(temporary);
     }

@@ -199,7 +199,6 @@ impl<'a> LibraryCards<'a> {
         self.optional(keyword, expected, |text: String| Some(text.trim().to_owned()))
     }
 
-    /// Returns whether a card with this keyword exists.
     pub(crate) fn has(&self, keyword: &str) -> bool {
         self.cards.contains_key(keyword)
     }

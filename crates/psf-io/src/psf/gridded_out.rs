@@ -56,10 +56,8 @@ const MIN_SIZE: usize = 4;
 /// [`IoErrorKind::Request`] for samples that the layout or its readers cannot hold: they are not on
 /// a grid, their oversampling is not a whole number, or coordinates that differ in x and in y would
 /// need more than 10 000 planes. It is also returned for stamps that are not centred in their
-/// middle, lack the pixel response, are not interpolated by the cubic spline, or are smaller than
-/// 4 x 4. Other errors are [`IoErrorKind::Exists`] if the file exists and `overwrite` is false,
-/// [`IoErrorKind::NotFound`] if the directory does not exist, or an error of the file system or of
-/// CFITSIO.
+/// middle, lack the pixel response, are not interpolated by the cubic spline, or have fewer than
+/// 4 x 4 pixels. Other errors are the errors of [`write_image`](crate::write_image).
 pub fn write_gridded(
     path: impl AsRef<Path>,
     samples: &PsfSamples,
@@ -185,8 +183,8 @@ fn position_card(plane: usize, x: f64, y: f64) -> Card {
     Card::from_record(padded(format!("HIERARCH {keyword} = '{text}'").as_bytes()))
 }
 
-/// The largest number of planes if some of them must be interpolated. Readers process a card for
-/// each plane.
+/// The largest number of planes if some of them must be interpolated. More planes would be slow to
+/// read, because readers process a card for each plane.
 const MAX_PLANES: usize = 10_000;
 
 /// A grid whose lines have the same coordinates in x and in y, and the samples from which the stamp

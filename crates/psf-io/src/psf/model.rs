@@ -117,7 +117,7 @@ pub fn read_model_file(path: impl AsRef<Path>) -> Result<ModelFile, IoError> {
     )?;
     if !(1..=MODEL_VERSION).contains(&version) {
         let problem = format!(
-            "this is a psf-model file of version {version}, but the newest version that this psfield reads is {MODEL_VERSION}: update psfield"
+            "this is a psf-model file of version {version}, but the newest version that this psfield reads is {MODEL_VERSION}: update psfield if the file is newer"
         );
         return Err(IoError::new(path, IoErrorKind::Format, problem));
     }
@@ -169,9 +169,8 @@ pub fn read_model_file(path: impl AsRef<Path>) -> Result<ModelFile, IoError> {
 /// cards of the layout.
 ///
 /// # Errors
-/// [`IoErrorKind::Data`] for a singular value that is not finite, [`IoErrorKind::Exists`] if the
-/// file exists and `overwrite` is false, [`IoErrorKind::NotFound`] if the directory does not exist,
-/// or an error of the file system or of CFITSIO.
+/// [`IoErrorKind::Data`] for a singular value that is not finite, and the errors of
+/// [`write_image`](crate::write_image).
 pub fn write_model(
     path: impl AsRef<Path>,
     record: &PsfModelRecord,

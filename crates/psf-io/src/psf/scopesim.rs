@@ -13,9 +13,9 @@
 //!
 //! - **The field** is piecewise constant: at each position the layer of the nearest pixel (or row)
 //!   of the map applies. A pixel or row of the map is called a node. It is at
-//!   `field_centre + offset / pixel_scale` in pixels of the frame. x and y of the frame increase
-//!   with x and y of the map, which must not be rotated. Celestial projections are treated as
-//!   linear, as in ScopeSim.
+//!   `field_centre + offset / pixel_scale` in pixels of the frame, where `offset` is its coordinate
+//!   in the map. x and y of the frame increase with x and y of the map, which must not be rotated.
+//!   Celestial projections are treated as linear, as in ScopeSim.
 //! - **Stamps** have `s = pixel_scale / CDELT1` pixels per frame pixel. `s` is rounded to a whole
 //!   number if the difference is due only to the limited number of digits in headers. The values of
 //!   the stamps are the values in the file times `s^2`, so that a kernel of unit sum holds unit
@@ -344,7 +344,6 @@ const HALF_TURN_ARCSEC: f64 = 180.0 * 3600.0;
 struct LayerMap {
     /// Offsets of the nodes from the centre of the field.
     offsets_arcsec: Vec<(f64, f64)>,
-    /// The layer at each node.
     layers: Vec<usize>,
 }
 

@@ -13,10 +13,10 @@
 //! | `IPSFXA5`, `IPSFXB5` ... and `JPSFYA5` ... | the positions as strings of several numbers (in files of WFPC2, and of all short-wave detectors of NIRCam together) |
 //!
 //! Keywords may be in lower case, as some are in real files. Only the first `NXPSFS` and `NYPSFS`
-//! positions are read. Unused positions hold 9999. If one of the positions that are read holds
-//! 9999, it is an error. Stamps are centred at index `(n - 1) / 2` and include the response of a
-//! pixel. They are normalised to 1 within a radius that a comment states, so they do not sum to 16.
-//! The reader does not rescale them.
+//! positions are read. Unused positions hold 9999. A 9999 among the positions that are read is an
+//! error. Stamps are centred at index `(n - 1) / 2` and include the response of a pixel. They are
+//! normalised to 1 within a radius that a comment states, so they do not sum to 16. The reader does
+//! not rescale them.
 //!
 //! # Detectors
 //!
@@ -56,7 +56,8 @@ pub(crate) fn is_stdpsf(structure: &FitsStructure) -> bool {
     cards.is_ok_and(|cards| cards.has("NXPSFS") || cards.has("NYPSFS"))
 }
 
-/// Reads an STDPSF library. See the [layout](self). `detector` chooses one of several detectors.
+/// Reads an STDPSF library. See the [layout](self). If the file holds several detectors, `detector`
+/// chooses one by the number that the layout lists.
 ///
 /// [`GriddedPsf::notes`] names the chosen detector, and lists border rows of stamps whose values
 /// cannot belong to a PSF. These values are kept.
@@ -155,7 +156,6 @@ struct Layout {
     across: (usize, usize),
     /// Side of a detector in pixels.
     size: usize,
-    /// The names of the detectors.
     names: &'static [&'static str],
     /// The place of each detector in the arrangement, counted along x, then y.
     places: &'static [usize],
@@ -212,7 +212,6 @@ impl Layout {
             .map_or(SINGLE, |&(_, layout)| layout)
     }
 
-    /// Number of detectors.
     fn len(self) -> usize {
         self.across.0 * self.across.1
     }

@@ -22,9 +22,9 @@
 //! pixels, its centre is on the corner of a pixel, half a pixel from the centre of the pixel. STPSF
 //! has already added this half pixel to the position in the card.
 //!
-//! A writer may use one sampling for its transforms and another for the stamps, and writes both
-//! (`OVERSAMP`, `DET_SAMP`). The reader uses the sampling that gives the width of the stamps when
-//! multiplied by `FOVPIXEL`. If neither does, the file is refused.
+//! A writer may use one sampling for its Fourier transforms and another for the stamps, and writes
+//! both (`OVERSAMP`, `DET_SAMP`). The reader uses the sampling that gives the width of the stamps
+//! when multiplied by `FOVPIXEL`. If neither does, the file is refused.
 //!
 //! # The order of the planes
 //!

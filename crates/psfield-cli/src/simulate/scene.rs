@@ -43,11 +43,12 @@ pub(super) struct SceneArgs {
     /// them. The catalogue, --shape and --frame stay in pixels of the image.
     #[arg(
         long,
+        alias = "oversample",
         value_name = "S",
         value_parser = clap::value_parser!(u16).range(1..=SimulateOptions::MAX_OVERSAMPLE as i64),
         help_heading = SCENE
     )]
-    oversample: Option<u16>,
+    oversampling: Option<u16>,
     /// Part of the scene to write: first column, first row, columns, rows (pixels)
     ///
     /// X0, Y0 and the catalogue count from the first pixel of the scene. The positions of the PSF
@@ -139,7 +140,7 @@ impl SceneArgs {
     /// Scene pixels per image pixel along each axis.
     pub(super) fn finer(&self) -> usize {
         let default = SimulateOptions::default().oversample;
-        self.oversample.map_or(default, usize::from)
+        self.oversampling.map_or(default, usize::from)
     }
 
     /// Reads the scene. If `by_rows`, opens the scene's image, but does not read its pixels.
@@ -200,7 +201,7 @@ impl SceneArgs {
         let s = self.finer();
         let pixels = nx.checked_mul(ny).and_then(|n| n.checked_mul(s * s));
         if pixels.is_none_or(|pixels| pixels > Simulator::<T>::MAX_PIXELS) {
-            return Err(UsageError(format!("--shape: {nx} x {ny} pixels are too many: a scene without an image may have at most 2^30 = {} pixels (--oversample multiplies both sides)", Simulator::<T>::MAX_PIXELS)).into());
+            return Err(UsageError(format!("--shape: {nx} x {ny} pixels are too many: a scene without an image may have at most 2^30 = {} pixels (--oversampling multiplies both sides)", Simulator::<T>::MAX_PIXELS)).into());
         }
         Ok(FrameShape::new(nx * s, ny * s)?)
     }

@@ -79,7 +79,7 @@ fn catalogues_that_do_not_suit() {
     }
     for (options, needles) in [
         ("--catalog stars.csv --columns x=1", &["--columns"][..]),
-        ("--catalog stars.csv --oversample 0", &["--oversample"]),
+        ("--catalog stars.csv --oversampling 0", &["--oversampling"]),
         ("--catalog stars.csv --truth t.fits", &["--detector"]),
         ("--catalog stars.csv --extension 1", &["SCENE"]),
     ] {
@@ -137,7 +137,7 @@ fn galaxies_are_convolved() {
     }
     // Finer pixels blur less by their own size.
     desk.done(&format!(
-        "simulate --psf fine.fits {SHAPE} --catalog galaxies.csv --oversample 3 -o finer.fits --precision f64 -q"
+        "simulate --psf fine.fits {SHAPE} --catalog galaxies.csv --oversampling 3 -o finer.fits --precision f64 -q"
     ));
     let finer = desk.image("finer.fits");
     assert!(finer.dim() == alone.dim() && (finer.sum() - 150.0).abs() < 0.5);
@@ -193,7 +193,7 @@ fn sky_coordinates_and_headers() {
         &cards(61.5, 0.5e-4),
     );
     desk.done(
-        "simulate fine_wcs.fits --psf fine.fits --oversample 2 --precision f64 --tolerance 0 --catalog sky.csv -o binned.fits \
+        "simulate fine_wcs.fits --psf fine.fits --oversampling 2 --precision f64 --tolerance 0 --catalog sky.csv -o binned.fits \
          --frame 2,4,40,44",
     );
     let cut = expected.slice(s![4..48, 2..42]).to_owned();
@@ -235,7 +235,7 @@ fn finer_scenes() {
     let expected = stars(&desk, "--catalog centre.csv", "expected.fits");
     for options in ["", "--stream", "--method basis"] {
         let run = format!(
-            "simulate fine_scene.fits --oversample 2 --psf fine.fits --precision f64 --spot-check 200 {options} -o image.fits --overwrite --json"
+            "simulate fine_scene.fits --oversampling 2 --psf fine.fits --precision f64 --spot-check 200 {options} -o image.fits --overwrite --json"
         );
         let report = desk.done(&run).json();
         assert_eq!(report["shape"][0].as_u64(), Some(NX as u64));
@@ -244,14 +244,14 @@ fn finer_scenes() {
         assert!(largest < 1e-4, "{options}: {largest}");
     }
     desk.refused(
-        "simulate scene.fits --oversample 2 --psf fine.fits -o x.fits",
+        "simulate scene.fits --oversampling 2 --psf fine.fits -o x.fits",
         1,
         &["61 x 51", "must be multiples of 2", "--frame"],
     );
     desk.refused(
-        "simulate scene.fits --oversample 99 --psf fine.fits -o x.fits",
+        "simulate scene.fits --oversampling 99 --psf fine.fits -o x.fits",
         2,
-        &["--oversample"],
+        &["--oversampling"],
     );
 }
 
@@ -443,7 +443,10 @@ fn small_galaxies_need_finer_pixels() {
     desk.done(&run("--catalog star.csv", "star.fits"));
     let blurred = "1 galaxy is blurred twice";
     desk.warned(&run("--catalog small.csv", "coarse.fits"), blurred);
-    desk.warned(&run("--catalog small.csv --oversample 15", "finer.fits"), blurred);
+    desk.warned(
+        &run("--catalog small.csv --oversampling 15", "finer.fits"),
+        blurred,
+    );
     let star = desk.image("star.fits");
     let (coarse, finer) = (desk.image("coarse.fits"), desk.image("finer.fits"));
     assert!(difference(&coarse, &star) > 0.02);
@@ -451,10 +454,10 @@ fn small_galaxies_need_finer_pixels() {
     // A large galaxy is blurred too, unless the scene has four or more pixels per image pixel.
     desk.write("large.csv", "x,y,flux,re,n\n30.4,25,100,3,1\n");
     desk.warned(
-        &run("--catalog large.csv --oversample 3", "large.fits"),
-        "at least 4 along each side of a frame pixel, and 2 per half-light radius (option --oversample)",
+        &run("--catalog large.csv --oversampling 3", "large.fits"),
+        "at least 4 along each side of a frame pixel, and 2 per half-light radius (option --oversampling)",
     );
-    desk.done(&run("--catalog large.csv --oversample 4", "fine_enough.fits"));
+    desk.done(&run("--catalog large.csv --oversampling 4", "fine_enough.fits"));
 }
 
 #[test]
@@ -469,7 +472,7 @@ fn a_catalogue_that_lights_nothing_is_noticed() {
     desk.write("far.csv", "x,y,flux\n500,5,1\n-30,4,2\n");
     desk.warned(
         &format!("{simulate} --catalog far.csv -o far.fits"),
-        "none of the 2 stars and galaxies",
+        "no light of the stars and galaxies (2 in all)",
     );
     // One source in the frame is enough.
     desk.write("one.csv", "x,y,flux\n500,5,1\n30,14,2\n");

@@ -101,13 +101,13 @@ fn native_grid_sizes_and_phases() {
     let cut = stamp("--size 31", "cut.fits");
     assert_eq!((cut.grid().dim(), cut.grid().oversampling()), ((31, 31), 3.0));
     near(centroid(&cut), (15.0, 15.0), 9.0);
-    let native = stamp("--grid native", "native.fits");
+    let native = stamp("--pixels native", "native.fits");
     assert_eq!(
         (native.grid().dim(), native.grid().oversampling()),
         ((STAMP, STAMP), 1.0)
     );
     near(centroid(&native), (7.0, 7.0), 1.0);
-    let shifted = stamp("--grid native --sub-pixel --size 21", "shifted.fits");
+    let shifted = stamp("--pixels native --sub-pixel --size 21", "shifted.fits");
     assert_eq!(shifted.grid().dim(), (21, 21));
     near(centroid(&shifted), (10.3, 9.6), 1.0);
 }

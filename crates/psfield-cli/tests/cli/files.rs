@@ -63,9 +63,9 @@ fn an_output_is_never_an_input() {
         ("preview scene.fits -o scene.fits", "scene.fits"),
         ("bench --quick --psf model.fits --json model.fits", "model.fits"),
         ("bench --quick --scene scene.fits --json scene.fits", "scene.fits"),
-        ("roundtrip scene.fits --report .", "scene.fits"),
+        ("validate scene.fits --report .", "scene.fits"),
         (
-            "validate model.fits --truth samples.fits --report .",
+            "validate model.fits --reference samples.fits --report .",
             "model.fits",
         ),
         ("batch jobs.toml --log jobs.toml", "jobs.toml"),

@@ -56,7 +56,7 @@ impl Asked {
             add(format!("--frame {x0},{y0},{},{}", shape.nx(), shape.ny()));
         }
         if self.oversample > 1 {
-            add(format!("--oversample {}", self.oversample));
+            add(format!("--oversampling {}", self.oversample));
         }
         if let Some(size) = self.stamp_size {
             add(format!("--stamp-size {size}"));

@@ -191,7 +191,7 @@ fn a_model_is_validated_by_the_samples_that_it_came_from_and_by_others() {
     let desk = Desk::new();
     let fitted = desk.run("fit samples.fits -o model.fits --rank full");
     assert_eq!(fitted.code, Some(0), "{fitted:?}");
-    let run = desk.run("validate model.fits --truth samples.fits --report same --json");
+    let run = desk.run("validate model.fits --reference samples.fits --report same --json");
     assert_eq!(run.code, Some(0), "{run:?}");
     let same = run.json();
     assert_eq!(same["truth"], "samples");
@@ -212,10 +212,10 @@ fn a_model_is_validated_by_the_samples_that_it_came_from_and_by_others() {
 
     // A model of a single component cannot hold nine different PSFs.
     desk.run("fit samples.fits -o coarse.fits --rank 1");
-    let run = desk.run("validate coarse.fits --truth samples.fits --report coarse --json");
+    let run = desk.run("validate coarse.fits --reference samples.fits --report coarse --json");
     assert!(number(&run.json(), "/objects/summary/mae_over_mean/largest") > 1e-3);
 
-    let of_model = desk.run("validate model.fits --truth model.fits --report model");
+    let of_model = desk.run("validate model.fits --reference model.fits --report model");
     assert_eq!(of_model.code, Some(1));
     assert!(of_model.stderr.contains("psfield evaluate"), "{of_model:?}");
 }
@@ -227,7 +227,7 @@ fn lengths_of_a_validation_are_in_frame_pixels() {
     desk.write_samples("fine.fits", &widening_psf(1.0));
     desk.done("fit fine.fits -o model.fits --rank full");
     let text = desk
-        .run("validate model.fits --truth fine.fits --report out")
+        .run("validate model.fits --reference fine.fits --report out")
         .stdout;
     assert!(text.contains("FWHM (pixels of the frame)"), "{text}");
     let columns = ["fwhm_rows_px", "fwhm_columns_px_true", "fwhm_px"];
@@ -250,30 +250,30 @@ fn a_report_folder_is_there_when_the_report_is() {
     let desk = Desk::new();
     desk.done("fit samples.fits -o model.fits");
     for (what, needles) in [
-        ("model.fits --truth missing.fits", &["missing.fits"][..]),
-        ("missing.fits --truth samples.fits", &["missing.fits"]),
-        ("model.fits --truth model.fits", &["psfield evaluate"]),
+        ("model.fits --reference missing.fits", &["missing.fits"][..]),
+        ("missing.fits --reference samples.fits", &["missing.fits"]),
+        ("model.fits --reference model.fits", &["psfield evaluate"]),
     ] {
         desk.refused(&format!("validate {what} --report deep/in/here"), 1, needles);
         assert!(!desk.path("deep").exists(), "{what}");
     }
-    desk.refused("roundtrip missing.fits --report trip", 1, &["missing.fits"]);
+    desk.refused("validate missing.fits --report trip", 1, &["missing.fits"]);
     assert!(!desk.path("trip").exists());
 
     // Files in the way are reported before the inputs are read.
     desk.refused(
-        "validate missing.fits --truth missing.fits --report samples.fits/report",
+        "validate missing.fits --reference missing.fits --report samples.fits/report",
         1,
         &["samples.fits", "cannot be made"],
     );
     std::fs::create_dir(desk.path("used")).unwrap();
     desk.write("used/notes.txt", "keep me");
     desk.refused(
-        "validate missing.fits --truth missing.fits --report used",
+        "validate missing.fits --reference missing.fits --report used",
         1,
         &["used", "not empty", "--overwrite"],
     );
-    desk.done("validate model.fits --truth samples.fits --report used --overwrite -q");
+    desk.done("validate model.fits --reference samples.fits --report used --overwrite -q");
     assert_eq!(desk.bytes("used/notes.txt"), b"keep me");
 }
 
@@ -333,7 +333,7 @@ fn a_model_is_validated_by_the_stars_of_a_frame() {
     let measured = |model: &str| {
         let report = desk
             .done(&format!(
-                "validate {model}_model.fits --truth frame.fits --report {model} --json"
+                "validate {model}_model.fits --reference frame.fits --report {model} --json"
             ))
             .json();
         assert_eq!(report["truth"], "frame");

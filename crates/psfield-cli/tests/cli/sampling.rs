@@ -153,7 +153,7 @@ fn a_model_is_validated_between_its_samples() {
     desk.done("fit samples.fits -o model.fits");
     let validated = |truth: &str| {
         let run = desk.run(&format!(
-            "validate model.fits --truth {truth}.fits --report {truth} --json"
+            "validate model.fits --reference {truth}.fits --report {truth} --json"
         ));
         assert_eq!(run.code, Some(0), "{run:?}");
         let report = run.json();

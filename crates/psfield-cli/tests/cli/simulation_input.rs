@@ -167,7 +167,7 @@ fn scenes_and_frames_that_do_not_fit_are_refused() {
             "error: the frame (first pixel 10, 10; 61 x 20 pixels) reaches beyond the scene of 61 x 51 pixels (option --frame)\n",
         ),
         (
-            "scene.fits --frame 9223372036854775807,10,5,6 --oversample 3",
+            "scene.fits --frame 9223372036854775807,10,5,6 --oversampling 3",
             2,
             "error: the frame of 5 x 6 pixels at (9223372036854775807, 10) lies outside any scene (option --frame)\n",
         ),
@@ -175,10 +175,10 @@ fn scenes_and_frames_that_do_not_fit_are_refused() {
             "--catalog bright.csv --shape 100000,90000",
             2,
             "error: --shape: 100000 x 90000 pixels are too many: a scene without an image may have at most 2^30 = 1073741824 pixels \
-             (--oversample multiplies both sides)\n",
+             (--oversampling multiplies both sides)\n",
         ),
         (
-            "scene.fits --oversample 7",
+            "scene.fits --oversampling 7",
             1,
             "psfield: error: the scene is 61 x 51 pixels, but both numbers must be multiples of 7, because 7 scene pixels lie \
              along each side of a frame pixel: cut the scene, or choose a part of it with a frame (option --frame)\n",

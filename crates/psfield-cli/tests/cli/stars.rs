@@ -1,4 +1,4 @@
-//! `psfield sample FRAME.fits` and `psfield roundtrip`.
+//! Frames with stars: `psfield sample FRAME.fits` and `psfield validate`.
 
 use ndarray::Array2;
 use psfield::psf_io;
@@ -88,7 +88,7 @@ fn the_stars_of_a_frame_become_samples() {
 #[test]
 fn a_round_trip_reports_and_protects_its_files() {
     let desk = desk();
-    let trip = "roundtrip frame.fits --report trip --realisations 2 --json";
+    let trip = "validate frame.fits --report trip --realisations 2 --json";
     let run = desk.run(trip);
     assert_eq!(run.code, Some(0), "{run:?}");
     let report = run.json();
@@ -101,9 +101,9 @@ fn a_round_trip_reports_and_protects_its_files() {
     }
     assert_eq!(desk.image("trip/simulated.fits").dim(), (SIDE, SIDE));
     desk.refused(
-        "roundtrip frame.fits --report trip",
+        "validate frame.fits --report trip",
         1,
-        &["exists", "--overwrite"],
+        &["not empty", "--overwrite"],
     );
 
     // Equal seeds give equal bytes, with any number of threads.
@@ -135,7 +135,7 @@ fn options_of_the_other_input_and_frames_without_stars() {
     );
     desk.refused(&format!("{to} --snr 1e9"), 1, &["frame.fits", "25", "low-snr"]);
     desk.refused(
-        &format!("{to} --threshold 1e9"),
+        &format!("{to} --detection-threshold 1e9"),
         1,
         &["frame.fits", "lower the threshold"],
     );
@@ -193,7 +193,7 @@ fn a_frame_in_an_extension_keeps_its_own_header() {
     let run = desk.run("sample mef.fits --extension FRAME -o samples.fits --json");
     assert_eq!(run.code, Some(0), "{run:?}");
     assert_eq!(run.json()["samples"], 25, "{run:?}");
-    let run = desk.run("roundtrip mef.fits --extension FRAME --report trip --realisations 1");
+    let run = desk.run("validate mef.fits --extension FRAME --report trip --realisations 1");
     assert_eq!(run.code, Some(0), "{run:?}");
     let object = desk
         .header("trip/simulated.fits")
@@ -252,7 +252,7 @@ fn pixels_without_a_value_are_told_of() {
     put_nan(&desk, &[(0, 0)]);
     for (command, option) in [
         ("sample nan.fits -o out.fits", "--nan-is-masked, or --mask"),
-        ("roundtrip nan.fits --report out", "--saturation"),
+        ("validate nan.fits --report out", "--saturation"),
     ] {
         desk.refused(command, 1, &["nan.fits", "NaN", option]);
     }
@@ -292,14 +292,14 @@ fn masked_pixels_are_left_out() {
     assert_eq!(desk.run(sample).json()["samples"], 23);
 
     desk.done("sample frame.fits -o samples.fits -q");
-    let validate = "validate samples.fits --truth nan.fits --report report";
+    let validate = "validate samples.fits --reference nan.fits --report report";
     desk.refused(validate, 1, &["nan.fits", "NaN", "--nan-is-masked, or --mask"]);
     let report = desk
         .done(&format!("{validate} --mask mask.fits --json -q"))
         .json();
     assert_eq!(report["objects"]["summary"]["objects"], 23, "{report}");
     desk.refused(
-        "validate samples.fits --truth samples.fits --report other --nan-is-masked",
+        "validate samples.fits --reference samples.fits --report other --nan-is-masked",
         2,
         &["--nan-is-masked applies only to frames"],
     );
@@ -338,11 +338,11 @@ fn stars_can_be_held_out_for_a_check() {
     assert!(all.is_empty(), "{all:?}");
 
     desk.run("fit samples.fits -o model.fits");
-    let run = desk.run("validate model.fits --truth samples_holdout.fits --report check --json");
+    let run = desk.run("validate model.fits --reference samples_holdout.fits --report check --json");
     assert!(!run.stderr.contains("positions of the samples"), "{run:?}");
     assert_eq!(run.json()["at_samples"], 0);
     // A frame contains the stars from which the model was made.
-    let run = desk.run("validate model.fits --truth frame.fits --report frame --json");
+    let run = desk.run("validate model.fits --reference frame.fits --report frame --json");
     assert!(run.stderr.contains("20 of 25 objects of frame.fits"), "{run:?}");
 
     desk.refused(

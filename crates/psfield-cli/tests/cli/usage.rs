@@ -66,8 +66,8 @@ fn values_that_options_do_not_take() {
         );
     }
     for (option, needles) in [
-        ("--sub-pixel", ["--sub-pixel", "--grid native"]),
-        ("--grid fine", ["--grid", "native"]),
+        ("--sub-pixel", ["--sub-pixel", "--pixels native"]),
+        ("--pixels fine", ["--pixels", "native"]),
         ("--size 0", ["--size", "1 to"]),
     ] {
         desk.refused(

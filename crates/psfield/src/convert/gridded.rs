@@ -30,10 +30,10 @@ pub struct GriddedConversion {
 /// Converts a PSF to PSFs on a regular grid of positions, as in libraries of ePSFs. photutils
 /// (`GriddedPSFModel`) and others interpolate bilinearly between the nodes.
 ///
-/// With [`SamplesAt::Own`], a PSF that is already interpolated between samples on such a grid
-/// (bilinearly or bicubically) keeps its samples, and any other PSF is evaluated on a square grid.
-/// This grid has at least 11 x 11 nodes, and at least as many nodes as the PSF has samples. Stamps
-/// with a fractional oversampling are resampled to the next whole number.
+/// With [`SamplesAt::Own`], a PSF whose samples or nodes form such a grid keeps their positions, if
+/// it is interpolated bilinearly or bicubically. Any other PSF is evaluated on a new square grid.
+/// The new grid has at least 11 x 11 nodes, and at least as many nodes as the PSF has samples.
+/// Stamps with a fractional oversampling are resampled to the next whole number.
 ///
 /// # Errors
 /// [`ErrorKind::Format`] for positions that form no grid, or for stamps whose centre lies between
@@ -75,8 +75,8 @@ pub fn to_gridded(psf: &Psf, at: &SamplesAt) -> Result<GriddedConversion, Psfiel
     })
 }
 
-/// Returns whether the PSF is interpolated between samples on a grid. If so, [`to_gridded`] keeps
-/// its positions.
+/// Returns whether the PSF is interpolated between samples or nodes on a grid. If so,
+/// [`to_gridded`] with [`SamplesAt::Own`] keeps their positions.
 pub fn is_on_grid(psf: &Psf) -> bool {
     psf.positions().len() >= 4 && needs_grid(interpolation_of(psf))
 }
@@ -114,7 +114,7 @@ fn midway_error(psf: &Psf, nodes: &PsfSamples) -> Result<f64, PsfieldError> {
             .as_slice()
             .iter()
             .position(|p| p.x() == x && p.y() == y);
-        nodes.stamp(found.expect("every column and row of a grid has its node"))
+        nodes.stamp(found.expect("a grid has a node where a column crosses a row"))
     };
     let model = psf.model()?;
     let mut largest = 0.0_f64;

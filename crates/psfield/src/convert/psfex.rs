@@ -15,8 +15,8 @@ const FORMAT: &str = "a PSFEx file";
 /// The names of the coordinates in the file.
 const X: &str = "X_IMAGE";
 const Y: &str = "Y_IMAGE";
-/// Singular values up to this fraction of the largest one count as 0. They mean that the samples do
-/// not determine a term.
+/// Singular values up to this fraction of the largest one count as 0. A singular value of 0 means
+/// that the samples do not determine a term.
 const DEGENERATE: f64 = 1e-10;
 
 /// A PSFEx model, and its error relative to the PSFs from which it was made.
@@ -33,20 +33,24 @@ pub struct PsfexConversion {
     pub notes: Vec<String>,
 }
 
-/// Converts samples or a model to a PSFEx model. It has one polynomial in x and y, of a given total
-/// degree, for each pixel of the stamps.
+/// Converts samples or a model to a PSFEx model. The PSFEx model has one polynomial in x and y, of
+/// total degree `degree`, for each pixel of the stamps. If `degree` is None, it is the degree of
+/// the source model, which must then be a polynomial model.
 ///
-/// A model whose coefficients are polynomials of this degree or a lower one is converted without
-/// loss, except for rounding to single precision. Readers of PSFEx models then scale PSFs to unit
-/// flux. If no degree is given, the model's own is used. Any other PSF is fitted at its own samples
-/// or nodes, by least squares. Stamps are padded with zeros to an odd size with the centre in the
-/// middle. For such stamps, PSFEx and GalSim agree on the centre. A PSFEx model that was read from
-/// a file is returned unchanged if it has this degree.
+/// A PSFEx model that was read from a file is returned unchanged if it has this degree. Any other
+/// model whose coefficients are polynomials of this degree or a lower one is converted without
+/// loss, except for rounding to single precision. Its PSFs are not scaled to unit flux, because
+/// readers of PSFEx models do this. All other PSFs are fitted at their own samples or nodes, by
+/// least squares.
+///
+/// Stamps are padded with zeros to an odd size with the centre in the middle. For such stamps,
+/// PSFEx and GalSim agree on the centre.
 ///
 /// # Errors
 /// [`ErrorKind::Setting`] when no degree is known or the degree is above 10, [`ErrorKind::Fit`]
-/// when the samples are too few for the degree, [`ErrorKind::Format`] for stamps without the pixel
-/// response or centred between pixels.
+/// when the samples do not determine a polynomial of this degree, [`ErrorKind::Format`] for stamps
+/// without the pixel response or centred between pixels. Other errors are the errors of
+/// [`to_samples`].
 pub fn to_psfex(psf: &Psf, degree: Option<usize>) -> Result<PsfexConversion, PsfieldError> {
     let own_degree = match psf.stored().map(PsfModelRecord::interpolation) {
         Some(Interpolation::Polynomial { degree }) => Some(degree),
@@ -54,7 +58,7 @@ pub fn to_psfex(psf: &Psf, degree: Option<usize>) -> Result<PsfexConversion, Psf
     };
     let degree = degree.or(own_degree).ok_or_else(|| {
         const NEEDED: &str =
-            "the PSF is not a polynomial in x and y, so the degree must be given: choose a total degree, 0 to 10";
+            "the PSF is not a polynomial model, so the degree must be given: choose a total degree in x and y, 0 to 10";
         PsfieldError::of_setting("degree", NEEDED)
     })?;
     if !psf.grid().pixel_response_included() {
@@ -121,7 +125,7 @@ fn polynomial_samples(record: &PsfModelRecord, degree: usize) -> Result<PsfSampl
     let along = |name, (low, high): (f64, f64)| -> Result<_, PsfieldError> {
         let mut nodes = axis(name, (low, high))?.extrema(degree);
         if low < high && degree > 0 {
-            // Removes the rounding of the outermost nodes, because the field may end there.
+            // Rounding could move the outermost nodes off the field, which may end there.
             nodes[0] = low;
             nodes[degree] = high;
         }

@@ -49,8 +49,8 @@ pub fn to_samples(psf: &Psf, at: &SamplesAt) -> Result<PsfSamples, PsfieldError>
 /// Returns a regular grid over the field, from the centre of the first pixel to the centre of the
 /// last. If the field is not known, the grid covers the area of the samples. x changes fastest.
 fn grid_positions(psf: &Psf, nx: usize, ny: usize) -> Result<Vec<Position>, PsfieldError> {
-    // Check the size of the stack of stamps now: for a huge grid, the positions alone would fill the
-    // memory.
+    // Check the size of the stack of stamps now: for a huge grid, the positions alone would fill
+    // the memory.
     check_stack(nx.saturating_mul(ny), psf.grid())?;
     let known = psf.positions();
     let [x, y] = match known.field() {

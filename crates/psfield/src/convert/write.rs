@@ -53,8 +53,9 @@ impl Psf {
     /// Writes a PSF file, with `cards` added to its header.
     ///
     /// # Errors
-    /// [`ErrorKind::Io`](crate::ErrorKind::Io) if the file cannot be written, and the errors of
-    /// [`to_samples`], [`record`](Self::record), [`to_psfex`] or [`to_gridded`].
+    /// [`ErrorKind::Io`](crate::ErrorKind::Io) if the file cannot be written, if it exists and
+    /// `overwrite` is false, or if its format cannot hold the stamps. Other errors are the errors
+    /// of [`to_samples`], [`record`](Self::record), [`to_psfex`] or [`to_gridded`].
     pub fn write(
         &self,
         path: impl AsRef<Path>,

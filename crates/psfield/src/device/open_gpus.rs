@@ -30,7 +30,8 @@ impl OpenGpus {
 /// No process has the number 0, so the first call starts a new list.
 static OPEN: Mutex<OpenGpus> = Mutex::new(OpenGpus::none(0));
 
-/// Locks the list of open GPUs. No rayon work may run while the lock is held.
+/// Locks the list of open GPUs. No rayon work may run while the lock is held: rayon could give this
+/// thread a task that waits for the same lock.
 fn open_gpus() -> MutexGuard<'static, OpenGpus> {
     let mut open = OPEN.lock().unwrap_or_else(PoisonError::into_inner);
     let process = std::process::id();

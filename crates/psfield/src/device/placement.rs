@@ -5,7 +5,7 @@ use serde::Serialize;
 
 use crate::readable::readable;
 
-/// The device that executes a plan. Prints as a sentence, such as `on the CPU: there is no GPU`.
+/// The device that executes a plan. Prints as a phrase, such as `on the CPU: there is no GPU`.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case", tag = "on")]
 #[non_exhaustive]
@@ -30,7 +30,7 @@ pub enum Placement {
 pub struct PredictedSeconds {
     /// On the GPU.
     pub gpu: f64,
-    /// On the processor, with all threads of the current pool.
+    /// On the processor, with all threads of rayon's current pool.
     pub cpu: f64,
 }
 

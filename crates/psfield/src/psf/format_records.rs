@@ -21,7 +21,8 @@ use crate::{ErrorKind, FitOptions, PsfieldError, fit};
 /// ([`Normalisation::Unit`]).
 ///
 /// # Errors
-/// [`ErrorKind::Data`] when the PSF at a node does not have positive flux.
+/// [`ErrorKind::Data`] when the PSF at a node does not have positive flux, and the errors of
+/// [`fit()`].
 pub fn record_of_psfex(model: &PsfexModel) -> Result<PsfModelRecord, PsfieldError> {
     let nodes = model.nodes()?;
     let mut stamps = Array3::zeros((nodes.len(), model.grid().ny(), model.grid().nx()));

@@ -215,7 +215,7 @@ impl Psf {
                 if let Some(setting) = choices.first_of_fit() {
                     let message = format!(
                         "{}: this file holds {kind}, which is not fitted: leave the setting {setting} out, or open the PSF \
-                         samples instead. For a model, only the policy outside and the scaling to unit flux can be chosen",
+                         samples instead. For a model, choose only the policy outside its samples or the scaling to unit flux",
                         path.display()
                     );
                     return Err(PsfieldError::of_setting(setting, message));
@@ -233,7 +233,8 @@ impl Psf {
         Ok(Self::with_source(origin, source))
     }
 
-    /// Returns these samples with other options for their fit. A model is returned unchanged.
+    /// Returns this PSF with other options for the fit of its samples. A PSF that was not made from
+    /// samples is returned unchanged.
     #[must_use]
     pub fn with_fit_options(&self, options: FitOptions) -> Self {
         match self.samples() {
@@ -292,7 +293,8 @@ fn read(path: &Path, file: &PsfFileOptions) -> Result<(Origin, FileKind, SourceF
             )
         }
         FileKind::Cube | FileKind::Image => plain(path, kind, file)?,
-        // Files without a PSF come here, too, because this reader says best what they lack.
+        // Files without a PSF come here, too, because the error of this reader says best what they
+        // lack.
         _ => (unfitted(psf_io::read_samples(path)?), Vec::new()),
     };
     let origin = match file.pixel_response_included {
@@ -328,10 +330,10 @@ fn scopesim_options(path: &Path, file: &PsfFileOptions) -> Result<ScopesimOption
     })
 }
 
-/// Reads stamps without metadata.
+/// Reads a cube or a single stamp that has no table of positions.
 fn plain(path: &Path, kind: FileKind, file: &PsfFileOptions) -> Result<(Origin, Vec<Note>), PsfieldError> {
-    // The image may be a scene that was given by mistake. With the oversampling, the user states
-    // that it is a PSF.
+    // The image may be a scene that was given by mistake. An oversampling, from the user or in the
+    // header, states that it is a PSF.
     let header = psf_io::read_stamp_header(path, file.extension.as_ref())?;
     if file.oversampling.is_none() && header.get("OVERSAMP").is_none() {
         const PLAIN: &str = "which has neither a table POSITIONS (as PSF samples have) nor the keyword OVERSAMP. To \

@@ -31,7 +31,8 @@ impl Psf {
     /// interpolation.
     ///
     /// # Errors
-    /// [`ErrorKind::Data`] when `size` is 0.
+    /// [`ErrorKind::Data`] when `size` is 0. If the stamps' pixels can be picked, `size` is not
+    /// checked.
     pub fn native_is_exact(&self, size: Option<usize>) -> Result<bool, PsfieldError> {
         let grid = self.grid();
         let picks = grid.whole_centre().is_some()
@@ -67,10 +68,10 @@ impl Psf {
     /// stamps have the scene's pixels. If `size` is given, they are `size` frame pixels wide and
     /// high.
     ///
-    /// Frame pixel `i` has its centre at `finer i + (finer - 1) / 2` of the scene. The frame's
-    /// image is made from the convolution of the scene with these stamps. It is every `finer`-th
-    /// pixel from `(finer - 1) / 2` (rounded down) on, times `finer^2`. The convolution is sampled,
-    /// not summed, because the stamps include the response of the frame's pixel.
+    /// Frame pixel `i` has its centre at the coordinate `finer i + (finer - 1) / 2` of the scene.
+    /// The scene is convolved with these stamps. The frame's image is every `finer`-th pixel of the
+    /// result, from pixel `(finer - 1) / 2` (rounded down) on, times `finer^2`. The result is
+    /// sampled, not summed, because the stamps include the response of a frame pixel.
     pub(crate) fn for_finer_scene(
         &self,
         finer: usize,
@@ -138,21 +139,23 @@ impl Psf {
                 )?))
             }
             Origin::Model(..) => {
-                const OWN_FIELD: &str = "the stamps of a model with a coefficient field of your own cannot be resampled: \
-                                         give stamps at the frame's pixels, without oversample and stamp_size, or sample \
-                                         the model first";
+                const OWN_FIELD: &str = "the stamps of a model with a coefficient field of your own cannot be resampled: give \
+                                         stamps at the frame's pixels, with the pixel response, and no oversample or \
+                                         stamp_size. Or sample the model first";
                 Err(PsfieldError::new(ErrorKind::Setting, OWN_FIELD))
             }
         }
     }
 }
 
-/// Resamples stamps to other pixels, and moves positions to another frame.
+/// Resamples stamps to other pixels. For a finer scene, also converts positions from the frame (the
+/// old frame) to the scene (the new frame). Otherwise the old and the new frame are equal.
 struct Resampling {
-    /// The grid at whose pixels the PSF is sampled, in units of old frame pixels.
+    /// The grid at whose pixels the PSF is sampled. Its oversampling counts pixels per pixel of the
+    /// old frame.
     sampled: StampGrid,
-    /// The pixel grid of the new stamps, in units of new frame pixels. For a finer scene, these are
-    /// the scene's pixels, and the grid has its centre on a pixel.
+    /// The pixel grid of the new stamps. Its oversampling counts pixels per pixel of the new frame.
+    /// For a finer scene, its centre is on a pixel.
     target: StampGrid,
     /// Number of the new frame's pixels along each side of a pixel of the old one.
     finer: usize,
@@ -193,8 +196,8 @@ impl Resampling {
     }
 }
 
-/// Converts positions to pixels of the scene. The result of every interpolator is independent of
-/// the scale of positions.
+/// Converts positions to pixels of the scene. This does not change the interpolated coefficients,
+/// because no interpolator depends on the scale of positions.
 fn finer_positions(
     positions: &SamplePositions,
     finer: usize,

@@ -13,8 +13,8 @@ use crate::{Device, Method, Psf, PsfieldError, SimulateOptions, check_frame_on_f
 /// Frame pixels by which padded stamps may extend beyond the reach of the PSF ([`Psf::reach`]).
 const STAMP_MARGIN: usize = 8;
 
-/// Collects the settings of a [`Simulator`]. [`Psf::simulator`] makes it. Each setter is named
-/// after the field of [`SimulateOptions`] that it sets.
+/// Collects the settings of a [`Simulator`]. [`Psf::simulator`] returns this builder. Each setter
+/// is named after the field of [`SimulateOptions`] that it sets.
 #[derive(Debug, Clone)]
 pub struct SimulatorBuilder {
     psf: Psf,
@@ -50,7 +50,7 @@ impl Psf {
 }
 
 /// Collects the settings of a [`Simulator`] with a method that the caller implements.
-/// [`Psf::simulator_by`] makes it.
+/// [`Psf::simulator_by`] returns this builder.
 #[derive(Debug)]
 pub struct OwnMethodBuilder<T> {
     builder: SimulatorBuilder,
@@ -65,7 +65,8 @@ impl<T: ConvReal> OwnMethodBuilder<T> {
         self
     }
 
-    /// Sets the part of the scene that the image shows.
+    /// Sets the part of the scene that the image shows, in frame pixels counted from the scene's
+    /// first pixel.
     #[must_use]
     pub fn frame(mut self, frame: PixelRegion) -> Self {
         self.builder.options.frame = Some(frame);
@@ -96,7 +97,7 @@ impl SimulatorBuilder {
         Self { options, ..self }
     }
 
-    /// Sets the largest relative L2 error that the engine may add to the PSF of any pixel or star.
+    /// Sets the largest relative L2 error that a plan may add to the PSF of any pixel or star.
     #[must_use]
     pub fn tolerance(mut self, tolerance: f64) -> Self {
         self.options.tolerance = tolerance;
@@ -124,7 +125,8 @@ impl SimulatorBuilder {
         self
     }
 
-    /// Sets the part of the scene that the image shows.
+    /// Sets the part of the scene that the image shows, in frame pixels counted from the scene's
+    /// first pixel.
     #[must_use]
     pub fn frame(mut self, frame: PixelRegion) -> Self {
         self.options.frame = Some(frame);
@@ -142,10 +144,14 @@ impl SimulatorBuilder {
     /// them.
     ///
     /// # Errors
-    /// [`PsfieldError`] for settings that cannot be used: a tolerance, an oversampling or a stamp
-    /// size out of range, a frame that reaches beyond the scene or is larger than the field of the
-    /// PSF, a region that reaches beyond the frame, or a region or a GPU for a method without a
-    /// plan.
+    /// [`PsfieldError`] for settings that cannot be used:
+    ///
+    /// - a tolerance, an oversampling, a patch size or a stamp size out of range
+    /// - a scene that is not a whole number of frame pixels wide and high, if no frame is given
+    /// - a frame that reaches beyond the scene or is larger than the field of the PSF
+    /// - a region that reaches beyond the frame
+    /// - a region or a GPU for a method without a plan
+    /// - [`Method::Own`], for which [`Psf::simulator_by`] is needed
     pub fn build<T: ConvReal>(self) -> Result<Simulator<T>, PsfieldError> {
         if self.options.method == Method::Own {
             return Err(Method::refused(Method::Own));
@@ -178,7 +184,7 @@ impl SimulatorBuilder {
             const NO_STAMP: &str = "the stamp size must be at least 1 pixel";
             return Err(PsfieldError::of_setting("stamp_size", NO_STAMP));
         }
-        // Farther out, padded stamps hold only zeros. They would cost time and change nothing.
+        // Farther out, padded stamps hold only zeros, which would cost time and change nothing.
         let widest = 2 * (psf.reach(None) + STAMP_MARGIN);
         options.stamp_size = options.stamp_size.map(|size| size.min(widest));
         let frame = geometry.frame.shape();

@@ -21,8 +21,8 @@ const RESOLVED_PX: f64 = 2.0;
 /// The number of stamp pixels per frame pixel that stars between pixels need. The interpolation of
 /// coarser stamps may be wrong.
 const MIN_STAMP_OVERSAMPLING: f64 = 2.0;
-/// A star lies on the centre of a pixel if its distance from this centre is at most this, in
-/// pixels.
+/// The largest distance along x and along y, in pixels, at which a star counts as lying on the
+/// centre of a pixel.
 const ON_PIXEL: f64 = 1e-9;
 
 /// Beyond this number of half-light radii, a galaxy counts as dark.
@@ -70,7 +70,9 @@ impl<T: ConvReal> Simulator<T> {
     /// Computes single pixels `(column, row)` of the image by the direct sum in f64.
     ///
     /// # Errors
-    /// The errors of [`simulate_into`](Self::simulate_into).
+    /// The errors of [`simulate_into`](Self::simulate_into). If the scene has an image or galaxies,
+    /// also [`ErrorKind::Convolution`](crate::ErrorKind::Convolution) for a pixel outside the
+    /// frame.
     #[inline(never)]
     pub fn exact_at(
         &self,
@@ -169,12 +171,14 @@ impl<T: ConvReal> Simulator<T> {
         }
     }
 
-    /// Returns a warning if scenes like `scene` need stamps that are interpolated between their own
-    /// pixels. A simulator for scenes finer than the frame gives no warning. `rows` has the same
-    /// meaning as in [`prepare`](Self::prepare).
+    /// Returns a warning if the image or the galaxies of scenes like `scene` are convolved with
+    /// stamps that are interpolated between their own pixels. There is no warning for scenes finer
+    /// than the frame. `rows` has the meaning that it has in [`prepare`](Self::prepare).
     ///
     /// # Errors
-    /// No error for a simulator that could be built, because the builder checks the stamp size.
+    /// No error occurs. The type allows the error of
+    /// [`native_is_exact`](crate::Psf::native_is_exact) for a stamp size of 0, which the builder
+    /// refuses.
     pub fn psf_warning(
         &self,
         scene: &Scene<'_, T>,
@@ -257,7 +261,7 @@ impl fmt::Display for SimulationWarning {
             ),
             Self::NoSourceInFrame { count } => write!(
                 f,
-                "none of the {count} stars and galaxies reaches the frame: check their positions (0-based pixels)"
+                "no light of the stars and galaxies ({count} in all) reaches the frame: check their positions (0-based pixels)"
             ),
             Self::StarsBetweenPixels => f.write_str(
                 "stars lie between pixels, and the PSF stamps are oversampled by a factor below 2: the stamps are \

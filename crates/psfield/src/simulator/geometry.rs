@@ -12,9 +12,9 @@ use crate::{ErrorKind, PsfieldError, SimulateOptions};
 /// The geometry of scenes of one shape, of the frame and of the computed region.
 ///
 /// With `s` pixels of the scene along each side of a frame pixel, frame pixel `i` has its centre at
-/// `s i + (s - 1) / 2` of the scene. The engine's stamps include the response of the frame's pixel.
-/// For even `s`, they also include a shift of half a scene pixel. The frame's image is therefore
-/// every `s`-th pixel of the convolved scene, times `s^2`.
+/// the coordinate `s i + (s - 1) / 2` of the scene. The stamps that convolve the scene include the
+/// response of a frame pixel. For even `s`, they also include a shift of half a scene pixel. The
+/// frame's image is therefore every `s`-th pixel of the convolved scene, times `s^2`.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Geometry {
     /// The scene, in its own pixels.
@@ -72,8 +72,8 @@ impl Geometry {
         self.region == self.frame.shape().region()
     }
 
-    /// Returns whether a position, in frame pixels counted from the scene's first pixel, lies in the
-    /// frame or at most `reach` pixels beside it.
+    /// Returns whether a position lies in the frame or at most `reach` frame pixels beside it. The
+    /// position is in frame pixels counted from the scene's first pixel.
     pub(super) fn is_near_frame(&self, position: Position, reach: f64) -> bool {
         let inside = |v: f64, first: i64, n: usize| {
             (-0.5 - reach..n as f64 - 0.5 + reach).contains(&(v - first as f64))
@@ -130,14 +130,14 @@ impl Geometry {
         s![first..;step, first..;step]
     }
 
-    /// Samples a fine image at the frame's pixels, and adds the result to `image`.
+    /// Samples a fine image once for each frame pixel, and adds the result to `image`.
     pub(super) fn add_sampled<T: ConvReal>(&self, fine: ArrayView2<'_, T>, mut image: ArrayViewMut2<'_, T>) {
         let area = T::nearest(self.pixel_area());
         image.zip_mut_with(&fine.slice(self.samples()), |pixel, &v| *pixel += v * area);
     }
 
-    /// Samples the rows of the frame's image from some rows of the fine image. `first` is the index
-    /// of the first of these rows.
+    /// Returns the rows of the frame's image that are sampled from some rows of the fine image.
+    /// `first` is the index of the first of `rows` in the fine image.
     pub(super) fn sampled_rows<T: ConvReal>(&self, rows: ArrayView2<'_, T>, first: usize) -> Array2<T> {
         let (s, offset) = (self.oversample, self.offset());
         if s == 1 {

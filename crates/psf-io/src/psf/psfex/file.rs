@@ -40,8 +40,8 @@ fn holds_psf(hdu: &Hdu) -> bool {
 /// [`IoErrorKind::Setting`](crate::IoErrorKind::Setting) for several models without a choice, or
 /// for a choice that is none of them, [`Header`](crate::IoErrorKind::Header) for an unsupported
 /// polynomial (see the [layout](super)), [`Table`](crate::IoErrorKind::Table) for a column that is
-/// missing or has another format, [`Data`](crate::IoErrorKind::Data) for NaN, and the
-/// [errors of any FITS file](crate#bad-files).
+/// missing or has another format, [`Data`](crate::IoErrorKind::Data) for a value that is not finite
+/// or out of range, and the [errors of any FITS file](crate#bad-files).
 pub fn read_psfex(path: impl AsRef<Path>, extension: Option<&HduChoice>) -> Result<PsfexModel, IoError> {
     let path = path.as_ref();
     let structure = FitsStructure::scan(path)?;
@@ -235,8 +235,9 @@ fn folds_to(text: &str, expected: &[usize]) -> bool {
 /// ```
 ///
 /// # Errors
-/// [`IoErrorKind::Limit`](crate::IoErrorKind::Limit) for a value beyond single precision, and the
-/// errors of [`write_image`](crate::write_image).
+/// [`IoErrorKind::Limit`](crate::IoErrorKind::Limit) for a value beyond single precision,
+/// [`Header`](crate::IoErrorKind::Header) for a statistic that is not finite, and the errors of
+/// [`write_image`](crate::write_image).
 pub fn write_psfex(
     path: impl AsRef<Path>,
     model: &PsfexModel,

@@ -11,7 +11,7 @@
 //! | column `PSF_MASK` | single-precision planes `[term, y, x]`, `TDIMn = (nx, ny, terms)` |
 //! | `POLNAXIS` | 2, or 0 for a constant PSF |
 //! | `POLNAME1`, `POLNAME2` | the coordinates in 1-based pixels of the frame: `X_IMAGE` and `Y_IMAGE`, or windowed ones (`XWIN_IMAGE` ...) |
-//! | `POLZEROi`, `POLSCALi` | their offset and scale |
+//! | `POLZEROi`, `POLSCALi` | offset and scale of each coordinate |
 //! | `POLNGRP`, `POLGRPi`, `POLDEG1` | one group of both coordinates, of total degree `POLDEG1` |
 //! | `PSF_SAMP` | frame pixels per plane pixel: the stamps are oversampled `1 / PSF_SAMP` times |
 //! | `PSFNAXIS`, `PSFAXIS1`, `PSFAXIS2`, `PSFAXIS3` | 3 axes: columns, rows, terms; for one term 2 axes are enough |

@@ -1,0 +1,171 @@
+//! `psfield validate`.
+
+mod round_trip;
+
+use std::path::{Path, PathBuf};
+
+use anyhow::Context as _;
+use psf_io::FileKind;
+use psfield::Psf;
+use psfield_lab::report::{Software, Validation};
+
+use crate::UsageError;
+use crate::context::{Context, command_text, with_window_hint};
+use crate::psf_args::{PsfArgs, PsfFileArgs, notes_of};
+use crate::report_folder::{self, ReportFolder};
+use crate::reproduce::targets_text;
+use crate::star_args::{MaskArgs, StarArgs};
+
+/// Compare a PSF with known PSFs or with the stars of a frame
+///
+/// With --reference, measures FWHM, eccentricity, mean absolute error (MAE) and mean squared error
+/// (MSE) at the positions of the reference, and draws the same figures as psfield reproduce.
+///
+/// The reference should not contain the PSFs from which the model was made: psfield sample
+/// --hold-out writes PSFs for this purpose. A warning counts the PSFs of the reference that lie
+/// closer than half a pixel to a sample of the model. A PSFEx file does not contain the positions
+/// of its samples, so it gives no warning.
+///
+/// If the reference is a frame, psfield selects its stars as psfield sample does. With the model,
+/// it draws each star at the measured position and with the measured flux. It compares the drawn
+/// star with the star in the frame.
+///
+/// Without --reference, the input is an image with stars, and psfield makes a round trip: it makes
+/// PSF samples from the stars, fits a model, and simulates the frame with all sources found, at
+/// their measured positions and fluxes, on the measured background. Then it compares the stars in
+/// the frame with the simulated stars.
+///
+/// A round trip simulates the frame several times (--realisations), each time with other noise,
+/// because noise widens the distributions of FWHM and eccentricity. The noise is that of the
+/// background, and with --gain also the photon noise of the stars. The simulated distributions
+/// contain the stars of all simulated frames. Its folder has summary.json, tables, the samples, the
+/// model, the first simulated frame and the residual in place of a report.
+///
+/// Examples:
+///
+/// psfield validate model.fits --reference samples_holdout.fits --report validation
+///
+/// psfield validate frame.fits --report round_trip
+#[derive(Debug, clap::Args)]
+pub(crate) struct ValidateArgs {
+    /// PSF: a model, samples (which are fitted), or any PSF file that convert reads. Without
+    /// --reference: an image with stars
+    #[arg(value_name = "PSF|FRAME.fits")]
+    input: PathBuf,
+    /// Known PSFs (samples or a gridded library), or an image with stars
+    #[arg(long, value_name = "SAMPLES|FRAME.fits")]
+    reference: Option<PathBuf>,
+    #[command(flatten)]
+    folder: ReportFolder,
+    /// Measure stars in N x N pixels [default: four FWHM, at least 7]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(5..))]
+    window: Option<u16>,
+    #[command(flatten)]
+    trip: round_trip::RoundTripArgs,
+    #[command(flatten)]
+    stars: StarArgs,
+    #[command(flatten)]
+    mask: MaskArgs,
+    #[command(flatten)]
+    psf: PsfArgs,
+}
+
+impl ValidateArgs {
+    pub(crate) fn run(self, context: &Context) -> anyhow::Result<()> {
+        if let Some(reference) = &self.reference {
+            return self.compare(reference, context);
+        }
+        let input = self.input.display();
+        let kind = psf_io::detect(&self.input)?;
+        if kind != FileKind::Image && self.stars.extension.is_none() {
+            let text =
+                format!("{input} is {kind}: give known PSFs or a frame to compare it with (--reference)");
+            return Err(UsageError(text).into());
+        }
+        if self.psf.file != PsfFileArgs::default() {
+            let text =
+                format!("PSF file options need --reference: without it, {input} is an image with stars");
+            return Err(UsageError(text).into());
+        }
+        self.trip.run(&self, context)
+    }
+
+    /// Compares the PSF with a reference.
+    fn compare(&self, reference: &Path, context: &Context) -> anyhow::Result<()> {
+        self.folder.check(&report_folder::FILES)?;
+        let psf = self.psf.open(&self.input, context)?;
+        let spinner = context.spinner("validating");
+        let model = psf
+            .model()
+            .with_context(|| format!("with the PSF of {}", self.input.display()))?;
+        let of_truth = || format!("against {}", reference.display());
+        let measured = match psf_io::detect(reference)? {
+            FileKind::Image => {
+                let (frame, sampling) = self.stars.open_masked(reference, &self.mask)?;
+                Validation::of_frame(model, frame, &sampling, self.window.map(usize::from))
+                    .map_err(with_window_hint)
+                    .with_context(of_truth)?
+            }
+            _ => match Psf::open(reference)?.samples() {
+                Some((samples, _)) => {
+                    let given = self.window.map(|_| "--window");
+                    if let Some(option) = given.or(self.mask.given()).or(self.stars.given()) {
+                        let text =
+                            format!("{option} applies only to frames: PSFs are compared on all their pixels");
+                        return Err(UsageError(text).into());
+                    }
+                    Validation::of_samples(model, samples).with_context(of_truth)?
+                }
+                None => anyhow::bail!(
+                    "{} is a model, but the reference must be samples or a frame (psfield evaluate writes samples of a model)",
+                    reference.display()
+                ),
+            },
+        };
+        // The nodes of a PSFEx model are not the stars from which it was made.
+        let measured = match psf.record() {
+            Ok(record) if psf.kind() != Some(FileKind::Psfex) => {
+                measured.with_training(record.coefficients().positions().as_slice())
+            }
+            _ => measured,
+        };
+        if measured.at_samples > 0 {
+            context.warn(&format!(
+                "{} of {} objects of {} lie at positions of the samples from which {} was made: their errors do not show the error between \
+                 the samples (psfield sample --hold-out N writes PSFs that are not samples)",
+                measured.at_samples,
+                measured.objects.summary.objects,
+                reference.display(),
+                self.input.display()
+            ));
+        }
+        let inputs = vec![
+            ("PSF model", self.input.display().to_string()),
+            ("reference", reference.display().to_string()),
+        ];
+        let document = measured.document(inputs, Software::of_command(command_text()))?;
+        let tables = [("objects.csv", measured.objects.rows.as_slice())];
+        let of_psf = (&measured, Some(notes_of(&psf)));
+        let speaking = (context, spinner);
+        self.folder
+            .publish(&document, of_psf, &tables, speaking, |folder| {
+                let summary = &measured.objects.summary;
+                let line = |name: &str, spread: Option<psfield_lab::report::Spread>| {
+                    spread.map_or_else(String::new, |s| {
+                        format!("{name}: 90 % below {:.1e}, largest {:.1e}\n", s.q90, s.largest)
+                    })
+                };
+                format!(
+                    "{} objects compared, {} could not be measured\n{}{}{}{}{}{}{folder}: open report.html first",
+                    summary.objects,
+                    summary.failed,
+                    line("difference of eccentricity sqrt(1 - b^2/a^2)", summary.eccentricity),
+                    line("difference of e1 (distortion)", summary.e1),
+                    line("difference of e2 (distortion)", summary.e2),
+                    line("difference of FWHM (pixels of the frame)", summary.fwhm_px),
+                    line("MAE / mean of the window", summary.mae_over_mean),
+                    targets_text(&measured.targets),
+                )
+            })
+    }
+}

@@ -1,0 +1,164 @@
+//! `psfield validate` without a reference: the round trip of a frame.
+
+use anyhow::Context as _;
+use psf_io::HeaderCards;
+use psf_stars::SOURCE_COLUMNS;
+use psf_types::Image;
+use psfield_lab::plot::{Axis, Curve, Curves, Figure, PlotError, curve_panels};
+use psfield_lab::{ROUND_TRIP_COLUMNS, RoundTrip, RoundTripOptions};
+
+use super::ValidateArgs;
+use crate::context::{Context, object, signature, with_window_hint, write_samples};
+use crate::report_folder::ReportFolder;
+use crate::sample::{warn_of, write_coverage};
+
+/// Options of a round trip.
+#[derive(Debug, clap::Args)]
+#[command(next_help_heading = "Only without --reference")]
+pub(super) struct RoundTripArgs {
+    /// Simulate without noise
+    #[arg(long, conflicts_with_all = ["reference", "realisations"])]
+    no_noise: bool,
+    /// Number of simulated frames, each with its own noise (the first is written)
+    #[arg(long, value_name = "N", conflicts_with = "reference", default_value_t = RoundTripOptions::DEFAULT_REALISATIONS, value_parser = clap::value_parser!(u32).range(1..=1000))]
+    realisations: u32,
+    /// Seed of the noise
+    #[arg(long, value_name = "N", conflicts_with = "reference", default_value_t = 1)]
+    seed: u64,
+}
+
+/// All files that are written.
+const FILES: [&str; 9] = [
+    "samples.fits",
+    "sources.csv",
+    "coverage.fits",
+    "model.fits",
+    "simulated.fits",
+    "residual.fits",
+    "stars.csv",
+    "distributions.svg",
+    "summary.json",
+];
+
+impl RoundTripArgs {
+    pub(super) fn run(&self, asked: &ValidateArgs, context: &Context) -> anyhow::Result<()> {
+        asked.folder.check(&FILES)?;
+        let spinner = context.spinner("round trip");
+        let (frame, header, sampling) = asked.stars.open(&asked.input)?;
+        let options = RoundTripOptions {
+            sampling,
+            fit: asked.psf.fit.options(),
+            window: asked.window.map(usize::from),
+            noise: !self.no_noise,
+            gain: asked.stars.gain,
+            realisations: self.realisations,
+            seed: self.seed,
+        };
+        let trip = RoundTrip::run(&frame, &options)
+            .map_err(with_window_hint)
+            .with_context(|| format!("in {}", asked.input.display()))?;
+        let report = object! {
+            frame: &asked.input,
+            folder: &asked.folder.report,
+            files: FILES,
+            star_fwhm_px: trip.stars.fwhm_px,
+            registration: &trip.stars.registration,
+            #[serde(flatten)]
+            figures: &trip.report,
+        };
+        write(
+            &trip,
+            &header,
+            &serde_json::to_string_pretty(&report)?,
+            &asked.folder,
+        )?;
+        drop(spinner);
+        warn_of(&trip.stars, context);
+        context.report(&report, || {
+            let figures = report.figures;
+            let line = |name: &str, agreement: &psfield_lab::Agreement| {
+                format!(
+                    "{name}  median {:.3} in the frame, {:.3} simulated (simulated / frame {:.3}), mean absolute difference per star {:.3}, KS distance {:.3}",
+                    agreement.frame.median,
+                    agreement.simulated.median,
+                    agreement.median_ratio,
+                    agreement.mean_absolute_error,
+                    agreement.ks_distance
+                )
+            };
+            format!(
+                "{}: {} stars ({} registration), {} measured in both, {} sources drawn, {} simulated frame(s)\n{}\n{}",
+                report.folder.display(),
+                figures.stars,
+                report.registration.method,
+                figures.measured,
+                figures.drawn,
+                figures.realisations,
+                line("FWHM (px):   ", &figures.fwhm_px),
+                line("eccentricity:", &figures.eccentricity),
+            )
+        })
+    }
+}
+
+/// Writes all files, the summary last.
+fn write(trip: &RoundTrip, header: &HeaderCards, summary: &str, folder: &ReportFolder) -> anyhow::Result<()> {
+    folder.make()?;
+    let at = |name: &str| folder.report.join(name);
+    let cards = signature();
+    let overwrite = folder.overwrite;
+    write_samples(&at("samples.fits"), &trip.stars.samples, overwrite)?;
+    psf_io::write_csv(at("sources.csv"), &SOURCE_COLUMNS, &trip.stars.sources, overwrite)?;
+    write_coverage(&at("coverage.fits"), &trip.stars.coverage, overwrite)?;
+    psf_io::write_model(
+        at("model.fits"),
+        &trip.model,
+        &trip.singular_values,
+        &cards,
+        overwrite,
+    )?;
+    let image = |name: &str, image: &Image<f64>, header: &HeaderCards| -> anyhow::Result<()> {
+        let single = Image::new(image.pixels().mapv(|v| v as f32))?;
+        Ok(psf_io::write_image(at(name), &single, header, &cards, overwrite)?)
+    };
+    image("simulated.fits", &trip.simulated, header)?;
+    image("residual.fits", &trip.residual, header)?;
+    psf_io::write_csv(at("stars.csv"), ROUND_TRIP_COLUMNS, &trip.rows, overwrite)?;
+    let text = |name: &str, content: &str| psf_io::write_text(at(name), content, overwrite);
+    text("distributions.svg", distributions(trip)?.svg())?;
+    Ok(text("summary.json", summary)?)
+}
+
+/// Draws the cumulative distributions of FWHM and eccentricity, for the stars of the frame and for
+/// the simulated stars.
+fn distributions(trip: &RoundTrip) -> Result<Figure, PlotError> {
+    let both =
+        |row: &&psfield_lab::RoundTripRow| row.fwhm_frame_px.is_some() && row.fwhm_simulated_px.is_some();
+    let rows = || trip.rows.iter().filter(both);
+    let panel = |title: &str, quantity, frame: Vec<f64>, simulated: &[f64]| {
+        let curves = Curves {
+            x: Axis::linear(quantity),
+            y: Axis::linear("cumulative fraction of stars"),
+            curves: vec![
+                Curve::distribution("input frame", frame),
+                Curve::distribution("simulated", simulated.iter().copied()),
+            ],
+            marks: Vec::new(),
+        };
+        (title.to_owned(), curves)
+    };
+    curve_panels(&[
+        panel(
+            "FWHM",
+            "FWHM (pixels)",
+            rows().filter_map(|row| row.fwhm_frame_px).collect(),
+            &trip.simulated_fwhm_px,
+        ),
+        panel(
+            "eccentricity",
+            "eccentricity sqrt(1 - b^2 / a^2)",
+            rows().filter_map(|row| row.eccentricity_frame).collect(),
+            &trip.simulated_eccentricity,
+        ),
+    ])
+}
