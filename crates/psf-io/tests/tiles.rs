@@ -85,6 +85,24 @@ fn is_a_broken_tile(bytes: &[u8], which: usize) -> bool {
 const FIVES: [i16; 9] = [0, 7, -100, 9, 0, 0, 0, 0x2004, 0x4004];
 
 #[test]
+fn keywords_of_tiles_have_one_value() {
+    let file = twice(8, "RICE_1", &[0; 16], 16);
+    // CFITSIO reads the second of these cards, and would divide by 0.
+    let mut card = b"ZTILE1  = nan".to_vec();
+    card.resize(80, b' ');
+    let end = file.windows(8).rposition(|word| word == b"ZVAL1   ").unwrap();
+    let mut spoilt = file.clone();
+    spoilt[end..end + 80].copy_from_slice(&card);
+    let error = values(&spoilt).unwrap_err();
+    let place = Place::Keyword {
+        hdu: 1,
+        keyword: "ZTILE1".to_owned(),
+    };
+    assert_eq!(error.place(), Some(&place), "{error}");
+    assert!(error.to_string().contains("two cards"), "{error}");
+}
+
+#[test]
 fn the_files_of_these_tests_are_sound_if_unchanged() {
     let pixels: Vec<f64> = [1.0, -2.0, 3.0, 4.0].repeat(NY);
     assert_eq!(values(&zipped(32, &i32s(&[1, -2, 3, 4]))).unwrap(), pixels);

@@ -8,6 +8,7 @@ use std::io::{self, BufReader, Read, Seek};
 use flate2::bufread::GzDecoder;
 
 use crate::error::{IoError, IoErrorKind, Place, unreadable};
+use crate::fits::card::Card;
 use crate::fits::columns::{Column, columns};
 use crate::fits::hdu::{Hdu, HduKind};
 use crate::fits::tile_codes::{Rice, is_sound_plio};
@@ -38,10 +39,21 @@ pub(crate) fn count_as_image(hdu: &mut Hdu) -> Result<(), IoError> {
     const NOT_NONE: &str = "must not be NONE if the pixels are whole numbers";
     const IMAGE_SIZE: &str = "the image would be larger than its tiles can hold";
     const TILE_SIZE: &str = "a tile would be larger than the table can hold";
+    const TWICE: &str = "the header has two cards with this keyword and different values";
     if !hdu.is_tiled() {
         return Ok(());
     }
     let table = &*hdu;
+    // Of two cards with one keyword, CFITSIO may take the other one, which would not be checked.
+    for card in table
+        .header
+        .iter()
+        .filter(|card| card.keyword().starts_with(['Z', 'T']))
+    {
+        let keyword = card.keyword();
+        let same = |first: &Card| first.shown() == card.shown();
+        table.ensure(table.header.get(&keyword).is_none_or(same), &keyword, TWICE)?;
+    }
     let algorithm = table.text("ZCMPTYPE").unwrap_or_default();
     table.ensure(ALGORITHMS.contains(&algorithm.trim()), "ZCMPTYPE", ALGORITHM)?;
     // CFITSIO uses ZDITHER0 and the parameters of RICE_1 as indices or divisors without a check.

@@ -602,7 +602,7 @@ const CASES: &[Case] = &[
     // validate
     ("validate", 2, &["not provided:\n  --report", "\n  <PSF|FRAME.fits>\n"]),
     ("validate model.fits --reference samples.fits", 2, &["not provided:\n  --report"]),
-    ("validate model.fits --report r", 2, &["model.fits", "psf-model", "--reference"]),
+    ("validate model.fits --report r", 2, &["model.fits is a PSF model", "--reference"]),
     ("validate model.fits --reference samples.fits --truth samples.fits --report r", 2, &["'--reference <SAMPLES|FRAME.fits>' cannot be used multiple times"]),
     ("validate model.fits --reference samples.fits --report r --snr 5", 2, &["--snr applies only to frames"]),
     ("validate model.fits --reference samples.fits --report r --seed 5", 2, &["'--reference <SAMPLES|FRAME.fits>' cannot be used with '--seed"]),
@@ -634,7 +634,7 @@ const CASES: &[Case] = &[
     ("validate scene.fits --report . --overwrite", 2, &["scene.fits", "another folder"]),
     ("validate folder --report r", 1, &["folder", "not a regular file"]),
     ("validate empty.fits --report r", 2, &["empty.fits", "not a FITS file"]),
-    ("validate samples.fits --report r", 2, &["samples.fits", "psf-samples", "--reference"]),
+    ("validate samples.fits --report r", 2, &["samples.fits is PSF samples", "--reference"]),
     ("validate telescope.toml --report r", 2, &["telescope.toml", "not a FITS file", "--reference"]),
     ("validate tiny.fits --report r", 1, &["tiny.fits", "3 x 51 pixels is too small"]),
     ("validate short.fits --report r", 1, &["short.fits", "HDU 0", "cut short"]),
