@@ -6,15 +6,14 @@ use thiserror::Error;
 
 use crate::plot::PlotError;
 
-/// Errors of measuring, comparing and showing simulations. They come from the pipeline or from a
-/// later step.
+/// Errors of measuring, comparing and showing simulations.
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum LabError {
-    /// The pipeline failed.
+    /// An error of the library psfield, for example of a fit or of a simulation.
     #[error("{0}")]
     Pipeline(#[source] PsfieldError),
-    /// A figure that could not be drawn.
+    /// A figure could not be made.
     #[error(transparent)]
     Plot(#[from] PlotError),
     /// No star can be measured in both the frame and its simulation.
@@ -22,7 +21,7 @@ pub enum LabError {
         "none of the {stars} stars could be measured in both the frame and its simulation, in windows of {window} x {window} pixels: choose another window size"
     )]
     NothingMeasured {
-        /// Stars that became samples.
+        /// Number of stars that became PSF samples. Only these are measured.
         stars: usize,
         /// Pixels along each side of the window.
         window: usize,
@@ -40,7 +39,7 @@ pub enum LabError {
         /// Smallest allowed distance between neighbours, in pixels.
         least_apart: usize,
     },
-    /// A model that includes the pixel response, and true PSFs that lack it.
+    /// The model's PSFs include the pixel response, but the true PSFs lack it.
     #[error(
         "the true PSFs lack the pixel response, but the PSFs of the model include it, so they cannot be compared: give true PSFs with the \
          pixel response, or a model of PSFs without it (FITS keyword PIXCONV)"

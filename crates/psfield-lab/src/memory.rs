@@ -3,8 +3,8 @@
 use std::fs;
 use std::path::Path;
 
-/// The largest number of bytes that this process has held since it started, or since a benchmark
-/// last reset the system's record. None if the system does not report it.
+/// The largest number of bytes of physical memory that this process has held since it started, or
+/// since a benchmark last reset the system's record. None if the system does not report it.
 pub fn peak_memory_bytes() -> Option<u64> {
     kibibytes("/proc/self/status", "VmHWM:")
 }
@@ -39,16 +39,18 @@ fn control_groups_left() -> Option<u64> {
     let path = groups.lines().find_map(|line| line.strip_prefix("0::/"))?;
     let text = |folder: &Path, name| fs::read_to_string(folder.join(name)).ok();
     let left = |folder: &Path| -> Option<u64> {
+        // In a group without a limit, `memory.max` holds the word max, which is no number.
         let limit: u64 = text(folder, "memory.max")?.trim().parse().ok()?;
         let used: u64 = text(folder, "memory.current")?.trim().parse().ok()?;
-        // Content of files that the system gives up when memory is needed.
+        // `inactive_file` counts cached content of files. The system frees it when a process needs
+        // memory.
         let stat = text(folder, "memory.stat")?;
         let cached = stat
             .lines()
             .find_map(|line| line.strip_prefix("inactive_file "))?;
         Some((limit + cached.trim().parse::<u64>().ok()?).saturating_sub(used))
     };
-    // Without a limit, the file holds the word max.
+    // The limits of the groups that contain this group apply, too.
     Path::new("/sys/fs/cgroup")
         .join(path)
         .ancestors()
@@ -65,15 +67,14 @@ fn kibibytes(file: &str, key: &str) -> Option<u64> {
 
 /// Measures the largest memory of this process from a chosen moment on (only on Linux).
 ///
-/// The difference of memory before and after would say little, because memory that earlier work has
-/// freed stays with the process and is used again.
+/// The difference between the memory after the work and before it would say little. Memory that
+/// earlier work has freed stays with the process, and later work uses it again.
 #[derive(Debug)]
 pub(super) struct PeakMemory {
     marked: bool,
 }
 
 impl PeakMemory {
-    /// Starts measuring.
     pub(super) fn start() -> Self {
         // Resets the recorded peak to the memory held now.
         Self {
@@ -81,7 +82,8 @@ impl PeakMemory {
         }
     }
 
-    /// The largest number of bytes held since the start. None if the system does not report it.
+    /// The largest number of bytes held since [`start`](Self::start). None if the system does not
+    /// report it.
     pub(super) fn bytes(&self) -> Option<u64> {
         self.marked.then(peak_memory_bytes).flatten()
     }

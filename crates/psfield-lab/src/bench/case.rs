@@ -22,7 +22,8 @@ pub struct BenchCase<T> {
 }
 
 impl<T> BenchCase<T> {
-    /// Combines a scene and a model. The model's stamps must be on the frame's pixels.
+    /// Combines a model and a scene. [`run`](crate::bench::run()) needs stamps that are sampled at
+    /// the centres of the scene's pixels and include the pixel response.
     pub fn new(record: PsfModelRecord, scene: Image<T>) -> Self {
         Self { record, scene }
     }
@@ -35,8 +36,8 @@ impl<T> BenchCase<T> {
 /// give equal scenes.
 ///
 /// # Errors
-/// No error occurs. [`Image::new`] refuses empty images and values that are not finite with a
-/// [`DataError`], but a [`FrameShape`] is not empty and all values are finite.
+/// No error occurs. [`Image::new`] returns a [`DataError`] for an image that is empty or too large,
+/// and for values that are not finite. A [`FrameShape`] excludes both, and all values are finite.
 pub fn lit_scene<T: Real>(shape: FrameShape, seed: u64) -> Result<Image<T>, DataError> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let wave = |i: usize, n: usize| (WAVE * i as f64 / n as f64).sin();
@@ -57,11 +58,11 @@ const WAVE: f64 = 7.0;
 
 /// Stretches the positions of a model's samples to a frame. Along each axis, the outermost
 /// positions become pixel 0 and the last pixel. If all samples have equal coordinates along an
-/// axis, they move to its middle. The PSF then varies over a frame of any size as over the whole
-/// field.
+/// axis, they move to the middle of this axis. The PSF of the stretched model varies over a frame
+/// of any size as over the whole field.
 ///
 /// # Errors
-/// [`DataError`] if different positions become equal.
+/// [`DataError`] if two samples at different positions move to one position.
 pub fn stretched(record: &PsfModelRecord, frame: FrameShape) -> Result<PsfModelRecord, DataError> {
     let positions = record.coefficients().positions().as_slice();
     let x = Stretch::new(positions.iter().map(|p| p.x()), frame.nx());
@@ -113,8 +114,8 @@ impl Stretch {
 /// A model that has the PSF of one position everywhere.
 ///
 /// # Errors
-/// [`ErrorKind::Field`](psfield::ErrorKind::Field) if the PSF has no value there,
-/// [`ErrorKind::Data`](psfield::ErrorKind::Data) if it is zero.
+/// [`ErrorKind::Field`](psfield::ErrorKind::Field) if the model has no PSF at the position,
+/// [`ErrorKind::Data`](psfield::ErrorKind::Data) if this PSF is zero at all pixels.
 pub(super) fn constant(model: &PsfModel, position: Position) -> Result<PsfModel, PsfieldError> {
     let psf = model.psf_at(position)?;
     let norm = psf.values().iter().map(|v| v * v).sum::<f64>().sqrt();
@@ -124,7 +125,7 @@ pub(super) fn constant(model: &PsfModel, position: Position) -> Result<PsfModel,
     let coefficient = SampleCoefficients::new(Array2::from_elem((1, 1), norm), at)?;
     let field = InterpolatedField::new(&coefficient, &Nearest, OutsidePolicy::Nearest)?;
     let shape = model.field_shape();
-    // If the model's PSFs have unit flux, `psf_at` has scaled the stamp already.
+    // `Keep`, because `psf_at` has already scaled the stamp if the model's PSFs have unit flux.
     Ok(PsfModel::new(
         &basis,
         Arc::new(field),

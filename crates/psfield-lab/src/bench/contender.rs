@@ -1,4 +1,4 @@
-//! The methods that are measured, and a method that is planned and ready to run.
+//! The methods that a benchmark measures, and a method that is planned and ready to run.
 
 use std::time::Instant;
 
@@ -14,34 +14,36 @@ use crate::bench::{BenchCase, BenchOptions, BenchRow};
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub enum Contender {
-    /// One PSF for the whole frame: the PSF of its middle. It is a [`Plan`](conv_core::Plan) of a
-    /// model with a constant field. This plan has a single mode and no coefficients, and is the
-    /// fastest convolution with one PSF in psfield.
+    /// One PSF for the whole frame: the PSF at the middle of the frame. The convolution is a
+    /// [`Plan`](conv_core::Plan) of a model that has this PSF everywhere. This is the fastest
+    /// convolution with one PSF in psfield.
     Single,
-    /// The fast engine with transforms for all tiles
-    /// ([`Paths::Transforms`](conv_core::Paths::Transforms)).
+    /// The fast engine ([`Engine`](conv_core::Engine)) with Fourier transforms for all tiles that
+    /// have light ([`Paths::Transforms`](conv_core::Paths::Transforms)).
     LowRank {
-        /// The tolerance.
+        /// The tolerance ([`PlanOptions::new`](conv_core::PlanOptions::new)).
         tolerance: f64,
     },
-    /// The fast engine with the cheapest computation for each tile.
+    /// The fast engine with the cheapest computation for each tile
+    /// ([`Paths::Cheapest`](conv_core::Paths::Cheapest)).
     Auto {
-        /// The tolerance.
+        /// The tolerance ([`PlanOptions::new`](conv_core::PlanOptions::new)).
         tolerance: f64,
     },
     /// One PSF for each square patch ([`PatchConvolution`](conv_core::PatchConvolution)).
     Patch {
-        /// Pixels along each side.
+        /// Pixels along each side of a patch.
         size: usize,
     },
     /// One convolution of the whole image per component
     /// ([`BasisConvolution`](conv_core::BasisConvolution)).
     Basis {
-        /// The largest number of components kept. The error is against the model with all
-        /// components.
+        /// The largest number of components kept. The measured error includes the error of leaving
+        /// out the others.
         rank: usize,
     },
-    /// The double sum in f64 ([`Direct`](conv_core::Direct)).
+    /// The direct sum over all pixels with light, in double precision
+    /// ([`Direct`](conv_core::Direct)).
     Direct,
 }
 
@@ -58,7 +60,8 @@ impl Contender {
         }
     }
 
-    /// The setting, such as `tolerance=1e-3`, `patch=64` or `rank=30`.
+    /// The setting, such as `tolerance=1e-3`, `patch=64` or `rank=30`. None for the methods without
+    /// a setting.
     pub fn setting(self) -> Option<String> {
         match self {
             Self::Single | Self::Direct => None,
@@ -72,7 +75,7 @@ impl Contender {
         }
     }
 
-    /// The tolerance, for the methods that take one.
+    /// The tolerance. None for the methods that take no tolerance.
     pub fn tolerance(self) -> Option<f64> {
         match self {
             Self::LowRank { tolerance } | Self::Auto { tolerance } => Some(tolerance),
@@ -81,11 +84,11 @@ impl Contender {
     }
 }
 
-/// A contender for which everything that does not depend on the light is prepared.
+/// A contender that is planned and ready to run.
 #[derive(Debug)]
 pub(super) struct PlannedContender<T: ConvReal> {
     simulator: Simulator<T>,
-    /// The results, with the values that are known before the first run.
+    /// The results. The run times and the error are 0 or None until they are measured.
     pub(super) row: BenchRow,
 }
 
@@ -93,7 +96,7 @@ pub(super) struct PlannedContender<T: ConvReal> {
 #[derive(Debug, Clone, Copy)]
 pub(super) struct RunTime {
     pub(super) seconds: f64,
-    /// The parts of this time, if a GPU computed.
+    /// The times of the steps of this run on a GPU. None if it ran on the processor.
     pub(super) gpu: Option<GpuSeconds>,
 }
 
@@ -170,8 +173,8 @@ impl<T: ConvReal> PlannedContender<T> {
         Ok(Self { simulator, row })
     }
 
-    /// Makes the image in an existing array, which is cleared before the clock starts, and returns
-    /// the time.
+    /// Clears `image`, then simulates the image in this array. The returned time is the time of the
+    /// simulation alone.
     pub(super) fn run(&self, scene: &Scene<'_, T>, image: &mut Array2<T>) -> Result<RunTime, PsfieldError> {
         image.fill(T::zero());
         let clock = Instant::now();

@@ -3,8 +3,10 @@
 //! A [`BenchCase`] is a model and a scene. [`run()`] plans each [`Contender`] and runs all of them
 //! in turn (A B C, A B C, ...), so that a machine that slows down affects all of them. It compares
 //! each image with the direct sum in double precision at random pixels, which are the same for all
-//! contenders. The unit of the ratios is one convolution with a single PSF ([`Contender::Single`]),
-//! which is always among the rows. [`BenchOptions::device`] chooses a GPU for the fast engine.
+//! contenders. [`BenchRow::ratio_to_single`] compares each run time with the run time of one
+//! convolution with a single PSF ([`Contender::Single`]), which is always among the rows.
+//! [`BenchOptions::device`] chooses a GPU for the fast engine ([`Contender::LowRank`] and
+//! [`Contender::Auto`]).
 //!
 //! ```
 //! use psfield_lab::bench::{BenchCase, BenchOptions, Contender, lit_scene, run, stretched};

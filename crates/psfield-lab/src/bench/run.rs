@@ -15,13 +15,13 @@ use crate::memory::PeakMemory;
 /// Settings of a benchmark: repetitions, device, and the measurement of errors.
 #[derive(Debug, Clone, PartialEq)]
 pub struct BenchOptions {
-    /// The anchor of the PSF.
+    /// The position at which the PSF is evaluated: source or output pixel.
     pub anchor: Anchor,
-    /// Timed turns of each contender, after a run that warms up. 0 counts as 1.
+    /// Number of timed turns of each contender, after a first run that is not timed. 0 counts as 1.
     pub repeat: usize,
-    /// Random pixels at which images are compared with the direct sum. 0 counts as 1.
+    /// Number of random pixels at which images are compared with the direct sum. 0 counts as 1.
     pub pixels: usize,
-    /// Seed that chooses the compared pixels.
+    /// Seed of the random choice of these pixels.
     pub seed: u64,
     /// The direct sum takes part only if its number of products (lit pixels x stamp pixels x stamps
     /// of the model) is at most this number.
@@ -29,19 +29,22 @@ pub struct BenchOptions {
     /// The device of [`Contender::LowRank`] and [`Contender::Auto`]. The others, including the
     /// single PSF, run on the processor.
     pub device: Device,
-    /// The GPU: [`SimulateOptions::gpu_adapter`](psfield::SimulateOptions::gpu_adapter).
+    /// The GPU to use: a part of its name, or its backend, as in
+    /// [`SimulateOptions::gpu_adapter`](psfield::SimulateOptions::gpu_adapter). None: the preferred
+    /// GPU.
     pub gpu_adapter: Option<String>,
-    /// Largest number of bytes that a plan keeps on the GPU:
+    /// Largest number of bytes that a plan keeps on the GPU, as in
     /// [`SimulateOptions::gpu_memory`](psfield::SimulateOptions::gpu_memory).
     pub gpu_memory: Option<u64>,
 }
 
 impl BenchOptions {
-    /// Default limit on the products. The direct sum takes a few seconds for this number.
+    /// Default of [`direct_products`](Self::direct_products). The direct sum takes a few seconds
+    /// for this number of products.
     pub const DEFAULT_DIRECT_PRODUCTS: f64 = 2e9;
     /// Default number of timed turns of each contender.
     pub const DEFAULT_REPEAT: usize = 3;
-    /// Default number of pixels compared.
+    /// Default number of compared pixels.
     pub const DEFAULT_PIXELS: usize = 400;
     /// Default seed.
     pub const DEFAULT_SEED: u64 = 1;
@@ -70,7 +73,7 @@ pub struct BenchRow {
     pub method: &'static str,
     /// [`Contender::setting`](crate::bench::Contender::setting).
     pub setting: Option<String>,
-    /// The requested tolerance, for the methods that take one.
+    /// The requested tolerance. None for the methods that take no tolerance.
     pub tolerance: Option<f64>,
     /// Columns and rows of the frame.
     pub size: [usize; 2],
@@ -80,24 +83,26 @@ pub struct BenchRow {
     pub rank: usize,
     /// `f32` or `f64`.
     pub precision: &'static str,
-    /// The anchor of the PSF.
+    /// The position at which the PSF was evaluated: source or output pixel.
     pub anchor: Anchor,
     /// Seconds to make the plan. None for methods without a plan.
     pub seconds_plan: Option<f64>,
-    /// Seconds of the fastest run.
+    /// Seconds of the fastest timed run.
     pub seconds: f64,
-    /// Median seconds of the runs.
+    /// Median of the seconds of the timed runs.
     pub seconds_median: f64,
     /// [`seconds`](Self::seconds) divided by the seconds of the single PSF.
     pub ratio_to_single: f64,
-    /// Relative L2 difference `|F - E| / |E|` of the image `F` from the direct sum `E` with all
-    /// components, over the compared pixels. None if `E` is 0 at all of them.
+    /// Relative L2 difference `|F - E| / |E|` over the compared pixels, between the image `F` and
+    /// the direct sum `E` with all components. None if `E` is 0 at all these pixels.
     pub relative_l2: Option<f64>,
-    /// Mean number of convolutions per tile (for `basis`: of the whole frame). None for `direct`.
+    /// For the methods with a plan: mean number of modes per block of tiles. Each tile needs one
+    /// convolution per mode. For `basis`: number of convolutions of the whole frame. 1 for `patch`,
+    /// None for `direct`.
     pub modes: Option<f64>,
-    /// Columns and rows of the largest tile, if there are tiles.
+    /// Columns and rows of the largest tile, or of a patch. None for `basis` and `direct`.
     pub tile: Option<[usize; 2]>,
-    /// Columns and rows of a tile's transforms, if a plan chose them.
+    /// Columns and rows of the Fourier transforms of a tile. None for methods without a plan.
     pub transform: Option<[usize; 2]>,
     /// Number of threads that shared the work.
     pub threads: usize,
@@ -106,9 +111,9 @@ pub struct BenchRow {
     /// earlier contenders. To measure the memory of one method, run the benchmark with this method
     /// alone.
     pub peak_memory_bytes: Option<u64>,
-    /// The GPU on which the contender ran: name, kind and backend. None for the processor.
+    /// The GPU on which the contender ran: name, kind and backend. None if it ran on the processor.
     pub gpu: Option<String>,
-    /// Seconds of the parts of the fastest run. None if it ran on the processor.
+    /// The times of the steps of the fastest run on the GPU. None if it ran on the processor.
     pub gpu_seconds: Option<GpuSeconds>,
 }
 
@@ -124,11 +129,11 @@ pub struct Skipped {
     pub size: [usize; 2],
     /// Number of PSF samples.
     pub samples: usize,
-    /// The reason.
+    /// The reason why the contender did not run.
     pub reason: String,
 }
 
-/// The results of a case.
+/// The results of all contenders for one [`BenchCase`].
 #[derive(Debug, Clone, PartialEq, Default, Serialize)]
 #[non_exhaustive]
 pub struct BenchOutcome {
@@ -145,8 +150,8 @@ struct Entry<T: ConvReal> {
     runs: Vec<RunTime>,
 }
 
-/// A run that takes fewer seconds is repeated within a turn, because clock and scheduler disturb
-/// short runs more.
+/// A run that takes fewer seconds is repeated within a turn. The clock and the scheduler disturb
+/// short runs more than long runs.
 const MIN_SECONDS_PER_TURN: f64 = 0.02;
 const MOST_RUNS: f64 = 20.0;
 
@@ -154,13 +159,14 @@ const MOST_RUNS: f64 = 20.0;
 ///
 /// The first run of each contender warms up: it is not timed, but its image is compared with the
 /// direct sum. Then all contenders run in turn, [`BenchOptions::repeat`] times. In each turn a
-/// contender runs as often as fits into 20 ms, at least once and at most 20 times. All plans are
-/// held at once. The seconds of a plan include the transfer to the GPU, but not the time to open a
-/// requested GPU.
+/// contender runs as often as fits into 20 ms, at least once and at most 20 times. The plans of all
+/// contenders are in memory at once. The seconds of a plan include the transfer to the GPU,
+/// but not the time to open a requested GPU.
 ///
 /// # Errors
-/// [`PsfieldError`] if the frame is larger than the field of the PSF, if the model's stamps do not
-/// suit an image, if a convolution fails, or if a requested GPU cannot be used.
+/// [`PsfieldError`] if the frame is larger than the field of the PSF, if the stamps of the model
+/// are not sampled at the centres of the frame's pixels or lack the pixel response, if a
+/// convolution fails, or if a requested GPU cannot be used.
 pub fn run<T: ConvReal>(
     case: &BenchCase<T>,
     contenders: &[Contender],
@@ -200,7 +206,7 @@ pub fn run<T: ConvReal>(
         .collect();
     let (direct, light) = (Direct::new(options.anchor), (case.scene.pixels(), (0, 0)));
     let exact = direct.at_pixels(model, light, frame, frame.region(), &pixels, &NoProgress)?;
-    // The field `relative_l2` of a row.
+    // Returns the value of the field `relative_l2` for an image.
     let relative_l2 = |image: &Array2<T>| {
         let (mut error, mut norm) = (0.0, 0.0);
         for (&(x, y), exact) in pixels.iter().zip(&exact) {

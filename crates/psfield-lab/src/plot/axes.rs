@@ -13,18 +13,19 @@ use psfield::readable;
 use crate::plot::canvas::Canvas;
 use crate::plot::figure::{Area, PlotError};
 
-/// Sizes of text, readable if a panel of 560 pixels takes half a page.
+/// Sizes of text in pixels. It is readable if a panel 560 pixels wide takes half the width of a
+/// page.
 pub(super) const TITLE: i32 = 17;
 pub(super) const TEXT: i32 = 15;
 pub(super) const SMALL: i32 = 12;
-/// Height of the numbers and the name below a plot.
+/// Height of the room below a plot for the numbers and the name of the x axis.
 pub(super) const LABEL_ROOM_X: u32 = 50;
-/// Width of the numbers and the name to the left of a plot.
+/// Width of the room to the left of a plot for the numbers and the name of the y axis.
 pub(super) const LABEL_ROOM_Y: u32 = 84;
-/// Margin around a plot with its numbers and names.
+/// Margin around a plot, outside the numbers and names of the axes.
 pub(super) const MARGIN: u32 = 14;
 
-/// An axis of plotters: its range and its numbers.
+/// An axis of the crate plotters that has a range of `f64` and formats its numbers.
 pub(super) trait Counting: Ranged<ValueType = f64> + ValueFormatter<f64> {}
 impl<R: Ranged<ValueType = f64> + ValueFormatter<f64>> Counting for R {}
 
@@ -98,7 +99,7 @@ pub(super) fn title_room(title: &str) -> u32 {
 /// Writes a heading above the plot, and returns the rest of the area.
 pub(super) fn under_title<'a>(area: &Area<'a>, title: &str) -> Result<Area<'a>, PlotError> {
     let (head, rest) = area.split_vertically(title_room(title));
-    // The middle of the plot. The room for the numbers on its left is part of the area.
+    // The heading is centred over the plot. `area` also holds the room for numbers to the left.
     let middle = (area.dim_in_pixel().0 + LABEL_ROOM_Y) as i32 / 2;
     let style = text_style(TITLE).pos(Pos::new(HPos::Center, VPos::Top));
     for (row, line) in title.lines().enumerate() {
@@ -134,7 +135,7 @@ pub(super) fn extent(values: impl Iterator<Item = f64>) -> Range<f64> {
     low - room..high + room
 }
 
-/// Returns the range of whole powers of ten that holds the positive values.
+/// Returns the smallest range between whole powers of ten that holds all positive values.
 pub(super) fn decades(values: impl Iterator<Item = f64>) -> Range<f64> {
     let (low, high) = bounds(values.filter(|v| *v > 0.0));
     if low > high {
@@ -144,17 +145,17 @@ pub(super) fn decades(values: impl Iterator<Item = f64>) -> Range<f64> {
     10f64.powf(low)..10f64.powf(high.max(low + 1.0))
 }
 
-/// An axis with up to this number of powers of ten has a tick at each of them.
+/// A logarithmic axis with at most this number of powers of ten has a tick at each of them.
 const DECADES: i32 = 7;
-/// Approximate number of steps of an even axis.
+/// Approximate number of steps between ticks on a linear axis.
 const STEPS: f64 = 5.0;
-/// Smallest distance between the numbers of an asinh bar ([`asinh_ticks`]), as a fraction of its
-/// length.
+/// Smallest distance between the ticks of a colour bar with an asinh scale ([`asinh_ticks`]), as a
+/// fraction of the bar's length.
 const SPACING: f64 = 0.09;
-/// Largest number of decades below the upper end of an asinh bar in which ticks are sought.
+/// [`asinh_ticks`] seeks ticks in at most this number of decades below the bar's upper end.
 const MOST_DECADES: i32 = 40;
 
-/// Ticks at multiples of 1, 2 or 5 times a power of ten.
+/// Ticks of a linear axis. The step between ticks is 1, 2 or 5 times a power of ten.
 pub(super) fn even_ticks(low: f64, high: f64) -> Vec<f64> {
     let span = high - low;
     if !(span > 0.0 && span.is_finite()) {
@@ -174,9 +175,10 @@ pub(super) fn even_ticks(low: f64, high: f64) -> Vec<f64> {
     (first..=last).map(|k| k as f64 * step).collect()
 }
 
-/// Ticks of a range above 0. A range of at least two decades has ticks at powers of ten (if there
-/// are many, only at every second, third, and so on). A shorter range has ticks at 1, 2 and 5 times
-/// powers of ten, or even steps if fewer than two of these fit.
+/// Ticks of a logarithmic axis. A range of at least two decades has ticks at powers of ten (if
+/// there are more than [`DECADES`], only at every second, third, and so on). A shorter range has
+/// ticks at 1, 2 and 5 times powers of ten. If fewer than two of these lie in the range, it has
+/// the ticks of a linear axis.
 pub(super) fn logarithmic_ticks(low: f64, high: f64) -> Vec<f64> {
     let low = low.max(f64::MIN_POSITIVE);
     let first = (low.log10() - ROUNDING).ceil() as i32;
@@ -196,9 +198,9 @@ pub(super) fn logarithmic_ticks(low: f64, high: f64) -> Vec<f64> {
     }
 }
 
-/// Ticks of a bar from 0 to `high` that is linear up to `soft` and logarithmic above (`asinh(v /
-/// soft)`). They are 0, and 1, 2 and 5 times powers of ten. Ticks that would be too close to others
-/// are left out.
+/// Ticks of a colour bar from 0 to `high` with the scale `asinh(v / soft)`, which is linear up to
+/// about `soft` and logarithmic above. The ticks are 0, and 1, 2 and 5 times powers of ten. A tick
+/// that would be closer than [`SPACING`] to another is left out.
 pub(super) fn asinh_ticks(soft: f64, high: f64) -> Vec<f64> {
     let along = |v: f64| (v / soft).asinh() / (high / soft).asinh();
     let last = high.log10().floor() as i32;

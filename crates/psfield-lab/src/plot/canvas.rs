@@ -1,4 +1,4 @@
-//! One drawing as SVG and as pixels.
+//! A canvas that draws a figure as SVG and as pixels at once.
 
 use std::io;
 use std::sync::LazyLock;
@@ -167,8 +167,8 @@ impl DrawingBackend for Canvas<'_> {
         self.svg.fill_polygon(points, style)
     }
 
-    /// Draws text into the SVG and into the pixels. In the pixels it has the size and the offsets
-    /// of plotters' SVG backend.
+    /// Draws text into the SVG and into the pixels. The size and the offsets of the text in the
+    /// pixels are copied from the SVG backend of plotters, so that both look alike.
     fn draw_text<S: BackendTextStyle>(&mut self, text: &str, style: &S, at: BackendCoord) -> Drawn {
         let em = style.size() as f32 / 1.24;
         let unit = em / f32::from(FONT.units_per_em());
@@ -202,7 +202,8 @@ impl DrawingBackend for Canvas<'_> {
     }
 }
 
-/// A picture that is laid over a figure. Its place and size are in pixels of the figure.
+/// A picture that is drawn over a figure. `left`, `top`, `width` and `height` are in pixels of the
+/// figure.
 #[derive(Debug)]
 pub(super) struct Overlay {
     pub(super) left: i32,
@@ -213,7 +214,7 @@ pub(super) struct Overlay {
 }
 
 impl Overlay {
-    /// Lays a picture over the plotting area of a chart.
+    /// Makes an overlay that fills the plotting area of a chart with a picture.
     pub(super) fn over<C: CoordTranslate>(plot: &DrawingArea<Canvas<'_>, C>, pixels: RgbImage) -> Self {
         let (x, y) = plot.get_pixel_range();
         Self {
@@ -238,8 +239,8 @@ impl Overlay {
         ))
     }
 
-    /// Draws the picture over an image, with a grey line around it. The pixels of the picture
-    /// become sharp rectangles.
+    /// Draws the picture over `image`, with a grey line around the picture. The pixels of the
+    /// picture become sharp rectangles.
     pub(super) fn lay_over(&self, image: &mut Pixmap) {
         let rgba = DynamicImage::from(self.pixels.clone()).into_rgba8();
         let (columns, rows) = rgba.dimensions();
@@ -285,7 +286,7 @@ fn outline(text: &str) -> (Option<Path>, f32) {
     (outline.path.finish(), outline.left)
 }
 
-/// The path of glyphs next to each other.
+/// Joins the outlines of glyphs to one path. The next glyph starts at the x coordinate `left`.
 struct Outline {
     path: PathBuilder,
     left: f32,

@@ -26,7 +26,7 @@ pub const SERIES: [RGBColor; 6] = [
 /// A map from values to colours.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum ColourMap {
-    /// Dark blue to yellow in even steps of lightness, for values.
+    /// Dark violet to yellow in even steps of lightness, for positive values.
     Viridis,
     /// Blue below, white in the middle, red above, for differences.
     BlueWhiteRed,
@@ -34,8 +34,8 @@ pub(super) enum ColourMap {
     Grey,
 }
 
-/// `RdBu` with 9 classes (C. Brewer, colorbrewer2.org), starting at blue. The middle is pure white,
-/// so that a difference of 0 is invisible.
+/// `RdBu` with 9 classes (C. Brewer, colorbrewer2.org), from blue to red. The middle is changed to
+/// pure white, so that a difference of 0 is invisible.
 const BLUE_WHITE_RED: [[u8; 3]; 9] = [
     [33, 102, 172],
     [67, 147, 195],
@@ -60,6 +60,7 @@ impl ColourMap {
     }
 }
 
+/// Returns the colour at `value`, from 0 to 1, interpolated between evenly spaced colours.
 fn between(stops: &[[u8; 3]], value: f64) -> [u8; 3] {
     let along = value * (stops.len() - 1) as f64;
     let first = (along as usize).min(stops.len() - 2);
@@ -77,24 +78,25 @@ const BAR: u32 = 18;
 /// Width of the numbers and the name of the bar.
 const NUMBERS: u32 = 78;
 
-/// The colours of values. Pictures and maps that are compared should have equal scales.
+/// Assigns colours to values. Pictures and maps that are compared should have equal scales.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Scale {
-    /// Grey from 0 to `high`: linear below `soft`, logarithmic above (`asinh(v / soft)`).
+    /// Black at 0 to white at `high`, by `asinh(v / soft)`: linear below about `soft`, logarithmic
+    /// above.
     Asinh {
-        /// The value where the logarithm begins.
+        /// The value at which the scale turns from linear to logarithmic.
         soft: f64,
         /// The value shown white.
         high: f64,
     },
-    /// Blue, white, red from `-most` to `most`, linear.
+    /// Blue at `-most`, white at 0, red at `most`, with linear steps between them.
     Difference {
-        /// The value with the darkest colours.
+        /// The absolute value that gets the darkest blue or red.
         most: f64,
     },
     /// Viridis from `low` to `high`, both above 0, logarithmic.
     Logarithmic {
-        /// The value shown dark blue.
+        /// The value shown dark violet.
         low: f64,
         /// The value shown yellow.
         high: f64,
@@ -102,7 +104,7 @@ pub enum Scale {
 }
 
 impl Scale {
-    /// The values at the ends. Values outside get the colour of the nearer end.
+    /// The values at the ends of the bar. Values outside get the colour of the nearer end.
     fn range(self) -> (f64, f64) {
         match self {
             Self::Asinh { high, .. } => (0.0, high),
@@ -144,16 +146,17 @@ impl Scale {
         self.at((self.along(value) - low) / (high - low).max(f64::MIN_POSITIVE))
     }
 
-    /// Draws the colour bar of a quantity at the left of `area`, which must be as high as the area
-    /// of the plot next to it. `name` includes the unit.
+    /// Draws the numbers and the name of a colour bar at the left of `area`, and returns the
+    /// colours as an overlay. `area` must be as high as the area of the plot next to the bar.
+    /// `name` is the quantity with its unit.
     pub(super) fn draw_bar(self, name: &str, area: &Area<'_>) -> Result<Overlay, PlotError> {
         let (low, high) = self.range();
         let ticks = self.ticks();
         let places: Vec<f64> = ticks.iter().map(|&v| self.along(v)).collect();
         let shown = |place: &f64| {
             let tick = places.iter().position(|p| p == place);
-            // Without a space, the tick looks like a decimal point before the number. SVG drops
-            // plain spaces, so this is a no-break space.
+            // Without a space, the mark of the tick looks like a decimal point before the number.
+            // SVG drops plain spaces, so this is a no-break space.
             tick.map_or_else(String::new, |k| {
                 format!("\u{a0}{}", number(ticks[k], (low, high)))
             })
@@ -194,7 +197,8 @@ impl Scale {
     }
 }
 
-/// The axis of a colour bar, with numbers at given places (plotters would choose its own).
+/// The axis of a colour bar, with numbers at given places. The crate plotters would otherwise
+/// choose the places.
 struct Length {
     range: Range<f64>,
     places: Vec<f64>,

@@ -27,10 +27,11 @@ pub struct Curve {
     pub name: String,
     /// The points, in this order.
     pub points: Vec<(f64, f64)>,
-    /// The index of its colour in [`SERIES`](crate::plot::SERIES), modulo the number of colours.
+    /// The index of the line's colour in [`SERIES`](crate::plot::SERIES), modulo the number of
+    /// colours.
     /// None: the index of the curve in its plot.
     pub colour: Option<usize>,
-    /// The shape of every point, if points are drawn.
+    /// The shape drawn at every point. None: only the line is drawn.
     pub marker: Option<Marker>,
     /// Positions and texts of labels, in the curve's colour.
     pub labels: Vec<((f64, f64), String)>,
@@ -81,7 +82,7 @@ impl Curve {
     }
 }
 
-/// The kind of an axis, and its name with the unit.
+/// An axis: its scale (linear or logarithmic), and its name with the unit.
 #[derive(Debug, Clone)]
 pub struct Axis {
     pub(super) name: String,
@@ -89,7 +90,7 @@ pub struct Axis {
 }
 
 impl Axis {
-    /// An axis with even steps.
+    /// A linear axis.
     pub fn linear(name: &str) -> Self {
         Self {
             name: name.to_owned(),
@@ -97,7 +98,7 @@ impl Axis {
         }
     }
 
-    /// An axis with powers of ten. Values that are not above 0 are left out.
+    /// A logarithmic axis. Points whose coordinate along the axis is not above 0 are left out.
     pub fn logarithmic(name: &str) -> Self {
         Self {
             name: name.to_owned(),
@@ -146,9 +147,10 @@ pub struct Curves {
 
 const SIZE: (u32, u32) = (760, 460);
 const MARK: RGBColor = RGBColor(90, 90, 90);
-/// Half the length of a line in a legend.
+/// Half the length of a line in the legend of [`curve_panels`].
 const LEGEND_LINE: i32 = 14;
-/// The texts of points nearer to each other than these fractions of the axes would overlap.
+/// If two marked points are closer to each other than these fractions of the axes, their texts
+/// would overlap. The second text is then drawn one line lower.
 const NEAR: (f64, f64) = (0.3, 0.06);
 
 impl Curves {
@@ -235,7 +237,7 @@ impl Curves {
             let mut lower = 0;
             let (line, at, text, h, v) = match mark {
                 Mark::Vertical(at, text) => {
-                    // The text is on the side with more room, above the plot.
+                    // The text stands above the plot, on the side of the line with more room.
                     let right = self.x.part(*at, x) > 0.6;
                     let h = if right { HPos::Right } else { HPos::Left };
                     let line = [(*at, y.start), (*at, y.end)];
@@ -287,15 +289,15 @@ fn draw_marker<C: CoordTranslate>(
     Ok(())
 }
 
-/// Width and height of a panel. Two next to each other stay readable at the width of a page.
+/// Width and height of a panel. Two panels next to each other stay readable on a page.
 const PANEL: (u32, u32) = (560, 440);
 /// Height of the strip that holds the legend.
 const LEGEND: u32 = 44;
 /// Width of a name in the legend, in pixels.
 const NAME_WIDTH: i32 = 118;
 
-/// Draws plots with headings, two per row, below one legend for all of them. Curves with equal
-/// names should have equal colours and markers.
+/// Draws plots with headings, two per row, below one legend for all of them. The legend shows each
+/// name once, so curves with equal names should have equal colours and markers.
 ///
 /// # Errors
 /// [`PlotError`] when the drawing fails.

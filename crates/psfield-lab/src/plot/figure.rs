@@ -11,7 +11,7 @@ use tiny_skia::Pixmap;
 
 use crate::plot::canvas::{Canvas, Overlay, PNG_SCALE};
 
-/// The area in which parts of a figure are drawn.
+/// A rectangle of a figure in which a part of the figure is drawn.
 pub(super) type Area<'a> = DrawingArea<Canvas<'a>, Shift>;
 
 /// The error of a figure that could not be made.
@@ -21,12 +21,12 @@ pub enum PlotError {
     /// The drawing failed.
     #[error("a figure could not be drawn: {0}")]
     Drawing(#[from] DrawingAreaErrorKind<std::io::Error>),
-    /// There is not enough memory for the pixels.
-    #[error("a figure of {width} x {height} pixels is too large for a PNG")]
+    /// The figure has no pixels, or too many for a PNG.
+    #[error("a PNG of {width} x {height} pixels cannot be made: it is empty or too large")]
     TooLarge {
-        /// Columns.
+        /// Columns of the PNG.
         width: u32,
-        /// Rows.
+        /// Rows of the PNG.
         height: u32,
     },
     /// The pixels could not be written as PNG.
@@ -34,7 +34,8 @@ pub enum PlotError {
     Encoding(#[from] ImageError),
 }
 
-/// A figure as SVG and as pixels. Text is `sans-serif`, and the background is white.
+/// A figure as SVG and as pixels. The background is white. The font of the text is DejaVu Sans in
+/// the pixels, and the reader's `sans-serif` font in the SVG.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Figure {
     svg: String,
@@ -73,12 +74,13 @@ impl Figure {
         &self.svg
     }
 
-    /// Width and height in pixels.
+    /// Width and height of the SVG in pixels.
     pub fn size(&self) -> (u32, u32) {
         self.size
     }
 
-    /// Returns the figure as PNG, with twice the pixels along each axis.
+    /// Returns the figure as PNG, with twice as many pixels along each axis as
+    /// [`size`](Self::size).
     ///
     /// # Errors
     /// [`PlotError::Encoding`] if the pixels cannot be written as PNG.

@@ -9,21 +9,21 @@ use crate::plot::axes::{bounds, draw_legend, even_chart};
 use crate::plot::colours::SERIES;
 use crate::plot::figure::{Figure, PlotError};
 
-/// Counts of values in bins of equal width. A value on an edge counts in the bin above it, and the
-/// upper end counts in the last bin.
+/// Counts of values in bins of equal width. A value on the edge between two bins counts in the
+/// upper bin. A value at the upper end of the range counts in the last bin.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Histogram {
     low: f64,
     high: f64,
     /// Number of values in each bin.
     pub counts: Vec<usize>,
-    /// Number of values in no bin.
+    /// Number of values that lie outside the range or are not finite.
     pub outside: usize,
 }
 
 impl Histogram {
-    /// Counts `values` in `bins` bins (at least one) from `low` to `high`. Values that are outside
-    /// or not finite are counted separately.
+    /// Counts `values` in `bins` bins (at least one) from `low` to `high`. Values that lie outside
+    /// this range or are not finite are counted in [`outside`](Self::outside).
     pub fn new(values: impl IntoIterator<Item = f64>, (low, high): (f64, f64), bins: usize) -> Self {
         let bins = bins.max(1);
         let mut histogram = Self {
@@ -43,7 +43,7 @@ impl Histogram {
         histogram
     }
 
-    /// Makes histograms of several lists over their common range, with equal bins.
+    /// Makes a histogram of each list. All have equal bins, over the range of all lists together.
     pub fn of_all<const N: usize>(lists: [&[f64]; N], bins: usize) -> [Self; N] {
         let (low, high) = bounds(lists.iter().flat_map(|list| list.iter().copied()));
         let range = if low < high {
@@ -61,7 +61,7 @@ impl Histogram {
         (self.low, self.high)
     }
 
-    /// The lower edge of a bin. For the index after the last bin: the upper end.
+    /// The lower edge of a bin. For the index after the last bin: the upper edge of the last bin.
     pub fn edge(&self, bin: usize) -> f64 {
         self.low + (self.high - self.low) * bin as f64 / self.counts.len() as f64
     }
@@ -94,7 +94,7 @@ pub fn histograms(panels: &[HistogramPanel<'_>]) -> Result<Figure, PlotError> {
                 continue;
             };
             let (low, high) = first.range();
-            // Room above the bars, so that a legend covers none.
+            // Room above the bars, so that the legend covers none of them.
             let axes = [(panel.quantity, low..high), ("objects per bin", 0.0..most * 1.25)];
             let mut chart = even_chart(&area, axes)?;
             for (n, ((name, histogram), colour)) in panel.histograms.iter().zip(SERIES).enumerate() {

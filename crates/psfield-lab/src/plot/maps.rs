@@ -28,7 +28,7 @@ pub fn positions_figure(panels: &[(String, &[Position])], frame: FrameShape) -> 
     let count = panels.len().max(1);
     Figure::draw((PANEL * count as u32, head + height), |root| {
         for ((title, positions), area) in panels.iter().zip(root.split_evenly((1, count))) {
-            // Room for dots on the edges.
+            // Room for dots on the edges of the frame.
             let axes = [
                 ("x (pixels)", -0.02 * nx..1.02 * nx),
                 ("y (pixels)", -0.02 * ny..1.02 * ny),
@@ -47,7 +47,7 @@ pub fn positions_figure(panels: &[(String, &[Position])], frame: FrameShape) -> 
     })
 }
 
-/// A value at every position of a field, shown as colours. Differences of 0 are white.
+/// Values at positions of a field, shown as colours.
 #[derive(Debug, Clone)]
 pub struct FieldMap<'a> {
     /// The heading.
@@ -61,11 +61,11 @@ pub struct FieldMap<'a> {
     /// Number of columns if the positions form a regular grid over the field, ordered by y, then x.
     /// None: values are shown as dots.
     pub grid_columns: Option<usize>,
-    /// The colours.
+    /// The colours of the values.
     pub scale: Scale,
 }
 
-/// Width of a map. Two fit next to each other on the page of a report.
+/// Width of a map. Two maps fit next to each other on the page of a report.
 const WIDTH: u32 = 550;
 const MISSING: RGBColor = RGBColor(128, 128, 128);
 
@@ -82,7 +82,7 @@ impl FieldMap<'_> {
             let (left, right) = root.split_horizontally(WIDTH - BAR_AREA);
             let left = under_title(&left, self.title)?;
             let (_, right) = right.split_vertically(title_room(self.title));
-            // Room for dots on the edges.
+            // Room for dots on the edges of the frame.
             let room = if self.grid_columns.is_some() { 0.0 } else { 0.03 };
             let range = |n: f64| -room * n - 0.5..(1.0 + room) * n - 0.5;
             let mut chart = even_chart(&left, [("x (pixels)", range(nx)), ("y (pixels)", range(ny))])?;
@@ -100,7 +100,7 @@ impl FieldMap<'_> {
                     });
                     Circle::new((at.x(), at.y()), radius, colour.filled())
                 }))?;
-                // White dots would be invisible on white.
+                // Grey outlines, because white dots would be invisible on the white background.
                 chart.draw_series(
                     self.values
                         .iter()
@@ -112,7 +112,7 @@ impl FieldMap<'_> {
         })
     }
 
-    /// Returns a picture with one pixel per value, the first row at the bottom.
+    /// Returns a picture with one pixel per value. The first row of values is at the bottom.
     fn cells(&self, columns: usize) -> RgbImage {
         let rows = self.values.len().div_ceil(columns);
         RgbImage::from_fn(columns as u32, rows as u32, |x, y| {

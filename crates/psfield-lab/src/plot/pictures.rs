@@ -27,18 +27,18 @@ pub struct Picture<'a> {
     pub title: &'a str,
     /// The image `[y, x]`.
     pub pixels: ArrayView2<'a, f64>,
-    /// Its colours.
+    /// The colours of the pixels.
     pub scale: Scale,
     /// The quantity shown by the colours, with its unit.
     pub quantity: &'a str,
-    /// The units along its axes.
+    /// The units along the axes.
     pub axes: PictureAxes<'a>,
 }
 
-/// Width of a single picture. The PNG has twice as many pixels along each axis, so that an image of
-/// 1024 columns has one PNG pixel per image pixel.
+/// Width of a single picture, without its axes. The PNG has twice as many pixels along each axis,
+/// so that an image of 1024 columns has one PNG pixel per image pixel.
 const SINGLE_WIDTH: u32 = 512;
-/// Width of each picture if there are several.
+/// Width of each picture, without its axes, if there are several.
 const PAIR_WIDTH: u32 = 298;
 /// Total width of the axes, margins and bar next to a picture.
 const SURROUNDINGS: u32 = LABEL_ROOM_Y + 2 * MARGIN + BAR_AREA;

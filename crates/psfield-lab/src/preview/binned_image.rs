@@ -6,13 +6,14 @@ use psf_io::{ImageReader, IoError};
 /// Number of rows read from a file at once.
 const BAND: usize = 64;
 
-/// An image of limited size. Each of its pixels is the mean of a square bin of pixels.
+/// An image of limited size. Each of its pixels is the mean of a square bin of pixels of the
+/// original image.
 #[derive(Debug, Clone, PartialEq)]
 pub struct BinnedImage {
     pixels: Array2<f64>,
-    /// Pixels of the image along the side of a bin.
+    /// Pixels of the original image along each side of a bin.
     pub factor: usize,
-    /// Pixels of the image that are NaN or infinite.
+    /// Number of pixels of the original image that are NaN or infinite.
     pub undefined_pixels: usize,
 }
 
@@ -39,7 +40,7 @@ impl BinnedImage {
     /// Bins an image in a file. The file is read in bands of rows, and may be larger than memory.
     ///
     /// # Errors
-    /// The errors of the reader.
+    /// [`IoError`] if the reader cannot read the rows.
     pub fn read(reader: &mut ImageReader, max_size: usize) -> Result<Self, IoError> {
         let (ny, nx) = (reader.shape().ny(), reader.shape().nx());
         let mut squares = Squares::new((ny, nx), max_size);
@@ -97,7 +98,7 @@ impl Squares {
 
     fn means(self) -> BinnedImage {
         let mut pixels = self.sums;
-        // 0 / 0 gives NaN.
+        // A bin without finite pixels becomes NaN: 0 / 0.
         pixels.zip_mut_with(&self.counts, |sum, &count| *sum /= f64::from(count));
         BinnedImage {
             pixels,

@@ -9,8 +9,8 @@ use serde::Serialize;
 
 use crate::preview::PreviewError;
 
-/// The values shown darkest and brightest: finite, the first below the second. Values outside are
-/// shown as the nearer limit.
+/// The values shown darkest and brightest: both finite, the first below the second. Values outside
+/// the limits are shown like the nearer limit.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Limits {
     low: f64,
@@ -18,7 +18,7 @@ pub struct Limits {
 }
 
 impl Limits {
-    /// Checks and returns limits.
+    /// Makes limits from the values shown darkest (`low`) and brightest (`high`).
     ///
     /// # Errors
     /// [`PreviewError::Range`] unless both are finite and `low` is below `high`.
@@ -43,7 +43,7 @@ impl Limits {
         let fraction = if span.is_finite() {
             (value - self.low) / span
         } else {
-            // Limits so far apart that their difference overflows.
+            // The limits are so far apart that their difference overflows.
             (value / 2.0 - self.low / 2.0) / (self.high / 2.0 - self.low / 2.0)
         };
         fraction.clamp(0.0, 1.0)
@@ -85,7 +85,7 @@ pub struct Percentiles {
 }
 
 impl Percentiles {
-    /// Checks and returns percentiles.
+    /// Makes percentiles, for example 0.5 and 99.5.
     ///
     /// # Errors
     /// [`PreviewError::Percentiles`] unless 0 <= `low` < `high` <= 100.
@@ -110,13 +110,13 @@ impl FromStr for Percentiles {
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub enum LimitRule {
-    /// Percentiles of the pixels, linear between neighbours: astropy's
+    /// Percentiles of the pixels, interpolated linearly between the sorted values: astropy's
     /// `AsymmetricPercentileInterval`.
     Percentile(Percentiles),
     /// The given limits.
     Range(Limits),
-    /// A range around the median. Its width follows from the slope of the sorted values without
-    /// outliers: astropy's `ZScaleInterval`, as in IRAF and ds9, with 1000 pixels and a contrast of
+    /// A range around the median. The slope of the sorted values without outliers gives its width:
+    /// astropy's `ZScaleInterval`, as in IRAF and ds9, with at most 1000 pixels and a contrast of
     /// 0.25.
     ZScale,
 }
@@ -125,8 +125,9 @@ impl LimitRule {
     /// Returns the limits for an image `[y, x]`.
     ///
     /// # Errors
-    /// [`PreviewError::NoFinitePixel`] if no pixel is finite. [`PreviewError::Constant`] or
-    /// [`PreviewError::EqualLimits`] if the rule gives no range.
+    /// [`PreviewError::NoFinitePixel`] if no pixel is finite. If the rule gives two equal limits:
+    /// [`PreviewError::Constant`] if all finite pixels are equal, else
+    /// [`PreviewError::EqualLimits`]. [`Range`](Self::Range) gives no error.
     pub fn limits(self, image: ArrayView2<'_, f64>) -> Result<Limits, PreviewError> {
         if let Self::Range(limits) = self {
             return Ok(limits);
@@ -163,7 +164,8 @@ impl LimitRule {
     }
 }
 
-/// Returns a percentile of sorted values, linear between neighbours, as in `numpy.percentile`.
+/// Returns a percentile of sorted values, interpolated linearly between neighbouring values, as in
+/// `numpy.percentile`.
 fn percentile(sorted: &[f64], percent: f64) -> f64 {
     let last = sorted.len() - 1;
     let place = percent / 100.0 * last as f64;
@@ -172,11 +174,11 @@ fn percentile(sorted: &[f64], percent: f64) -> f64 {
     low + (high - low) * (place - below as f64)
 }
 
-/// Number of pixels that zscale samples.
+/// Largest number of pixels that zscale samples.
 const SAMPLES: usize = 1000;
-/// The slope of the line that is fitted to the sorted samples is divided by this contrast.
+/// zscale fits a line to the sorted samples, and divides the slope of the line by this contrast.
 const CONTRAST: f64 = 0.25;
-/// At least this fraction of the sampled pixels must follow the line.
+/// At least this fraction of the sampled pixels must follow the line, that is, not be rejected.
 const MIN_KEPT_PART: f64 = 0.5;
 /// At least this number of sampled pixels must follow the line.
 const MIN_KEPT: usize = 5;
@@ -184,8 +186,8 @@ const MIN_KEPT: usize = 5;
 const REJECTION: f64 = 2.5;
 /// Largest number of times that the line is fitted and pixels are rejected.
 const ROUNDS: usize = 5;
-/// Width of the range of pixels that are rejected around a rejected pixel, as a fraction of the
-/// sampled pixels.
+/// The neighbours of a rejected pixel in the sorted list are rejected, too. This is the width of
+/// the rejected range, as a fraction of the number of sampled pixels.
 const GROWTH: f64 = 0.01;
 
 /// Limits for finite values, at least one: IRAF's zscale in the form of astropy's `ZScaleInterval`
@@ -194,7 +196,8 @@ const GROWTH: f64 = 0.01;
 /// A line is fitted to the `n` sorted samples as a function of their rank, without outliers. With
 /// the `slope` of the line and the middle rank `centre`, the limits are
 /// `median - (centre - 1) slope / contrast` and `median + (n - centre) slope / contrast`. They stay
-/// within the lowest and the highest sample.
+/// between the lowest and the highest sample. If too few samples follow the line, the limits are
+/// the lowest and the highest sample.
 fn zscale(values: &[f64]) -> (f64, f64) {
     let stride = (values.len() / SAMPLES).max(1);
     let mut samples: Vec<f64> = values.iter().copied().step_by(stride).take(SAMPLES).collect();
@@ -241,7 +244,7 @@ fn slope_of_most(samples: &[f64], least: usize) -> Option<f64> {
         });
         let line = above / below;
         let residual = |rank: f64, value: f64| value - value_mean - line * (rank - rank_mean);
-        // The mean of the residuals is zero for any such fit.
+        // The mean of the residuals is 0, so their variance is the mean of their squares.
         let squares: f64 = counting.iter().map(|p| residual(p.0, p.1).powi(2)).sum();
         let threshold = REJECTION * (squares / count).sqrt();
         for (rank, (&value, rejected)) in samples.iter().zip(&mut rejected).enumerate() {
@@ -255,7 +258,8 @@ fn slope_of_most(samples: &[f64], least: usize) -> Option<f64> {
     slope.filter(|_| kept >= least)
 }
 
-/// Rejects the neighbours of rejected values: `numpy.convolve(rejected, ones(width), "same")`.
+/// Also rejects the neighbours of rejected values, as
+/// `numpy.convolve(rejected, ones(width), "same") > 0`.
 fn grown(rejected: &[bool], width: usize) -> Vec<bool> {
     (0..rejected.len())
         .map(|i| {

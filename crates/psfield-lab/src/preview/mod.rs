@@ -41,7 +41,7 @@ pub use picture::{Colormap, Picture, Stretch};
 #[derive(Debug, Clone, PartialEq, Error)]
 #[non_exhaustive]
 pub enum PreviewError {
-    /// Limits that are not a range.
+    /// Limits that are not finite, or not in ascending order.
     #[error(
         "the limits {low} and {high} are not a range: two finite numbers are needed, the lower one first"
     )]
@@ -51,7 +51,7 @@ pub enum PreviewError {
         /// The value at the bright end.
         high: f64,
     },
-    /// Percentiles that are out of range or not ascending.
+    /// Percentiles that are not from 0 to 100, or not in ascending order.
     #[error("the percentiles {low} and {high} are not two numbers from 0 to 100, the lower one first")]
     Percentiles {
         /// The lower percentile.
@@ -70,10 +70,10 @@ pub enum PreviewError {
         /// The given name.
         got: String,
     },
-    /// An image without any finite pixel.
-    #[error("none of the {pixels} pixels is a finite number: there is nothing to show")]
+    /// An image (binned, if it is large) without any finite pixel.
+    #[error("none of the {pixels} pixels of the picture has a finite value: there is nothing to show")]
     NoFinitePixel {
-        /// Pixels of the image.
+        /// Number of pixels of the image.
         pixels: usize,
     },
     /// An image whose finite pixels are all equal.
@@ -84,7 +84,7 @@ pub enum PreviewError {
     },
     /// A rule that gives two equal limits for an image whose pixels differ.
     #[error(
-        "{rule} puts both limits at {}, because so many pixels have this value, while the pixels range from {} to {}: give wider \
+        "{rule} puts both limits at {}, because so many pixels have this value, while the pixels range from {} to {}: choose wider \
          percentiles, or give the two limits yourself",
         readable(*value, FIGURES),
         readable(*lowest, FIGURES),
@@ -100,7 +100,7 @@ pub enum PreviewError {
         /// The highest pixel.
         highest: f64,
     },
-    /// An array that is empty or has more pixels along an axis than PNG allows.
+    /// An image that is empty, or has too many pixels along an axis for a picture.
     #[error("an image of {nx} x {ny} pixels cannot be a picture: 1 to {limit} are needed along each axis")]
     Size {
         /// Columns.

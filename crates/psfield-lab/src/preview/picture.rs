@@ -1,4 +1,4 @@
-//! An image as a picture: brightness, colours, PNG.
+//! Turns an image into a picture: brightness, colours, PNG.
 
 use std::io::Cursor;
 use std::str::FromStr;
@@ -8,21 +8,23 @@ use ndarray::ArrayView2;
 
 use crate::preview::{Limits, PreviewError};
 
-/// The largest number of pixels along an axis: a grey picture of this size has 1 GB.
+/// The largest number of pixels along an axis. A square grey picture of this size takes 1 GB of
+/// memory.
 const LARGEST: usize = 32_768;
 
-/// A picture of 8 bits per channel, with row 0 of the image at the bottom. It is grey if the colour
-/// map is grey and every pixel has a value, else coloured.
+/// A picture of 8 bits per channel, with row 0 of the image at the bottom. It has one grey channel
+/// if the colour map is grey and every pixel is finite, else red, green and blue.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Picture(DynamicImage);
 
 impl Picture {
-    /// Makes the picture of an image `[y, x]`: `colormap(stretch(limits(value)))` of each pixel.
-    /// NaN and infinities have no value. They get the
+    /// Makes the picture of an image `[y, x]`. The colour of a pixel is
+    /// `colormap(stretch(limits(value)))`. Pixels that are NaN or infinite get the
     /// [`undefined_colour`](Colormap::undefined_colour) of the colour map.
     ///
     /// # Errors
-    /// [`PreviewError::Size`] for an image without pixels or with more than 32768 along an axis.
+    /// [`PreviewError::Size`] for an image that is empty or has more than 32768 pixels along an
+    /// axis.
     pub fn new(
         image: ArrayView2<'_, f64>,
         limits: Limits,
@@ -54,12 +56,12 @@ impl Picture {
         }))
     }
 
-    /// Columns.
+    /// Number of columns.
     pub fn width(&self) -> usize {
         self.0.width() as usize
     }
 
-    /// Rows.
+    /// Number of rows.
     pub fn height(&self) -> usize {
         self.0.height() as usize
     }
@@ -69,7 +71,7 @@ impl Picture {
         self.0.as_luma8().is_some()
     }
 
-    /// Red, green and blue of the pixel that shows `[y, x]` of the image. None outside the image.
+    /// Red, green and blue of the pixel `[y, x]` of the image. None for a pixel outside the image.
     pub fn colour_at(&self, [y, x]: [usize; 2]) -> Option<[u8; 3]> {
         let row = self.height().checked_sub(1 + y)?;
         match &self.0 {
@@ -89,7 +91,8 @@ impl Picture {
     }
 }
 
-/// The brightness of a value between the limits, as in `astropy.visualization` by default.
+/// The formula that turns a value into a brightness from 0 to 1, as in `astropy.visualization` by
+/// default. `x` is the position of the value between the limits, from 0 to 1.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Stretch {
@@ -107,7 +110,7 @@ impl Stretch {
     /// All stretches.
     pub const ALL: [Self; 4] = [Self::Linear, Self::Sqrt, Self::Log, Self::Asinh];
 
-    /// Its name, which [`FromStr`] accepts.
+    /// The name of the stretch, which [`FromStr`] accepts.
     pub fn name(self) -> &'static str {
         match self {
             Self::Linear => "linear",
@@ -117,7 +120,8 @@ impl Stretch {
         }
     }
 
-    /// The brightness (0 to 1) at a fraction (0 to 1) of the range. NaN stays NaN.
+    /// The brightness (0 to 1) at a fraction (0 to 1) of the range between the limits. NaN stays
+    /// NaN.
     pub fn brightness(self, fraction: f64) -> f64 {
         const LOG: f64 = 1000.0;
         const ASINH: f64 = 0.1;
@@ -137,8 +141,8 @@ impl FromStr for Stretch {
     }
 }
 
-/// Colours from dark to bright, with lightness that always increases, so that colour-blind readers
-/// can tell them apart. Grey, and colour maps of matplotlib.
+/// Grey, and five colour maps of matplotlib. The lightness of every map increases all the way from
+/// dark to bright, so that colour-blind readers can tell the colours apart.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Colormap {
@@ -146,11 +150,11 @@ pub enum Colormap {
     Grey,
     /// Violet, green, yellow.
     Viridis,
-    /// Blue, grey, yellow: looks almost the same to colour-blind and to other readers.
+    /// Blue, grey, yellow. It looks almost the same to colour-blind readers and to others.
     Cividis,
     /// Black, red, pale yellow.
     Inferno,
-    /// Black, pink, white.
+    /// Black, pink, pale yellow.
     Magma,
     /// Blue, pink, yellow.
     Plasma,
@@ -167,7 +171,7 @@ impl Colormap {
         Self::Plasma,
     ];
 
-    /// Its name, which [`FromStr`] accepts.
+    /// The name of the colour map, which [`FromStr`] accepts.
     pub fn name(self) -> &'static str {
         match self {
             Self::Grey => "grey",
@@ -194,8 +198,8 @@ impl Colormap {
         gradient.eval_continuous(brightness.clamp(0.0, 1.0)).into_array()
     }
 
-    /// The colour of pixels without a value. It does not occur in the map: magenta if the map has
-    /// no similar colour, else cyan.
+    /// The colour of pixels that are NaN or infinite: magenta if no colour of the map is similar to
+    /// magenta, else cyan.
     pub fn undefined_colour(self) -> [u8; 3] {
         match self {
             Self::Grey | Self::Viridis | Self::Cividis => [255, 0, 255],
@@ -212,7 +216,7 @@ impl FromStr for Colormap {
     }
 }
 
-/// Returns the value of this name.
+/// Returns the value in `all` whose name is `text`. `known` lists the names for the error.
 fn named<T: Copy, const N: usize>(
     text: &str,
     all: [T; N],

@@ -13,7 +13,7 @@ pub struct Document {
     pub title: String,
     /// The program that made the report.
     pub software: Software,
-    /// The inputs: name and value.
+    /// Names and values of the inputs and of the conditions of the run.
     pub inputs: Vec<(&'static str, String)>,
     /// The sections, in order.
     pub sections: Vec<Section>,
@@ -55,8 +55,8 @@ pub struct NamedFigure {
 }
 
 impl Document {
-    /// Returns a self-contained HTML page. It is light or dark, as the reader's system is set, and
-    /// can be printed.
+    /// Returns a self-contained HTML page, which can be printed. The page is light or dark, as the
+    /// reader's system is set.
     pub fn to_html(&self) -> String {
         let title = escaped(&self.title);
         let mut page = format!(
@@ -73,7 +73,7 @@ impl Document {
             software.threads,
             escaped(&software.command)
         );
-        page.push_str("<div class=\"wide\"><table class=\"inputs\"><caption>Inputs</caption>\n");
+        page.push_str("<div class=\"wide\"><table class=\"inputs\"><caption>Inputs and conditions of this report</caption>\n");
         for (name, value) in &self.inputs {
             row(&mut page, [*name, value]);
         }
@@ -115,7 +115,7 @@ impl Table {
 }
 
 /// Formats a number for a table or a sentence: with three decimals, or with two digits and an
-/// exponent if it is small or large. None becomes a dash.
+/// exponent if its absolute value is below 0.01 or at least 1e4. None becomes a dash.
 pub(crate) fn short(value: Option<f64>) -> String {
     match value {
         None => "-".to_owned(),
@@ -131,9 +131,10 @@ pub(crate) fn short(value: Option<f64>) -> String {
 pub struct Software {
     /// psfield's version.
     pub psfield: &'static str,
-    /// Operating system, processor and number of logical processors.
+    /// Operating system, architecture, name of the processor if it is known, and number of logical
+    /// processors.
     pub machine: String,
-    /// Threads that shared the work.
+    /// Number of threads that shared the work.
     pub threads: usize,
     /// The command that made the report.
     pub command: String,

@@ -14,13 +14,14 @@ use crate::report::{Histogram, ObjectRow};
 pub struct Evaluation {
     /// The differences between simulated and true objects.
     pub summary: ErrorSummary,
-    /// Absolute differences of eccentricity `sqrt(1 - b^2 / a^2)`.
+    /// Absolute differences of the eccentricity `sqrt(1 - b^2 / a^2)`.
     pub eccentricity_differences: Histogram,
-    /// FWHM along rows in pixels: true, simulated.
+    /// FWHM along rows in pixels of the frame: of the true objects, then of the simulated ones.
     pub fwhm_rows_px: [Histogram; 2],
-    /// FWHM along columns in pixels: true, simulated.
+    /// FWHM along columns in pixels of the frame: of the true objects, then of the simulated ones.
     pub fwhm_columns_px: [Histogram; 2],
-    /// Mean absolute error (MAE) divided by the mean of the window.
+    /// Mean absolute error (MAE) in the window of each object, divided by the mean of the true
+    /// window.
     pub mae_over_mean: Histogram,
     /// One row per object.
     #[serde(skip)]
@@ -36,8 +37,8 @@ pub struct Evaluation {
 const BINS: usize = 50;
 
 impl Evaluation {
-    /// Measures pairs of windows, one simulated and one true window for each position, with
-    /// `oversampling` pixels per frame pixel.
+    /// Measures pairs of windows: one simulated and one true window for each position. The windows
+    /// have `oversampling` pixels per frame pixel along each axis.
     pub fn measure(
         positions: &[Position],
         simulated: &[Array2<f64>],
@@ -54,7 +55,7 @@ impl Evaluation {
         Self::of_rows(rows, frame, grid_columns)
     }
 
-    /// Evaluates rows that are measured already.
+    /// Summarises rows that are measured already.
     pub fn of_rows(rows: Vec<ObjectRow>, frame: Option<FrameShape>, grid_columns: Option<usize>) -> Self {
         let values = |of: fn(&ObjectRow) -> Option<f64>| rows.iter().filter_map(of).collect::<Vec<f64>>();
         let from_zero = |values: Vec<f64>| {
@@ -83,18 +84,19 @@ impl Evaluation {
 pub struct ErrorSummary {
     /// Number of objects.
     pub objects: usize,
-    /// Objects whose measurement failed in at least one of the two images. The differences of shape
-    /// leave these objects out.
+    /// Number of objects whose measurement failed in at least one of the two images. The
+    /// differences of shape leave these objects out.
     pub failed: usize,
-    /// Differences of the eccentricity `sqrt(1 - b^2 / a^2)`, which the paper calls ellipticity.
+    /// Differences of the eccentricity `sqrt(1 - b^2 / a^2)`, which the paper (Bai, Jia et al.
+    /// 2025) calls ellipticity.
     pub eccentricity: Option<Spread>,
     /// Differences of `e1` of the distortion.
     pub e1: Option<Spread>,
     /// Differences of `e2` of the distortion.
     pub e2: Option<Spread>,
-    /// Differences of FWHM in pixels.
+    /// Differences of the FWHM in pixels of the frame.
     pub fwhm_px: Option<Spread>,
-    /// Mean absolute error divided by the mean of the window.
+    /// Mean absolute error divided by the mean of the true window.
     pub mae_over_mean: Option<Spread>,
     /// Mean squared error, in squared units of the image.
     pub mse: Option<Spread>,
@@ -130,9 +132,9 @@ impl ErrorSummary {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct Spread {
-    /// Half of the values are below.
+    /// Half of the values are below this value.
     pub median: f64,
-    /// 90 % of the values are below.
+    /// 90 % of the values are below this value.
     pub q90: f64,
     /// The largest value.
     pub largest: f64,
@@ -141,7 +143,8 @@ pub struct Spread {
 }
 
 impl Spread {
-    /// Returns the spread of the absolute values. None if there are no values or one is not finite.
+    /// Returns the spread of the absolute values. None if there are no values, or if at least one
+    /// of them is not finite.
     pub fn of(values: impl IntoIterator<Item = f64>) -> Option<Self> {
         let summary = Summary::of(values.into_iter().map(f64::abs)).ok()?;
         Some(Self {
@@ -172,13 +175,14 @@ pub struct Target {
 const ECCENTRICITY_Q90: f64 = 1e-3;
 /// Target for the largest difference of eccentricity.
 const ECCENTRICITY_LARGEST: f64 = 5e-3;
-/// Target for MAE divided by the mean of the window.
+/// Target for MAE divided by the mean of the window: for the average over all objects and for the
+/// largest.
 const MAE_OVER_MEAN: f64 = 2e-4;
-/// The difference of eccentricity that 90 % of the objects of the paper do not exceed.
+/// The difference of eccentricity that 90 % of the objects in the paper do not exceed.
 pub(super) const PAPER_ECCENTRICITY_Q90: f64 = 0.0901;
 
 impl Target {
-    /// The targets for objects of a kind.
+    /// Compares a summary with the targets. `kind` names the objects, such as `stars`.
     pub(super) fn of(kind: &str, summary: &ErrorSummary) -> Vec<Self> {
         let e = |of: fn(Spread) -> f64| summary.eccentricity.map(of);
         let all = summary.failed == 0;
@@ -200,12 +204,12 @@ impl Target {
                 e(|s| s.largest),
             ),
             (
-                "MAE / window mean, average over objects",
+                "mean absolute error / window mean, average over objects",
                 MAE_OVER_MEAN,
                 mae(|s| s.mean),
             ),
             (
-                "MAE / window mean, largest over objects",
+                "mean absolute error / window mean, largest over objects",
                 MAE_OVER_MEAN,
                 mae(|s| s.largest),
             ),

@@ -1,5 +1,5 @@
-//! Compares simulated objects with the truth, and remakes the figures and tables of the method's
-//! paper.
+//! Compares simulated objects with the truth, and remakes the figures and tables of the paper from
+//! which psfield's method comes (Bai, Jia et al. 2025).
 //!
 //! [`Reproduction`] measures psfield's own survey telescope, whose optics give the true PSF at any
 //! position. [`Validation`] compares a given model with given PSFs or with the stars of a frame.
@@ -7,15 +7,16 @@
 //! and in its true image. Both also give a [`Document`] (sections, tables and figures), from which
 //! one self-contained HTML page is made.
 //!
-//! Measures of an object. The first four rows are from an elliptical Gaussian without background,
-//! which is fitted to the same window of both images:
+//! The table defines the measures of an object. The first four rows describe an elliptical Gaussian
+//! without background, which is fitted to the same window of both images. The Gaussian has
+//! the axes `a >= b`, and `phi` is the angle of `a` from the x axis towards the y axis.
 //!
 //! | measure | definition |
 //! |---|---|
-//! | eccentricity | `sqrt(1 - b^2 / a^2)` of the axes `a >= b`, called ellipticity in the paper |
+//! | eccentricity | `sqrt(1 - b^2 / a^2)`, called ellipticity in the paper |
 //! | `e1`, `e2` | distortion, `(a^2 - b^2) / (a^2 + b^2)` times `cos 2 phi`, `sin 2 phi` |
 //! | FWHM | `2 sqrt(2 ln 2)` times the geometric mean of the two sigmas, in pixels of the frame |
-//! | FWHM along rows, columns | along x and along y: FWHM of the Gaussian summed over the other axis, from `sqrt(C_xx)`, `sqrt(C_yy)` of its covariance |
+//! | FWHM along rows, along columns | FWHM along x and along y of the Gaussian summed over the other axis: `2 sqrt(2 ln 2)` times `sqrt(C_xx)` and times `sqrt(C_yy)` of the covariance `C` |
 //! | MAE, MSE, `relative_l2`, `max_over_peak`, `mae_over_mean` | differences of the two windows, as in [`Comparison`](metrics::Comparison) |
 
 mod document;

@@ -1,5 +1,5 @@
-//! Errors of models with fewer samples, fewer components or other interpolators, without the
-//! engine.
+//! Measures the PSFs of models with fewer samples, fewer components or other interpolators. The
+//! fast engine is not used, so that its error is not included.
 
 use psf_optics::Telescope;
 use psf_sample::{SamplingMethod, UniformSampling};
@@ -14,26 +14,28 @@ use crate::report::object_figures::error_table;
 use crate::report::scenes::Scenes;
 use crate::report::{ErrorSummary, ObjectRow};
 
-/// Errors of a model's PSFs, computed by the exact sum over its components, without the engine.
+/// Errors of a model's PSFs. The PSFs are exact sums over the model's components, so the errors do
+/// not include the error of the fast engine.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct ModelRow {
-    /// Uniform samples along each axis.
+    /// Number of samples along each axis of a regular grid.
     pub samples_across: usize,
-    /// Components kept, the mean not counted.
+    /// Number of components kept, the mean not counted.
     pub rank: usize,
-    /// Largest truncation error over the samples, relative L2.
+    /// Largest truncation error over the samples, relative L2: the largest change of a sample when
+    /// only these components are kept.
     pub truncation_error: f64,
     /// Errors of the model's PSFs.
     pub summary: ErrorSummary,
 }
 
 impl ModelRow {
-    /// Makes models of the telescope with half the samples along each axis, a quarter, and so on,
-    /// and measures each.
+    /// Fits models to half of `most_across` samples of the telescope along each axis, to a quarter,
+    /// and so on, and measures each.
     ///
     /// # Errors
-    /// [`LabError`] of sampling, fit and model.
+    /// [`LabError`] if the sampling, a fit or a model fails.
     pub(super) fn of_fewer_samples(
         telescope: &Telescope,
         most_across: usize,
@@ -52,10 +54,11 @@ impl ModelRow {
         Ok(rows)
     }
 
-    /// Measures a model with all its components, with half of them, with a quarter, and so on.
+    /// Measures a model with all its components, with half of them, with a quarter, and so on. The
+    /// model was fitted to `across` samples along each axis.
     ///
     /// # Errors
-    /// [`LabError`] of the model.
+    /// [`LabError`] if a truncated model cannot be made or evaluated.
     pub(super) fn of_fewer_components(
         fitted: &Fit,
         across: usize,
@@ -79,7 +82,7 @@ impl ModelRow {
             ];
             (first, &row.summary)
         });
-        error_table(caption, &["samples", "components", "truncation"], rows)
+        error_table(caption, &["samples", "components", "truncation error"], rows)
     }
 
     fn measure(fitted: Fit, samples_across: usize, scenes: &Scenes) -> Result<Self, LabError> {
@@ -94,7 +97,8 @@ impl ModelRow {
     }
 }
 
-/// Errors of a model's PSFs at the objects, by the exact sum over its components.
+/// Compares a model's PSFs at the positions of the objects with the true PSFs. The model's PSFs are
+/// exact sums over its components.
 fn errors(model: &PsfModel, scenes: &Scenes) -> Result<ErrorSummary, LabError> {
     let objects = scenes.positions.par_iter().zip(&scenes.star_truth);
     let rows = objects.map(|(&at, truth)| {
@@ -109,12 +113,13 @@ fn errors(model: &PsfModel, scenes: &Scenes) -> Result<ErrorSummary, LabError> {
     Ok(ErrorSummary::of(&rows.collect::<Result<Vec<_>, LabError>>()?))
 }
 
-/// Models with fewer samples along each axis are not in the table.
+/// The report has no models with fewer samples along each axis than this number.
 const MIN_SAMPLES_ACROSS: usize = 5;
-/// Models with fewer components are not in the table.
+/// The report has no models with fewer components than this number.
 const FEWEST_COMPONENTS: usize = 3;
 
-/// Errors of a model's PSFs, computed by the exact sum over its components, for one interpolator.
+/// Errors of a model's PSFs for one interpolator of the coefficients. The PSFs are exact sums over
+/// the model's components.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct InterpolationRow {
@@ -130,7 +135,8 @@ impl InterpolationRow {
     /// Measures the model of a record, with `interpolation` instead of the record's interpolator.
     ///
     /// # Errors
-    /// The errors of the interpolator, of the model and of its field.
+    /// [`LabError`] if the interpolator does not suit the samples, or if the model has no PSF at an
+    /// object.
     pub(super) fn measure(
         record: &PsfModelRecord,
         interpolation: Interpolation,

@@ -7,15 +7,16 @@ use super::{ErrorSummary, Evaluation, ObjectRow, Spread, Target};
 use crate::plot::{Axis, Curve, Curves, FieldMap, HistogramPanel, Mark, PlotError, Scale, histograms};
 use crate::report::document::short;
 
-/// The colours of a map end at this quantile of the values (for e1 and e2: of the absolute values).
-/// The colours of the MSE map begin at the quantile `1 - SHOWN_PART`. Values outside get the colour
-/// of the nearer end.
+/// The colour bar of the MSE map ends at this quantile of the values and begins at the quantile
+/// `1 - SHOWN_PART`. The colour bar of the maps of e1 and e2 ends at this quantile of the absolute
+/// values of both. Values outside the range of a bar get the colour of the nearer end.
 const SHOWN_PART: f64 = 0.99;
 
-/// Draws FWHM, eccentricity and MAE. Histograms show the first kind of object. Cumulative
-/// distributions have a line for each kind, and mark the 90th percentile of the first kind. If
-/// `paper_q90` is given, the distribution of eccentricity also marks the paper's percentile. `image`
-/// names the image that is compared with the truth.
+/// Draws the FWHM, and the errors of eccentricity and of pixels (mean absolute error). Histograms
+/// show the first kind of object. Cumulative distributions have a line for each kind, and mark the
+/// 90th percentile of the first kind. `paper_q90` is the 90th percentile of the differences of
+/// eccentricity in the paper, which is also marked if it is given. `image` names the image that is
+/// compared with the truth.
 pub(super) fn shape_figures(
     kinds: &[(&str, &Evaluation)],
     image: &str,
@@ -29,7 +30,7 @@ pub(super) fn shape_figures(
         histograms: vec![("true", &fwhm[k][0]), (image, &fwhm[k][1])],
     });
     let (e_difference, mae) = (
-        format!("|eccentricity {image} - true|"),
+        format!("absolute difference of eccentricity, {image} - true"),
         "mean absolute error / mean of the window",
     );
     let curves = |of: fn(&ObjectRow) -> Option<f64>| -> Vec<Curve> {
@@ -68,7 +69,7 @@ pub(super) fn shape_figures(
         NamedFigure {
             name: "fwhm",
             caption: format!(
-                "FWHM along x and along y: true (filled, {} objects) and {image} (line, {} objects). Objects that could not be \
+                "FWHM of the {name} along x and along y: true (filled, {} {name}) and {image} (line, {} {name}). Objects that could not be \
                  measured are left out. Where both agree, the line follows the edge of the filled area.",
                 measured(|r| r.fwhm_px_true),
                 measured(|r| r.fwhm_px)
@@ -77,9 +78,9 @@ pub(super) fn shape_figures(
         },
         NamedFigure {
             name: "eccentricity-differences",
-            caption: "Absolute differences of the eccentricity sqrt(1 - b^2/a^2) (called ellipticity in the paper by Bai, Jia et al. 2025), and of the mean absolute error (MAE) divided by the mean \
-                      of the window."
-                .to_owned(),
+            caption: format!(
+                "Histograms of the {name}. Left: absolute differences of the eccentricity sqrt(1 - b^2/a^2) (called ellipticity in the paper by Bai, Jia et al. 2025). Right: mean absolute error (MAE) in the window of each object, divided by the mean of the window."
+            ),
             figure: histograms(&[
                 HistogramPanel {
                     quantity: &e_difference,
@@ -112,8 +113,8 @@ pub(super) fn shape_figures(
     ])
 }
 
-/// Draws maps over the field: MSE, and the differences of e1 and e2 on one scale. `image` names the
-/// image that is compared with the truth.
+/// Draws maps over the field: the mean squared error (MSE), and the differences of e1 and of e2 on
+/// one colour scale. `image` names the image that is compared with the truth.
 pub(super) fn maps(of: &Evaluation, image: &str) -> Result<Vec<NamedFigure>, PlotError> {
     let Some(frame) = of.frame.or_else(|| frame_about(&of.rows)) else {
         return Ok(Vec::new());
@@ -147,11 +148,11 @@ pub(super) fn maps(of: &Evaluation, image: &str) -> Result<Vec<NamedFigure>, Plo
     };
     let differences = Scale::Difference { most };
     let [e1_name, e2_name] = ["e1", "e2"].map(|e| format!("{e}: {image} - true"));
-    let ends = "Values outside the bar's range (1 % of both maps together) have the colours of its ends.";
+    let ends = "The maps of e1 and e2 have equal colour bars. Values outside the range of the bar (1 % of both maps together) have the colours of its ends. Objects that could not be measured are grey.";
     Ok(vec![
         NamedFigure {
             name: "mse-map",
-            caption: "Mean squared error (MSE) in the window of each object, over the field. Values outside the range of the bar \
+            caption: "Mean squared error (MSE) in the window of each object, at the position of the object. Values outside the range of the bar \
                       (1 % below it, 1 % above it) have the colours of its ends."
                 .to_owned(),
             figure: map(
@@ -163,12 +164,12 @@ pub(super) fn maps(of: &Evaluation, image: &str) -> Result<Vec<NamedFigure>, Plo
         },
         NamedFigure {
             name: "e1-map",
-            caption: format!("e1 (distortion), {image} minus true, on the colour scale of e2. {ends}"),
+            caption: format!("Distortion e1 = (a^2 - b^2)/(a^2 + b^2) cos(2 phi), {image} minus true. {ends}"),
             figure: map(&e1_name, &e1_name, &e1, differences)?,
         },
         NamedFigure {
             name: "e2-map",
-            caption: format!("e2 (distortion), {image} minus true, on the colour scale of e1. {ends}"),
+            caption: format!("Distortion e2 = (a^2 - b^2)/(a^2 + b^2) sin(2 phi), {image} minus true. {ends}"),
             figure: map(&e2_name, &e2_name, &e2, differences)?,
         },
     ])
@@ -178,17 +179,17 @@ pub(super) fn maps(of: &Evaluation, image: &str) -> Result<Vec<NamedFigure>, Plo
 const ERROR_COLUMNS: [&str; 10] = [
     "eccentricity: 90 %",
     "eccentricity: largest",
-    "e1: 90 %",
-    "e2: 90 %",
+    "distortion e1: 90 %",
+    "distortion e2: 90 %",
     "FWHM (px): 90 %",
     "FWHM (px): largest",
-    "MAE/mean: median",
-    "MAE/mean: 90 %",
-    "MAE/mean: largest",
-    "failed",
+    "mean absolute error / window mean: median",
+    "mean absolute error / window mean: 90 %",
+    "mean absolute error / window mean: largest",
+    "objects not measured",
 ];
 
-/// Formats a summary as cells of a table.
+/// Formats a summary as the cells below [`ERROR_COLUMNS`].
 fn error_cells(summary: &ErrorSummary) -> [String; 10] {
     let cell = |spread: Option<Spread>, of: fn(Spread) -> f64| short(spread.map(of));
     [
@@ -205,8 +206,9 @@ fn error_cells(summary: &ErrorSummary) -> [String; 10] {
     ]
 }
 
-/// Makes a table of errors: the caller's first columns and cells, then the cells of a summary. Adds
-/// the meaning of "90 %" to the caption.
+/// Makes a table of errors. Each row has the caller's first cells, then the cells of a summary.
+/// `first` names the columns of the first cells. The table's caption is `caption` with the meaning
+/// of "90 %".
 pub(super) fn error_table<'a>(
     caption: &str,
     first: &[&str],
@@ -241,7 +243,7 @@ fn quantile(values: impl Iterator<Item = f64>, q: f64) -> Option<f64> {
     metrics::Summary::of(values).ok()?.quantile(q).ok()
 }
 
-/// Returns a frame that holds all objects, for use where the frame is not known.
+/// Returns the smallest frame that holds all objects. It replaces a frame that is not known.
 fn frame_about(rows: &[ObjectRow]) -> Option<FrameShape> {
     let side = |of: fn(&ObjectRow) -> f64| {
         let largest = rows.iter().map(of).fold(0.0, f64::max);

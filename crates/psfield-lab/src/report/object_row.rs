@@ -7,8 +7,8 @@ use serde::Serialize;
 
 table_row! {
     /// An object, measured in the same way in the same window of its simulated and of its true
-    /// image. The field of a failed measurement is empty. `note` gives the reason if a Gaussian fit
-    /// or the whole comparison failed.
+    /// image. The fields of a failed measurement are None. `note` gives the reason if a Gaussian
+    /// fit or the comparison of the two windows failed.
     #[derive(Debug, Clone, PartialEq, Default, Serialize)]
     #[non_exhaustive]
     #[allow(
@@ -40,8 +40,9 @@ table_row! {
 }
 
 impl ObjectRow {
-    /// Measures the object at `at` in two images: windows `[y, x]` of equal shape around the object,
-    /// with `oversampling` pixels per frame pixel. Lengths are in pixels of the frame.
+    /// Measures the object at `at` in two images: windows `[y, x]` of equal shape around the
+    /// object, with `oversampling` pixels per frame pixel along each axis. Lengths in the row are
+    /// in pixels of the frame.
     pub fn measure(
         at: Position,
         simulated: ArrayView2<'_, f64>,
@@ -90,27 +91,27 @@ impl ObjectRow {
         }
     }
 
-    /// The position of the object.
+    /// The position of the object. None if a coordinate is not finite.
     pub fn position(&self) -> Option<Position> {
         Position::new(self.x, self.y).ok()
     }
 
-    /// Simulated minus true eccentricity.
+    /// Simulated minus true eccentricity. None if one of them could not be measured.
     pub fn eccentricity_difference(&self) -> Option<f64> {
         Some(self.eccentricity? - self.eccentricity_true?)
     }
 
-    /// Simulated minus true `e1`.
+    /// Simulated minus true `e1`. None if one of them could not be measured.
     pub fn e1_difference(&self) -> Option<f64> {
         Some(self.e1? - self.e1_true?)
     }
 
-    /// Simulated minus true `e2`.
+    /// Simulated minus true `e2`. None if one of them could not be measured.
     pub fn e2_difference(&self) -> Option<f64> {
         Some(self.e2? - self.e2_true?)
     }
 
-    /// Simulated minus true FWHM in pixels.
+    /// Simulated minus true FWHM in pixels of the frame. None if one of them could not be measured.
     pub fn fwhm_difference_px(&self) -> Option<f64> {
         Some(self.fwhm_px? - self.fwhm_px_true?)
     }

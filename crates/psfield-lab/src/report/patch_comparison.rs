@@ -12,17 +12,18 @@ use crate::LabError;
 use crate::bench::{BenchCase, BenchOptions, BenchOutcome, Contender, lit_scene, run, stretched};
 use psfield::{Device, Method, Psf, Scene, model_of};
 
-/// Run time and error at several sizes of the image: Table 1 of the paper.
+/// Run time and error at several sizes of the image, as in Table 1 of the paper.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct PatchComparison {
-    /// One outcome per size.
+    /// The results for each size of the image.
     pub sizes: Vec<BenchOutcome>,
 }
 
 impl PatchComparison {
     /// Measures run time and error of patches and of the fast engine. Every pixel of the images has
-    /// light. The PSF's field is stretched to each image, so that each shows the full variation.
+    /// light. The field of the PSF is stretched to each image, so that each image shows the full
+    /// variation of the PSF.
     ///
     /// # Errors
     /// The errors of [`stretched`], [`lit_scene`] and [`run`].
@@ -67,12 +68,12 @@ pub struct GalaxyComparison {
     pub patch: usize,
     /// Relative L2 error of the patches against the direct sum.
     pub patch_relative_l2: f64,
-    /// Largest error of the patches, divided by the peak of the direct sum.
+    /// Largest absolute error of the patches, divided by the peak of the direct sum.
     pub patch_max_over_peak: f64,
-    /// Relative L2 error of the fast engine, with transforms for all tiles, at its default
-    /// tolerance.
+    /// Relative L2 error of the fast engine against the direct sum. The engine uses Fourier
+    /// transforms for all tiles, and its default tolerance.
     pub lowrank_relative_l2: f64,
-    /// Largest error of the fast engine, divided by the peak of the direct sum.
+    /// Largest absolute error of the fast engine, divided by the peak of the direct sum.
     pub lowrank_max_over_peak: f64,
     /// The galaxy before the convolution.
     #[serde(skip)]
@@ -80,7 +81,7 @@ pub struct GalaxyComparison {
     /// The result of the fast engine.
     #[serde(skip)]
     pub lowrank: Array2<f64>,
-    /// The result of patches.
+    /// The result of the patches.
     #[serde(skip)]
     pub patches: Array2<f64>,
     /// The result of the direct sum.

@@ -1,4 +1,4 @@
-//! Measures the results of the method's paper anew.
+//! Measures the results of the paper (Bai, Jia et al. 2025) anew.
 
 use std::sync::Arc;
 use std::time::Instant;
@@ -19,12 +19,14 @@ use crate::report::{
     ErrorSummary, Evaluation, GalaxyComparison, InterpolationRow, ModelRow, PatchComparison, Target,
 };
 
-/// All results of the method's paper, measured on psfield's own survey telescope.
+/// All results of the paper from which psfield's method comes (Bai, Jia et al. 2025), measured on
+/// psfield's own survey telescope.
 ///
 /// The optics ([`Telescope::survey_2m`]) are sampled on a regular grid, and a model is fitted with
-/// the default settings. Objects are drawn on the whole frame with transforms for all tiles: stars
-/// as single pixels with light, and small galaxies. Each is compared with its true image, computed
-/// from the optics at its own position. The truth does not depend on the model.
+/// the default settings. The fast engine draws objects on the whole frame, with Fourier transforms
+/// for all tiles: stars as single pixels with light, and small galaxies. Each object is compared
+/// with its true image, which is computed from the optics at the object's own position. The truth
+/// does not depend on the model.
 ///
 /// ```no_run
 /// use psfield::psf_types::NoProgress;
@@ -48,31 +50,32 @@ pub struct Reproduction {
     pub samples: usize,
     /// Number of objects of each kind.
     pub objects: usize,
-    /// The galaxies: half-light radius in pixels, Sersic index, axis ratio, angle in degrees.
+    /// Shape of every galaxy: half-light radius in pixels, Sersic index, axis ratio, angle in
+    /// degrees.
     pub galaxy: [f64; 4],
     /// The engine's tolerance for the figures and the targets. It is the engine's default.
     pub tolerance: f64,
     /// Results of the decomposition of the samples.
     pub basis: BasisFigures,
-    /// Number of samples of the non-uniform sampling that is shown.
+    /// Number of samples of the non-uniform sampling, which is shown next to the uniform sampling.
     pub adaptive_samples: usize,
-    /// Threshold of this sampling (relative L2 error of the interpolation).
+    /// Threshold of the non-uniform sampling: relative L2 error of the interpolation.
     pub adaptive_threshold: f64,
     /// The targets at the default tolerance.
     pub targets: Vec<Target>,
     /// Errors at several tolerances, by kind of object.
     pub tolerances: Vec<ToleranceRow>,
-    /// Errors of the model without the engine, by interpolator.
+    /// Errors of the model for each interpolator, without the error of the fast engine.
     pub interpolations: Vec<InterpolationRow>,
     /// Errors of models with fewer samples.
     pub fewer_samples: Vec<ModelRow>,
-    /// Errors of models with all samples: with all components, then with fewer and fewer.
+    /// Errors of the model with all its components, then with fewer and fewer.
     pub fewer_components: Vec<ModelRow>,
     /// Stars at the default tolerance.
     pub stars: Evaluation,
     /// Galaxies at the default tolerance.
     pub galaxies: Evaluation,
-    /// Table 1 of the paper: patches and psfield.
+    /// Run time and error of patches and of psfield, as in Table 1 of the paper.
     pub table_1: PatchComparison,
     /// A large galaxy, convolved by psfield and by patches, which leave seams.
     pub large_galaxy: GalaxyComparison,
@@ -82,7 +85,7 @@ pub struct Reproduction {
     /// the minute before. Other processes make run times longer. None if the system does not report
     /// the load.
     pub load: Option<f64>,
-    /// Total seconds.
+    /// Run time in seconds.
     pub seconds: f64,
     /// Positions of the uniform samples.
     #[serde(skip)]
@@ -96,20 +99,21 @@ pub struct Reproduction {
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct BasisFigures {
-    /// Components kept, the mean not counted.
+    /// Number of components kept, the mean not counted.
     pub rank: usize,
-    /// Components at the elbow.
+    /// Number of components at the elbow of the cumulative weights ([`psfield::FitReport::elbow`]).
     pub elbow: Option<usize>,
-    /// Largest truncation error over the samples, relative L2.
+    /// Largest truncation error over the samples, relative L2: the largest change of a sample when
+    /// the other components are left out.
     pub max_error: f64,
-    /// Median leave-one-out error of the samples, relative L2. It is the error of interpolating
-    /// over twice the distance between samples.
+    /// Median leave-one-out error of the samples, relative L2. Each sample is predicted from the
+    /// others, so the interpolation spans twice the distance between samples.
     pub leave_one_out_median: Option<f64>,
-    /// The interpolator.
+    /// The interpolator of the coefficients.
     pub interpolation: Interpolation,
     /// All singular values.
     pub singular_values: Vec<f64>,
-    /// Cumulative weights of the singular values.
+    /// Cumulative weights of the singular values: the sum of the first k divided by the sum of all.
     pub cumulative_weights: Vec<f64>,
 }
 
@@ -131,13 +135,13 @@ pub struct ToleranceRow {
     pub tolerance: f64,
     /// The kind of object.
     pub kind: ObjectKind,
-    /// The errors.
+    /// The errors of the objects.
     pub summary: ErrorSummary,
-    /// Seconds for the image of the whole frame.
+    /// Seconds to simulate the image of the whole frame, without the time of the plan.
     pub seconds: f64,
 }
 
-/// The highest degree of the polynomial that is compared with the default interpolation.
+/// The highest degree allowed for the polynomial that is compared with the default interpolation.
 const MAX_DEGREE: usize = 16;
 /// Smallest number of samples per term that determines a polynomial well.
 const SAMPLES_PER_TERM: usize = 4;
@@ -148,7 +152,7 @@ impl Reproduction {
     /// Measures all results.
     ///
     /// # Errors
-    /// [`LabError`] of any stage. [`LabError::ObjectsTooClose`] if a small frame has no room for
+    /// [`LabError`] if any stage fails. [`LabError::ObjectsTooClose`] if the frame has no room for
     /// the objects.
     pub fn run(options: &ReproductionOptions, progress: &dyn Progress) -> Result<Self, LabError> {
         let (started, load, start) = (psfield::utc_now(), load(), Instant::now());
@@ -261,8 +265,8 @@ fn polynomial_of(samples: usize) -> Interpolation {
     Interpolation::Polynomial { degree }
 }
 
-/// Returns the survey telescope with a frame of this size. The optics vary over it as over the
-/// telescope's own frame.
+/// Returns the survey telescope with a frame of this size. The optics vary over this frame as over
+/// the telescope's own frame. None: the telescope keeps its own frame.
 fn telescope_on(frame: Option<FrameShape>) -> Result<Telescope, LabError> {
     let telescope = Telescope::survey_2m();
     let Some(frame) = frame else { return Ok(telescope) };
@@ -271,6 +275,8 @@ fn telescope_on(frame: Option<FrameShape>) -> Result<Telescope, LabError> {
     Ok(Telescope::new(params)?)
 }
 
+/// Samples the PSF non-uniformly, and returns the positions of the samples. The number of samples
+/// may reach its limit before the error is below `threshold`. All samples drawn are then used.
 fn adaptive_positions(source: &dyn PsfSource, threshold: f64) -> Result<Vec<Position>, LabError> {
     let criterion = InterpolationError::new(threshold, DifferenceMeasure::L2)?;
     let sampling = match AdaptiveSampling::new(Arc::new(criterion)).sample(source, &NoProgress) {
@@ -280,32 +286,32 @@ fn adaptive_positions(source: &dyn PsfSource, threshold: f64) -> Result<Vec<Posi
     Ok(sampling.samples.positions().as_slice().to_vec())
 }
 
-/// Sizes of a [`Reproduction`](crate::report::Reproduction). Smaller sizes run the same code on
-/// less data.
+/// Sizes and settings of a [`Reproduction`](crate::report::Reproduction). Smaller sizes run the
+/// same code on less data.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ReproductionOptions {
     /// The frame. The optics vary over a frame of any size as over the telescope's own frame. None:
     /// the telescope's own frame.
     pub frame: Option<FrameShape>,
-    /// PSF samples along each axis.
+    /// Number of PSF samples along each axis.
     pub samples_across: usize,
-    /// Objects along each axis.
+    /// Number of objects along each axis.
     pub objects_across: usize,
     /// Tolerances of the fast engine. The default tolerance is added if it is missing.
     pub tolerances: Vec<f64>,
     /// Sides of the images of Table 1, in pixels.
     pub image_sides: Vec<usize>,
-    /// Sides of the square patches of Table 1, in pixels. Each side is a separate run, in which
-    /// every patch has one PSF.
+    /// Sides of the square patches of Table 1, in pixels. Every patch has one PSF, and each side is
+    /// a separate row of the table.
     pub patches: Vec<usize>,
     /// Number of timed turns of each method in Table 1.
     pub repeat: usize,
     /// Side of the image of the large galaxy, in pixels.
     pub galaxy_side: usize,
-    /// Threshold of the interpolation error (relative L2) for the non-uniform sampling that is
+    /// Threshold of the interpolation error (relative L2) for the non-uniform sampling, which is
     /// shown next to the uniform sampling.
     pub adaptive_threshold: f64,
-    /// Seed for the light of Table 1 and for the compared pixels.
+    /// Seed for the light of the images of Table 1, and for the pixels at which they are compared.
     pub seed: u64,
 }
 

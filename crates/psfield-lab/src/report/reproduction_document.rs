@@ -1,4 +1,4 @@
-//! The report of a reproduction.
+//! The report of a [`Reproduction`]: its text, tables and figures.
 
 use metrics::Summary;
 use ndarray::Array2;
@@ -12,7 +12,7 @@ use crate::report::evaluation::PAPER_ECCENTRICITY_Q90;
 use crate::report::object_figures::{error_table, maps, shape_figures, target_table};
 use crate::report::{ModelRow, ObjectKind, Reproduction, Software};
 
-/// The paper whose results the report compares with psfield's.
+/// The paper whose results the report measures anew with psfield.
 const PAPER: &str = "Bai, Jia, Lv, Zhang, Xiang and Nie (2025): An Ultrafast Image Simulation Technique with Spatially Variable \
                      Point-spread Functions. The Astronomical Journal, doi:10.3847/1538-3881/ad9b2e, arXiv:2502.10015";
 
@@ -70,7 +70,7 @@ impl Reproduction {
 
     fn accuracy_section(&self) -> Section {
         let targets = target_table(
-            "Targets at the default tolerance. In the paper, 90 % of the differences of eccentricity, which it calls ellipticity, are below 0.0901.",
+            "psfield's targets for the errors of stars and galaxies at the default tolerance. In the paper, 90 % of the differences of eccentricity, which it calls ellipticity, are below 0.0901.",
             &self.targets,
         );
         let tolerances = error_table(
@@ -94,15 +94,15 @@ impl Reproduction {
             }),
         );
         let mut tables = vec![targets, tolerances, interpolations];
-        // A small number of samples cannot be reduced further.
+        // With fewer than 9 samples along each axis, half of them are too few for this table.
         if !self.fewer_samples.is_empty() {
             tables.push(ModelRow::table(
-                "Errors of models with fewer samples on regular grids, computed by the exact sum over the components.",
+                "Errors of models with fewer samples on regular grids, computed by the exact sum over the components. Truncation error: largest change of a sample by leaving out components (relative L2).",
                 &self.fewer_samples,
             ));
         }
         tables.push(ModelRow::table(
-            "Errors of the model with all components and with fewer, computed by the exact sum over the components.",
+            "Errors of the model with all components and with fewer, computed by the exact sum over the components. Truncation error: largest change of a sample by leaving out components (relative L2).",
             &self.fewer_components,
         ));
         Section {
@@ -113,10 +113,10 @@ impl Reproduction {
                  interpolation between samples, from the components left out (at most 1e-4, relative L2, at a sample), and from the \
                  engine's tolerance."
                     .to_owned(),
-                "If the errors hardly change from one tolerance to the next, the engine's part is no longer the largest. The table of \
+                "If the errors hardly change from one tolerance to the next, the engine's part of the error is no longer the largest. The table of \
                  interpolators shows the error that remains without the engine. Bilinear and natural neighbour interpolation miss the \
                  curvature of the PSF between samples. Cubic interpolation follows it, and so does a polynomial over the whole field \
-                 (interpolation polynomial=D) if the optics are as smooth as these."
+                 (interpolation polynomial=D, of degree D) if the optics are as smooth as these."
                     .to_owned(),
             ],
             tables,
@@ -135,7 +135,7 @@ impl Reproduction {
         let mark =
             |k: usize, name: &str| at(k).map(|w| Mark::Point(k as f64, w, format!("{name}: {k} components")));
         let marks = match self.basis.elbow {
-            Some(elbow) if elbow == self.basis.rank => mark(elbow, "elbow, and kept").into_iter().collect(),
+            Some(elbow) if elbow == self.basis.rank => mark(elbow, "elbow and kept").into_iter().collect(),
             elbow => elbow
                 .and_then(|k| mark(k, "elbow"))
                 .into_iter()
@@ -151,7 +151,7 @@ impl Reproduction {
         .figure()?;
         let text = format!(
             "{} components are kept. Leaving out the others changes no sample by more than {} (relative L2). Leave-one-out error (each \
-             sample predicted from its neighbours): median {} (relative L2).",
+             sample is predicted from the others): median {} (relative L2).",
             self.basis.rank,
             short(Some(self.basis.max_error)),
             short(self.basis.leave_one_out_median),
@@ -201,7 +201,7 @@ impl Reproduction {
     }
 
     fn map_section(&self) -> Result<Section, PlotError> {
-        let text = "Stars of unit flux at the default tolerance.".to_owned();
+        let text = "The maps show the stars, which have unit flux, at the default tolerance.".to_owned();
         let figures = maps(&self.stars, "simulated")?;
         Ok(Section::new("Over the field", Some(text), figures))
     }
@@ -224,9 +224,9 @@ impl Reproduction {
         };
         let difference = |image| Scale::Difference { most: most(image) };
         let (same, own) = (difference(&of_patches), difference(&of_lowrank));
-        let patches = format!("patches of {} pixels", galaxy.patch);
+        let patches = format!("image by patches of {} pixels", galaxy.patch);
         let patches_off = format!("patches of {} pixels - exact", galaxy.patch);
-        let (flux, percent) = ("flux per pixel", "% of the input's peak");
+        let (flux, percent) = ("flux per pixel", "difference (% of the input's peak)");
         let figure = pictures(&[
             panel("input galaxy", &galaxy.original, sky, flux),
             panel("image by psfield (lowrank)", &galaxy.lowrank, sky, flux),
@@ -253,7 +253,7 @@ impl Reproduction {
             name: "galaxy",
             caption: "The galaxy before and after the convolution, and the differences from the direct sum (exact). Patches leave seams where the PSF \
                       changes from one patch to the next. On the same colour scale the differences of psfield are too small to be seen. \
-                      At most 0.2 % of the pixels of a difference lie outside the range of its colour bar, and have the colours of its ends."
+                      In each difference, at most 0.2 % of the pixels lie outside the range of the colour bar. They have the colours of its ends."
                 .to_owned(),
             figure,
         };
@@ -262,7 +262,7 @@ impl Reproduction {
 
     fn table_1_section(&self) -> Section {
         let mut table = Table::new(
-            "Plan: seconds to make the plan. Run: seconds of the fastest run. First image: sum of plan and run, divided by this sum of the \
+            "Plan: seconds to make the plan. Run: seconds of the fastest run. First image: sum of plan and run, divided by the sum for the \
              method single. More images: run, divided by the run of the method single. Error: relative L2 difference from the direct sum in double \
              precision at random pixels.",
             &[
@@ -294,10 +294,10 @@ impl Reproduction {
         Section {
             title: "Table 1: patches and psfield".to_owned(),
             paragraphs: vec![
-                "Every pixel has light, and the PSF varies over each image as over the whole field. The method single uses one PSF for the \
-                 whole image, which is fastest but ignores the variation. The method patch uses one PSF per patch. The method lowrank is psfield with \
-                 transforms for all tiles. Each run of patches makes their PSFs from the components. In psfield, the plan does \
-                 this work, once for a model and a frame: the column first image counts the plan, the column more images does not."
+                "Every pixel has light, and the PSF varies over each image as over the whole field. The method single uses one PSF for the whole image, \
+                 which is fastest but ignores the variation. The method patch uses one PSF per patch. The method lowrank is the fast engine of psfield, \
+                 with Fourier transforms for all tiles of the image. Each run of patches makes their PSFs from the components. In psfield, the plan does \
+                 this work, once for a model and a frame: the column 'first image' counts the plan, the column 'more images' does not."
                     .to_owned(),
             ],
             tables: vec![table],

@@ -12,7 +12,8 @@ use crate::report::{Evaluation, ObjectKind, ToleranceRow};
 
 /// Half-light radius in pixels, Sersic index, axis ratio, and angle in degrees of every galaxy.
 pub(super) const GALAXY: [f64; 4] = [3.0, 1.0, 0.7, 30.0];
-/// Pixels along each side of the array that holds a galaxy. Truth and scene use this array.
+/// Pixels along each side of the array that holds a galaxy. The true image and the simulated scene
+/// use this array.
 const GALAXY_SIDE: usize = 32;
 
 /// Objects and their true images.
@@ -28,10 +29,12 @@ pub(super) struct Scenes {
 }
 
 impl Scenes {
-    /// Makes a grid of `across` by `across` objects, and the telescope's own image of each.
+    /// Makes a grid of `across` by `across` positions, and computes the true image of a star and of
+    /// a galaxy at each from the telescope's optics.
     ///
     /// # Errors
-    /// [`LabError::ObjectsTooClose`], [`ErrorKind::Sampling`](psfield::ErrorKind::Sampling).
+    /// [`LabError::ObjectsTooClose`] if the frame has no room for the objects,
+    /// [`ErrorKind::Sampling`](psfield::ErrorKind::Sampling) if the telescope cannot draw a PSF.
     pub(super) fn new(telescope: &dyn PsfSource, across: usize) -> Result<Self, LabError> {
         let (frame, grid) = (telescope.field(), telescope.grid());
         let margin = grid.nx().max(grid.ny());
@@ -56,12 +59,12 @@ impl Scenes {
         })
     }
 
-    /// Draws stars and galaxies at a tolerance, measures them, and adds a row for each kind. The
-    /// scenes of both kinds are convolved with one plan in single precision, with transforms for
-    /// all tiles.
+    /// Draws stars and galaxies at a tolerance, measures them, and adds a row for each kind to
+    /// `rows`. One plan in single precision convolves the scenes of both kinds, with Fourier
+    /// transforms for all tiles.
     ///
     /// # Errors
-    /// [`ErrorKind::Convolution`](psfield::ErrorKind::Convolution).
+    /// [`LabError`] if the plan cannot be made or a convolution fails.
     pub(super) fn drawn(
         &self,
         model: &PsfModel,
@@ -77,7 +80,7 @@ impl Scenes {
         simulator.prepare(&Scene::dark(), true, &NoProgress)?;
         let (grid, frame) = (model.grid(), Some(self.frame));
         let centre = grid.whole_centre().unwrap_or((grid.nx() / 2, grid.ny() / 2));
-        // A window of the size of a stamp around each object.
+        // Copies the window around an object. It has the size of a stamp.
         let window = |image: ArrayView2<'_, f32>, &(x, y): &(usize, usize)| {
             let (x0, y0) = (x - centre.0, y - centre.1);
             let window = image.slice(s![y0..y0 + grid.ny(), x0..x0 + grid.nx()]);
@@ -107,8 +110,8 @@ impl Scenes {
     }
 }
 
-/// Returns a galaxy of unit flux on its array. Scene and truth both lack the light outside the
-/// array.
+/// Returns a galaxy of unit flux on its array. The galaxy ends at the edges of the array, in the
+/// scene and in the true image.
 fn galaxy_light() -> Result<Array2<f64>, LabError> {
     let [radius, index, axis_ratio, angle] = GALAXY;
     let profile = SersicProfile::new(radius, index, axis_ratio, angle)?;
@@ -127,8 +130,8 @@ fn galaxy_light() -> Result<Array2<f64>, LabError> {
 /// least `margin` pixels from the frame's edges.
 ///
 /// # Errors
-/// [`LabError::ObjectsTooClose`] if two of them would be closer than `least_apart` pixels along an
-/// axis, or if the margins leave no room.
+/// [`LabError::ObjectsTooClose`] if neighbours would be closer than `least_apart` pixels, or if the
+/// margins leave no room.
 fn object_pixels(
     frame: FrameShape,
     across: usize,
@@ -157,28 +160,30 @@ fn object_pixels(
         .collect())
 }
 
-/// Nodes along each axis: the optics draw the PSF at these offsets from a galaxy, in units of half
-/// the side of the galaxy's array. Between the nine nodes, the PSF is interpolated by a
-/// polynomial of degree 2 in x and in y. The error of this interpolation is far below the measured
-/// differences, because the nodes are much closer to each other than the samples.
+/// Offsets of the nodes from a galaxy's centre along each axis, in units of half the side of the
+/// galaxy's array. The optics draw the PSF at the nine nodes. Between the nodes, the PSF is
+/// interpolated by a polynomial of degree 2 in x and in y. The error of this interpolation is far
+/// below the measured differences, because the nodes are much closer to each other than the
+/// samples of the model.
 const NODES: [f64; 3] = [-1.0, 0.0, 1.0];
 
 /// Returns the PSF that `source` draws at a position, scaled to unit flux.
 ///
 /// # Errors
-/// [`ErrorKind::Sampling`](psfield::ErrorKind::Sampling) if it cannot be drawn.
+/// [`ErrorKind::Sampling`](psfield::ErrorKind::Sampling) if the PSF cannot be drawn.
 fn true_psf(source: &dyn PsfSource, at: Position) -> Result<Array2<f64>, LabError> {
     let stamp = source.draw(at)?;
     let flux = stamp.flux();
     Ok(stamp.into_values() / flux)
 }
 
-/// Returns the true image of `galaxy` `[y, x]`, whose pixel `n / 2` along each axis is at pixel
-/// `(x, y)` of the frame. Each pixel of the galaxy is convolved with the PSF of its own position.
+/// Returns the true image of a galaxy. `galaxy` `[y, x]` is its light, and the middle pixel of this
+/// array (`n / 2` along an axis of `n` pixels) is at pixel `(x, y)` of the frame. Each pixel of the
+/// galaxy is convolved with the PSF of its own position.
 /// The image has the size and the centre of the PSF's stamps.
 ///
 /// # Errors
-/// [`ErrorKind::Sampling`](psfield::ErrorKind::Sampling).
+/// [`ErrorKind::Sampling`](psfield::ErrorKind::Sampling) if a PSF cannot be drawn.
 fn true_galaxy(
     source: &dyn PsfSource,
     (x, y): (usize, usize),
@@ -226,14 +231,14 @@ fn true_galaxy(
     Ok(window)
 }
 
-/// The values at `t` of the three polynomials of degree 2 that are 1 at one of the [`NODES`] and 0
-/// at the others.
+/// The values at `t` of three polynomials of degree 2. Each is 1 at one of the [`NODES`] and 0 at
+/// the other two.
 fn lagrange(t: f64) -> [f64; 3] {
     [0.5 * t * (t - 1.0), (1.0 - t) * (1.0 + t), 0.5 * t * (t + 1.0)]
 }
 
-/// Returns the ranges of pixels, in a window of `n` pixels and in a stamp of `n` pixels, that
-/// overlap if the stamp is moved by `shift` pixels.
+/// Moves a stamp of `n` pixels over a window of `n` pixels by `shift` pixels. Returns the range of
+/// the window's pixels that the stamp covers, and the range of the stamp's pixels that cover them.
 fn overlap(shift: i64, n: usize) -> ((usize, usize), (usize, usize)) {
     let moved = shift.unsigned_abs().min(n as u64) as usize;
     if shift >= 0 {
@@ -243,8 +248,8 @@ fn overlap(shift: i64, n: usize) -> ((usize, usize), (usize, usize)) {
     }
 }
 
-/// Returns a frame with a copy of `light` at each of `pixels`. Pixel `n / 2` of `light` along each
-/// axis lies on that pixel.
+/// Returns a frame with a copy of `light` at each of `pixels`. The middle pixel of `light` (`n / 2`
+/// along an axis of `n` pixels) lies on this pixel of the frame.
 fn scattered(frame: FrameShape, pixels: &[(usize, usize)], light: ArrayView2<'_, f64>) -> Array2<f32> {
     let (rows, columns) = light.dim();
     let mut scene = Array2::zeros((frame.ny(), frame.nx()));
