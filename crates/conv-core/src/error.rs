@@ -35,6 +35,9 @@ pub enum ConvError {
     /// The patch size is zero.
     #[error("the patch size must be at least 1 pixel")]
     PatchSize,
+    /// The size to which stars are truncated is zero.
+    #[error("the stamp size of stars must be at least 1 pixel")]
+    StampSize,
     /// The image differs in shape from the frame, or from the region of the frame to be computed.
     #[error("the image has {got} pixels, but the frame (or the region of it to be computed) has {expected}")]
     FrameShape {
@@ -93,8 +96,11 @@ pub enum ConvError {
     #[cfg(feature = "gpu")]
     #[error(transparent)]
     Gpu(#[from] GpuError),
-    /// The result is not a valid image.
-    #[error("the result is not a valid image: is it empty, or are fluxes beyond the range of f32 or f64?")]
+    /// An image, a frame or a position is not valid. The source says why.
+    #[error("{}", match .0 {
+        DataError::NonFinite { .. } => "the result is not a valid image: are fluxes beyond the range of the precision?",
+        _ => "the data are not valid",
+    })]
     Result(#[source] DataError),
 }
 

@@ -366,6 +366,37 @@ fn a_constant_psf_takes_one_mode_a_tile_and_dark_tiles_nothing() {
     assert!(summary.to_string().contains("tolerance 0e0"), "{summary}");
 }
 
+/// The numbers of the summary are for fully lit tiles. A tile whose light lies in its middle is
+/// close to one, at least within a factor of 3.
+#[test]
+fn the_summary_says_which_tiles_are_drawn() {
+    let model = model_with(Arc::new(Constant), (16, 12), (8, 6), true, Normalisation::Unit);
+    for anchor in ANCHORS {
+        let options = options(0.0, anchor, Paths::Cheapest);
+        let engine = |lit: usize| {
+            let mut light = Array2::zeros((500, 500));
+            for i in 0..lit {
+                light[[30 + i / 60, 30 + i % 60]] = 1.0;
+            }
+            let scene = Scene::new(light);
+            let engine = scene.engine(&model, options);
+            (
+                engine.plan().summary().drawn_up_to,
+                engine.counted(&scene, &NoProgress).unwrap().1,
+            )
+        };
+        let (most, _) = engine(0);
+        println!("{anchor} {most}");
+        let (_, few) = engine(most / 3);
+        assert!(
+            few.drawn > 0 && few.transformed + few.direct == 0,
+            "{anchor}, {most}: {few:?}"
+        );
+        let (_, many) = engine(3 * most);
+        assert!(many.transformed + many.direct > 0, "{anchor}, {most}: {many:?}");
+    }
+}
+
 /// In f32, transforms of a bright star would fill its tile with noise.
 #[test]
 fn a_bright_star_adds_no_noise_to_the_faint_light_of_its_tile() {

@@ -6,7 +6,7 @@ mod common;
 use std::sync::Arc;
 
 use common::{Waves, drawn, largest_difference, peak, region};
-use conv_core::{ConvReal, PlanOptions, StarPainter, StarPlan};
+use conv_core::{ConvError, ConvReal, PlanOptions, StarPainter, StarPlan};
 use ndarray::{Array2, Array3};
 use psf_types::{
     Anchor, CoefficientField, FieldError, NoProgress, Normalisation, PixelRegion, PointSource, Position,
@@ -259,4 +259,16 @@ fn a_star_without_a_psf_is_an_error() {
     assert!(largest_difference(&image, &reference) < 1e-3 * peak(&reference));
     let refused = plan.draw_into(&star(70.3), frame(), frame(), image.view_mut(), &NoProgress);
     assert!(refused.is_err());
+}
+
+#[test]
+fn a_star_without_pixels_is_an_error() {
+    let (model, frame) = (model(Normalisation::Unit), region(0, 0, 20, 20));
+    for anchor in [Anchor::Source, Anchor::Output] {
+        let painter = StarPainter::new(&model, frame, anchor, Some(0));
+        assert!(matches!(painter, Err(ConvError::StampSize)));
+        let options = PlanOptions::default().with_anchor(anchor);
+        let plan = StarPlan::<f32>::new(&model, options, Some(0));
+        assert!(matches!(plan, Err(ConvError::StampSize)));
+    }
 }

@@ -164,8 +164,8 @@ pub enum MetricsError {
     /// Values so large that a result, or the sum of their squares, exceeds double precision.
     #[error("a result exceeds the range of double precision (largest given value or error: {largest})")]
     Overflow {
-        /// Largest value of the window. For a comparison or a summary: largest absolute value or
-        /// error.
+        /// The window's value of largest magnitude, with its sign. For a comparison or a summary:
+        /// largest absolute value or error.
         largest: f64,
     },
     /// A quantile that is not between 0 and 1.

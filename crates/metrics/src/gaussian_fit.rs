@@ -261,7 +261,9 @@ impl GaussianFitter {
         if fit.flux.is_finite() && fit.amplitude.is_finite() && fit.background.is_none_or(f64::is_finite) {
             Ok(fit)
         } else {
-            Err(MetricsError::Overflow { largest })
+            Err(MetricsError::Overflow {
+                largest: units.extreme,
+            })
         }
     }
 }
@@ -286,6 +288,8 @@ fn check_width(covariance: Covariance, cutout: &Cutout) -> Result<(), MetricsErr
 struct Units {
     offset: f64,
     scale: f64,
+    /// The value of largest magnitude before.
+    extreme: f64,
 }
 
 impl Units {
@@ -311,10 +315,15 @@ impl Units {
                 amplitude: 0.0,
             });
         }
+        let extreme = cutout.extreme();
         if !scale.is_finite() {
-            return Err(MetricsError::Overflow { largest });
+            return Err(MetricsError::Overflow { largest: extreme });
         }
         cutout.values.mapv_inplace(|v| (v - offset) / scale);
-        Ok(Self { offset, scale })
+        Ok(Self {
+            offset,
+            scale,
+            extreme,
+        })
     }
 }

@@ -171,7 +171,7 @@ impl QuadrupoleMoments {
         }
         let [flux, x, y] = sums.map(CompensatedSum::value);
         let overflow = || MetricsError::Overflow {
-            largest: cutout.largest(),
+            largest: cutout.extreme(),
         };
         if !(flux.is_finite() && x.is_finite() && y.is_finite()) {
             return Err(overflow());
@@ -349,19 +349,23 @@ impl AdaptiveMomentFinder {
         for iteration in 0..MAX_ITERATIONS {
             cutout.check_centre(x, y)?;
             // The weight may be too wide during the iteration, but not at its end.
-            Self::check_width(m, largest_px.max(sigma) * MAX_WIDTH_RATIO)?;
+            Self::check_width(
+                m,
+                largest_px.max(sigma) * MAX_WIDTH_RATIO / largest_px,
+                largest_px,
+            )?;
             let [flux, wx, wy, wxx, wxy, wyy] = weighted_moments(&cutout, x, y, m);
             // The amplitude is twice the weighted flux.
             if [2.0 * flux, wx, wy, wxx, wxy, wyy].iter().any(|v| !v.is_finite()) {
                 return Err(MetricsError::Overflow {
-                    largest: cutout.largest(),
+                    largest: cutout.extreme(),
                 });
             }
             if flux <= 0.0 {
                 return Err(MetricsError::NonPositiveFlux { flux });
             }
             if change <= CONVERGED {
-                Self::check_width(m, largest_px)?;
+                Self::check_width(m, 1.0, largest_px)?;
                 return Ok(AdaptiveMoments {
                     amplitude: 2.0 * flux,
                     shape: Shape::new(cutout.on_stamp(x, y), m),
@@ -398,13 +402,14 @@ impl AdaptiveMomentFinder {
         })
     }
 
-    fn check_width(m: Covariance, largest_px: f64) -> Result<(), MetricsError> {
+    /// Checks the sigmas of a weight. The larger one may be `slack` times as large as a result's.
+    fn check_width(m: Covariance, slack: f64, largest_px: f64) -> Result<(), MetricsError> {
         if m.sigma_minor_px() < SMALLEST_SIGMA_PX {
             return Err(MetricsError::WeightCollapsed {
                 sigma_px: m.sigma_minor_px(),
             });
         }
-        if m.sigma_major_px() > largest_px {
+        if m.sigma_major_px() > slack * largest_px {
             return Err(MetricsError::WidthOutOfRange {
                 major_px: m.sigma_major_px(),
                 minor_px: m.sigma_minor_px(),

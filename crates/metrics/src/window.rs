@@ -143,6 +143,12 @@ impl Cutout {
         self.values.iter().copied().fold(f64::NEG_INFINITY, f64::max)
     }
 
+    /// The value of largest magnitude, with its sign.
+    pub(crate) fn extreme(&self) -> f64 {
+        let larger = |a: f64, b: f64| if b.abs() > a.abs() { b } else { a };
+        self.values.iter().copied().fold(0.0, larger)
+    }
+
     /// The pixel values row by row, each with its column and row in the cutout.
     pub(crate) fn pixels(&self) -> impl Iterator<Item = (f64, f64, f64)> + '_ {
         let columns = self.values.ncols();

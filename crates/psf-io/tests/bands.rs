@@ -544,11 +544,13 @@ fn nan_pixels_become_a_number_and_are_counted_once() {
         "inf.fits",
         &image(SIMPLE, -32, &[2, 1], &[], &f32s(&[f32::NAN, f32::INFINITY])),
     );
-    for nan_as in [None, Some(0.0)] {
+    for (nan_as, first) in [(None, 0), (Some(0.0), 1)] {
         let mut reader = ImageReader::open(&path).unwrap().with_nan_as(nan_as);
-        assert_eq!(
-            reader.read_rows::<f32>(0..1).unwrap_err().kind(),
-            IoErrorKind::Data
-        );
+        let (error, count) = (reader.read_rows::<f32>(0..1), 2 - first);
+        assert_error(error, IoErrorKind::Data, &format!("HDU 0, pixel [0, {first}] ("));
+        let error = reader.read_rows::<f32>(0..1).unwrap_err().to_string();
+        assert!(error.contains(&format!("{count} pixel(s)")), "{error}");
+        let error = Err::<(), _>(reader.undefined_error(|[_, x]| x == 1));
+        assert_error(error, IoErrorKind::Data, "HDU 0, pixel [0, 1] (");
     }
 }

@@ -142,6 +142,9 @@ fn errors_describe_the_defect_of_a_model() {
     );
     let method = edited("'idw=2.100000000000001'", "'nearest-but-one'      ");
     assert!(chain(&method).contains("nearest-but-one"), "{method}");
+    refused(method, IoErrorKind::Data, "HDU 0, keyword INTERPOL: ");
+    let policy = edited("OUTSIDE = 'extend  '", "OUTSIDE = 'wrap    '");
+    refused(policy, IoErrorKind::Data, "HDU 0, keyword OUTSIDE: ");
     let rank = edited("NCOMP   =                    2", "NCOMP   =                    3");
     refused(rank, IoErrorKind::Axes, "a cube of NCOMP planes");
     let policy = edited("OUTSIDE = 'extend  '", "OUTSIDE =        3.0");

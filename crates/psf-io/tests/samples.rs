@@ -274,6 +274,11 @@ fn keywords_of_the_wrong_type_and_missing_parts_are_named() {
         (&["CENX    ="], "CENX"),
         (&["FIELDNX = 0", "FIELDNY = 10"], "FIELDNX"),
         (&["FIELDNX = 10"], "FIELDNY"),
+        (&["OVERSAMP= 0"], "OVERSAMP"),
+        (&["CENX    = 99.0"], "CENX"),
+        (&["CENY    = -9.0"], "CENY"),
+        (&["STAMPINT= 'linear'"], "STAMPINT"),
+        (&["FIELDNX = 999999999999", "FIELDNY = 999999999999"], "FIELDNX"),
     ] {
         let file = File {
             cards,

@@ -95,10 +95,12 @@ impl Telescope {
         let period = wanted.max(Self::MIN_PUPIL_CELLS / cells_per_pixel).ceil();
         let diameter = period * cells_per_pixel;
         let too_large = |got: f64| {
-            let (got, limit) = (got as usize, Self::MAX_TRANSFORM);
+            let (got, limit) = (shown(got), Self::MAX_TRANSFORM);
+            let (nm, arcsec, m) = (shown(nm), shown(arcsec), shown(params.aperture.diameter_m));
             OpticsError::Unusable(format!(
                 "the PSF would need transforms of {got} x {got} points, but at most {limit} x {limit} are \
-                 supported: make the stamp or its padding smaller, or choose a pixel scale closer to lambda / D"
+                 supported: make the stamp or its padding smaller, or choose a pixel scale closer to lambda / D \
+                 (wavelength_nm = {nm}, pixel_scale_arcsec = {arcsec}, aperture.diameter_m = {m})"
             ))
         };
         if period.max(diameter) > Self::MAX_TRANSFORM as f64 {
@@ -248,14 +250,25 @@ impl PsfSource for Telescope {
             return Ok(());
         }
         let period_px = self.focal_plane.period as f64 / s;
-        let (got_px, limit_px) = (steepest / TAU * period_px, period_px / 2.0);
+        let (got_px, limit_px) = (
+            shown((steepest / TAU * period_px * 10.0).round() / 10.0),
+            period_px / 2.0,
+        );
         let source = OpticsError::Unusable(format!(
-            "the wavefront at {position} sends light {got_px:.1} frame pixels off the PSF's centre, but the computed focal \
+            "the wavefront at {position} sends light {got_px} frame pixels off the PSF's centre, but the computed focal \
              plane reaches only {limit_px:.1}: enlarge the stamp or stamp.padding, or check the Zernike coefficients"
         ));
         Err(SourceError::External {
             position,
             source: Box::new(source),
         })
+    }
+}
+/// A number for messages, without rows of zeros.
+fn shown(number: f64) -> String {
+    if number == 0.0 || (1e-6..1e6).contains(&number.abs()) {
+        number.to_string()
+    } else {
+        format!("{number:.1e}")
     }
 }

@@ -7,7 +7,7 @@ use psf_types::{Progress, PsfSource};
 use rayon::prelude::*;
 
 use crate::criteria::{
-    CellProbes, CellStamps, CellVariation, NeighbourDifference, RefinementCriterion, check_threshold,
+    CellProbes, CellStamps, CellVariation, InterpolationError, RefinementCriterion, check_threshold,
 };
 use crate::draws::DrawnStamps;
 use crate::mesh::{Cell, Halving, Mesh};
@@ -16,7 +16,7 @@ use crate::sampling::{CapReached, SampleError, Sampling, SamplingMethod, Samplin
 /// Samples densely where the PSF varies much and sparsely where it does not.
 ///
 /// A coarse grid over the whole field, corners and edges included, is refined cell by cell until a
-/// [`RefinementCriterion`] holds in every cell. The default is a [`NeighbourDifference`] of 1 %
+/// [`RefinementCriterion`] holds in every cell. The default is an [`InterpolationError`] of 1 %
 /// (relative L2). The [crate's page](crate) describes the mesh. Every PSF is drawn once: a PSF that
 /// the criterion used is not drawn again when its position becomes a sample.
 ///
@@ -133,7 +133,7 @@ impl AdaptiveSampling {
 
 impl Default for AdaptiveSampling {
     fn default() -> Self {
-        Self::new(Arc::new(NeighbourDifference::default()))
+        Self::new(Arc::new(InterpolationError::default()))
     }
 }
 

@@ -137,9 +137,6 @@ pub struct NeighbourDifference {
 }
 
 impl NeighbourDifference {
-    /// The default threshold, 1 %.
-    pub const DEFAULT_THRESHOLD: f64 = 0.01;
-
     /// A criterion with a threshold on the difference of neighbours.
     ///
     /// # Errors
@@ -152,15 +149,6 @@ impl NeighbourDifference {
     /// The measure of the difference.
     pub fn measure(&self) -> DifferenceMeasure {
         self.measure
-    }
-}
-
-impl Default for NeighbourDifference {
-    fn default() -> Self {
-        Self {
-            threshold: Self::DEFAULT_THRESHOLD,
-            measure: DifferenceMeasure::default(),
-        }
     }
 }
 
@@ -202,6 +190,9 @@ pub struct InterpolationError {
 }
 
 impl InterpolationError {
+    /// The default threshold, 1 %.
+    pub const DEFAULT_THRESHOLD: f64 = 0.01;
+
     /// A criterion with a threshold on the difference between the interpolated and the true PSF.
     ///
     /// # Errors
@@ -214,6 +205,15 @@ impl InterpolationError {
     /// The measure of the error.
     pub fn measure(&self) -> DifferenceMeasure {
         self.measure
+    }
+}
+
+impl Default for InterpolationError {
+    fn default() -> Self {
+        Self {
+            threshold: Self::DEFAULT_THRESHOLD,
+            measure: DifferenceMeasure::default(),
+        }
     }
 }
 

@@ -41,6 +41,7 @@ fn draw_all(
     let drawn: Vec<_> = positions
         .par_iter()
         .map(|&position| {
+            progress.check_cancelled()?;
             let stamp = draw(source, position, (0.0, 0.0));
             progress.advance(1);
             stamp
@@ -345,6 +346,7 @@ impl ShiftAugmentation {
             .into_par_iter()
             .zip(&shifts)
             .map(|(mut plane, &(sample, shift))| {
+                progress.check_cancelled()?;
                 let drawn = draw(source, positions.as_slice()[sample], shift);
                 progress.advance(1);
                 drawn.map(|stamp| plane.assign(&stamp))

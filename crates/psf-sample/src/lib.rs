@@ -5,8 +5,7 @@
 //!
 //! * [`UniformSampling`]: a regular grid from corner to corner.
 //! * [`AdaptiveSampling`]: a coarse grid, refined until a [`RefinementCriterion`] holds. The
-//!   criterion is [`NeighbourDifference`] (the default of [`AdaptiveSampling`], 1 %) or
-//!   [`InterpolationError`] (the default of [`SamplingOptions`], 1 %). Both use a
+//!   criterion is [`InterpolationError`] (the default, 1 %) or [`NeighbourDifference`]. Both use a
 //!   [`DifferenceMeasure`].
 //!
 //! [`hold_out`] draws PSFs that are not samples, to check a model. [`ShiftAugmentation`] draws the

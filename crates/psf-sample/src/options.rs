@@ -63,7 +63,7 @@ impl Default for SamplingOptions {
         Self {
             criterion: Criterion::default(),
             measure: DifferenceMeasure::default(),
-            threshold: NeighbourDifference::DEFAULT_THRESHOLD,
+            threshold: InterpolationError::DEFAULT_THRESHOLD,
             start: (AdaptiveSampling::DEFAULT_START, AdaptiveSampling::DEFAULT_START),
             max_samples: AdaptiveSampling::DEFAULT_MAX_SAMPLES,
             uniform: None,

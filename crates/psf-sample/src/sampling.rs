@@ -1,6 +1,6 @@
 //! The sampling trait, its result with samples and report, and its errors.
 
-use psf_types::{DataError, Position, Progress, PsfSamples, PsfSource, SourceError};
+use psf_types::{Cancelled, DataError, Position, Progress, PsfSamples, PsfSource, SourceError};
 use thiserror::Error;
 
 /// A method that chooses the positions at which a PSF is sampled. The trait is object-safe.
@@ -10,6 +10,7 @@ pub trait SamplingMethod: std::fmt::Debug + Send + Sync {
     ///
     /// # Errors
     /// [`SampleError`], which contains the position of the PSF if the error concerns one PSF.
+    /// [`SampleError::Cancelled`] if `progress` cancels the work.
     fn sample(&self, source: &dyn PsfSource, progress: &dyn Progress) -> Result<Sampling, SampleError>;
 }
 
@@ -123,6 +124,9 @@ pub enum SampleError {
     /// the samples drawn so far.
     #[error(transparent)]
     CapReached(Box<CapReached>),
+    /// The progress object cancelled the work ([`Progress::cancelled`]).
+    #[error(transparent)]
+    Cancelled(#[from] Cancelled),
     /// Data that is not valid.
     #[error(transparent)]
     Data(#[from] DataError),

@@ -54,7 +54,8 @@ fn a_constant_field_needs_only_the_starting_grid() {
             sampling.report.draws,
             source.distinct_draws()
         ),
-        (25, 25, 25)
+        // The samples, and the middles of 16 cells and 40 edges.
+        (25, 81, 81)
     );
     assert_eq!(
         (sampling.report.outcome, sampling.report.worst),

@@ -174,6 +174,44 @@ fn progress_ends_at_its_total() {
     }
 }
 
+/// Cancels the work after some steps.
+struct Cancelling(AtomicU64);
+
+impl Progress for Cancelling {
+    fn start(&self, _: u64) {}
+    fn advance(&self, steps: u64) {
+        self.0.fetch_sub(steps, Ordering::SeqCst);
+    }
+    fn cancelled(&self) -> bool {
+        self.0.load(Ordering::SeqCst) as i64 <= 0
+    }
+}
+
+/// Work that returns its error.
+type Work<'a> = &'a dyn Fn(&dyn Progress) -> Option<SampleError>;
+
+#[test]
+fn a_cancelled_sampling_stops() {
+    let source = Blob::new(300, 300, |x, y| 1.5 + 0.3 * x * y);
+    let uniform = UniformSampling::new(40, 40).unwrap();
+    let samples = UniformSampling::new(4, 4).unwrap();
+    let samples = samples.sample(&source, &NoProgress).unwrap().samples;
+    let shifts = ShiftAugmentation::new(100, 0.5, 1).unwrap();
+    let works: [Work<'_>; 4] = [
+        &|progress| uniform.sample(&source, progress).err(),
+        &|progress| AdaptiveSampling::default().sample(&source, progress).err(),
+        &|progress| hold_out(&source, samples.positions(), (1000, 1), progress).err(),
+        &|progress| shifts.draw(&source, samples.positions(), progress).err(),
+    ];
+    for work in works {
+        let progress = Cancelling(AtomicU64::new(3));
+        assert!(matches!(work(&progress), Some(SampleError::Cancelled(_))));
+        // Each thread may have drawn one PSF more.
+        let more = -(progress.0.into_inner() as i64);
+        assert!(more <= rayon::current_num_threads() as i64, "{more} more");
+    }
+}
+
 #[test]
 fn held_out_psfs_lie_between_the_samples() {
     const COUNT: usize = 400;

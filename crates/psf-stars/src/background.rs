@@ -67,8 +67,8 @@ impl BackgroundMesh {
         Ok(Self { filter, ..self })
     }
 
-    /// Estimates the background of `pixels` `[y, x]`. NaN pixels are ignored. A cell that has only
-    /// NaN pixels gets the median of the other cells.
+    /// Estimates the background of `pixels` `[y, x]`. NaN pixels are ignored. A cell of which less
+    /// than half is not NaN gets the median of the cells around it, unless all cells are like it.
     ///
     /// # Errors
     /// [`StarError::NoNoise`] when more than half of the cells have no noise after the median
@@ -77,27 +77,27 @@ impl BackgroundMesh {
         let (ny, nx) = pixels.dim();
         let (rows, columns) = ((ny / self.cell).max(1), (nx / self.cell).max(1));
         let cut = |k: usize, count: usize, n: usize| k * n / count..(k + 1) * n / count;
-        let cells: Vec<(f64, f64)> = (0..rows * columns)
-            .into_par_iter()
-            .map(|k| {
+        let estimated = |least: f64| -> Vec<(f64, f64)> {
+            let cells = (0..rows * columns).into_par_iter().map(|k| {
                 let (y, x) = (cut(k / columns, rows, ny), cut(k % columns, columns, nx));
                 let pixels = pixels.slice(s![y, x]);
-                clipped(pixels.iter().copied().filter(|v| !v.is_nan()).collect())
-            })
-            .collect();
-        // The values of a cell that has only NaN pixels are NaN.
-        let filled = |of: fn(&(f64, f64)) -> f64| {
-            let known = cells.iter().map(of).filter(|v| !v.is_nan());
-            let typical = median(&mut known.collect::<Vec<_>>());
-            cells
-                .iter()
-                .map(of)
-                .map(move |v| if v.is_nan() { typical } else { v })
+                let good: Vec<f64> = pixels.iter().copied().filter(|v| !v.is_nan()).collect();
+                if good.len() as f64 >= least * pixels.len() as f64 {
+                    clipped(good)
+                } else {
+                    (f64::NAN, f64::NAN)
+                }
+            });
+            cells.collect()
         };
+        let mut cells = estimated(LEAST_GOOD);
+        if cells.iter().all(|cell| cell.0.is_nan()) {
+            cells = estimated(0.0);
+        }
         let map = |of: fn(&(f64, f64)) -> f64| {
-            let values = filled(of).collect();
+            let values = cells.iter().map(of).collect();
             let map = Array2::from_shape_vec((rows, columns), values).expect("one value per cell");
-            median_filtered(&map, self.filter)
+            median_filtered(&filled(map), self.filter)
         };
         let (level, rms) = (map(|c| c.0), map(|c| c.1));
         let typical_rms = median(&mut rms.iter().copied().collect::<Vec<_>>());
@@ -113,7 +113,8 @@ impl BackgroundMesh {
         let level = interpolated(&level, (ny, nx));
         let mut rms = interpolated(&rms, (ny, nx));
         rms.mapv_inplace(|v| v.max(least));
-        let typical_level = median(&mut filled(|c| c.0).collect::<Vec<_>>());
+        let known = cells.iter().map(|cell| cell.0).filter(|v| !v.is_nan());
+        let typical_level = median(&mut known.collect::<Vec<_>>());
         Ok(Background {
             level,
             rms,
@@ -180,6 +181,8 @@ pub(crate) fn median(values: &mut [f64]) -> f64 {
     }
 }
 
+/// A cell with a smaller share of pixels that are not NaN does not count (SExtractor's value).
+const LEAST_GOOD: f64 = 0.5;
 /// Values farther from the median than this number of standard deviations are clipped.
 const CLIP: f64 = 3.0;
 const MOST_CLIPS: usize = 50;
@@ -229,6 +232,21 @@ fn moments(sorted: &[f64]) -> (f64, f64, f64) {
     (median + shift, median, variance.sqrt())
 }
 
+/// Replaces NaN by the median of the values around it, again and again until none is left. A map
+/// without any value stays as it is.
+fn filled(mut map: Array2<f64>) -> Array2<f64> {
+    while map.iter().any(|v| v.is_nan()) && !map.iter().all(|v| v.is_nan()) {
+        let around = median_filtered(&map, 3);
+        map.zip_mut_with(&around, |v, &near| {
+            if v.is_nan() {
+                *v = near;
+            }
+        });
+    }
+    map
+}
+
+/// The median of `size` x `size` values around each value. NaN is ignored.
 fn median_filtered(map: &Array2<f64>, size: usize) -> Array2<f64> {
     let (rows, columns) = map.dim();
     let reach = size / 2;
@@ -239,6 +257,7 @@ fn median_filtered(map: &Array2<f64>, size: usize) -> Array2<f64> {
                 .slice(s![about(j, rows), about(i, columns)])
                 .iter()
                 .copied()
+                .filter(|v| !v.is_nan())
                 .collect::<Vec<_>>(),
         )
     })
@@ -343,6 +362,28 @@ mod tests {
             "{}",
             found.typical_rms()
         );
+    }
+
+    #[test]
+    fn a_cell_with_few_good_pixels_takes_the_background_around_it() {
+        let slope = 0.05;
+        let mut frame = sky(slope, 4.0);
+        // A masked galaxy, of which a part is left over.
+        frame.slice_mut(s![128.., 128..192]).fill(f64::NAN);
+        frame.slice_mut(s![140..150, 140..180]).fill(3000.0);
+        let mesh = BackgroundMesh::default().with_filter(1).unwrap();
+        let found = mesh.estimate(frame.view()).unwrap();
+        for (y, x) in [(160, 160), (224, 160)] {
+            let truth = 1000.0 + slope * (x as f64 + 0.5 * y as f64);
+            let off = (found.level()[[y, x]] - truth).abs();
+            assert!(off < 64.0 * slope, "{off} at {x}, {y}: more than a cell away");
+        }
+        // If all cells have few good pixels, these must do.
+        let mut sparse = sky(0.0, 4.0);
+        sparse.slice_mut(s![..;3, ..]).fill(f64::NAN);
+        sparse.slice_mut(s![1..;3, ..]).fill(f64::NAN);
+        let found = mesh.estimate(sparse.view()).unwrap();
+        assert!((found.typical_level() - 1000.0).abs() < 4.0 * LEVEL);
     }
 
     #[test]

@@ -96,7 +96,8 @@ impl StarSampling {
 
     /// Holds `count` of the accepted stars out of the samples, to check a model of the samples.
     /// `seed` chooses the stars. [`StarSamples::held_out`] has their stamps, which are made from
-    /// each star's own pixels.
+    /// each star's own pixels. A star whose pixels have no flux has no stamp
+    /// ([`Rejection::LowSnr`]).
     #[must_use]
     pub fn with_hold_out(self, count: usize, seed: u64) -> Self {
         Self {
@@ -161,10 +162,12 @@ impl StarSampling {
         let reach = self.registration.reach(fwhm_px);
         self.selection.check_edge(reach)?;
         self.selection.apply(&mut sources, view.shape(), reach, fwhm_px);
-        self.hold_out(&mut sources)?;
+        // Grid and method are those of all stars, also if some are held out.
         let accepted = sources.iter().filter(|s| s.rejected.is_empty()).count();
+        self.hold_out(&mut sources)?;
         let grid = self.registration.grid(fwhm_px, accepted);
-        let registered = self.register(&view, &mut sources, grid, fwhm_px)?;
+        let method = self.registration.resolve(fwhm_px, accepted, grid.scale)?;
+        let registered = self.register(&view, &mut sources, (method, grid), fwhm_px)?;
         view.collected(sources, registered, fwhm_px)
     }
 
@@ -204,7 +207,7 @@ impl StarSampling {
         &self,
         view: &FrameView,
         sources: &mut [Source],
-        grid: FineGrid,
+        (method, grid): (RegistrationMethod, FineGrid),
         fwhm_px: f64,
     ) -> Result<Registered, StarError> {
         let ownership = Ownership::new(sources, fwhm_px);
@@ -214,7 +217,6 @@ impl StarSampling {
             .filter(|(_, s)| s.rejected.is_empty())
             .map(|(k, c)| view.star(k, c, &ownership, grid))
             .collect();
-        let method = self.registration.resolve(fwhm_px, stars.len(), grid.scale)?;
         if self.hold_out.0 > 0 && method == RegistrationMethod::Epsf {
             return Err(StarError::NoSamples(
                 "stars cannot be held out with the method epsf, because the pixels of a single star do not give its oversampled PSF: compare the model with the stars of another frame, or use the method stamps"
@@ -226,11 +228,8 @@ impl StarSampling {
             let trusted = |x, y| !view.is_masked(x, y) && ownership.allows(k, flux, x as f64, y as f64);
             own_stamp(view.excess.view(), (x, y), trusted, grid)
         };
-        let held_out = sources.iter().enumerate();
-        let held_out = held_out.filter(|(_, s)| s.rejected.contains(Rejection::HeldOut));
-        let held_out = held_out
-            .filter_map(|(k, s)| Some(((s.x, s.y), own(k)?.0)))
-            .collect();
+        let chosen = (0..sources.len()).filter(|&k| sources[k].rejected.contains(Rejection::HeldOut));
+        let chosen: Vec<_> = chosen.map(|k| (k, own(k))).collect();
         let mut report = RegistrationReport {
             method,
             oversampling: grid.scale,
@@ -257,7 +256,13 @@ impl StarSampling {
             let stamps = stars.par_iter().map(|star| own(star.source)).collect();
             (stars, stamps)
         };
-        let mut samples = Vec::new();
+        let (mut samples, mut held_out) = (Vec::new(), Vec::new());
+        for (k, stamp) in chosen {
+            match stamp {
+                Some((stamp, _)) => held_out.push(((sources[k].x, sources[k].y), stamp)),
+                None => sources[k].rejected.insert(Rejection::LowSnr),
+            }
+        }
         for (star, stamp) in stars.into_iter().zip(stamps) {
             match stamp {
                 Some((stamp, flux)) => samples.push((star, stamp, flux)),

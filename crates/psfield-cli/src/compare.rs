@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::Context as _;
 use metrics::{Comparison, MetricsError, Summary};
 use ndarray::{Array3, Axis};
-use psf_io::{FileKind, HduChoice};
+use psf_io::{FileKind, HduChoice, IoError};
 use serde::{Serialize, Serializer};
 
 use super::context::{Context, object};
@@ -61,8 +61,9 @@ impl Serialize for Measures {
 
 impl CompareArgs {
     pub(crate) fn run(self, context: &Context) -> anyhow::Result<()> {
-        let (result, result_is_cube) = read(&self.result, self.extension.as_ref())?;
-        let (reference, reference_is_cube) = read(&self.reference, self.reference_extension.as_ref())?;
+        let (result, result_is_cube) = read(&self.result, self.extension.as_ref(), "hdu")?;
+        let extension = self.reference_extension.as_ref();
+        let (reference, reference_is_cube) = read(&self.reference, extension, "reference_extension")?;
         let planes = Comparison::by_plane(result.view(), reference.view()).with_context(|| {
             format!(
                 "comparing {} with {}",
@@ -92,16 +93,29 @@ impl CompareArgs {
     }
 }
 
-/// Reads a cube, or an image as a cube of one plane. Returns whether it is a cube.
-fn read(path: &Path, extension: Option<&HduChoice>) -> anyhow::Result<(Array3<f64>, bool)> {
-    Ok(match psf_io::detect_hdu(path, extension)? {
+/// Reads a cube, or an image as a cube of one plane. Returns whether it is a cube. `setting` is the
+/// setting that chooses the HDU, for errors.
+fn read(
+    path: &Path,
+    extension: Option<&HduChoice>,
+    setting: &'static str,
+) -> anyhow::Result<(Array3<f64>, bool)> {
+    let named = |error: IoError| match error.setting() {
+        Some("hdu") => error.with_setting(setting),
+        _ => error,
+    };
+    Ok(match psf_io::detect_hdu(path, extension).map_err(named)? {
         FileKind::PsfModel => anyhow::bail!(
             "{} is a PSF model: compare its PSFs at chosen positions (psfield evaluate writes them)",
             path.display()
         ),
-        FileKind::PsfSamples | FileKind::Cube => (psf_io::read_cube_hdu::<f64>(path, extension)?, true),
+        FileKind::PsfSamples | FileKind::Cube => {
+            let cube = psf_io::read_cube_hdu::<f64>(path, extension);
+            (cube.map_err(named)?, true)
+        }
         _ => (
-            psf_io::read_image_hdu::<f64>(path, extension)?
+            psf_io::read_image_hdu::<f64>(path, extension)
+                .map_err(named)?
                 .into_parts()
                 .0
                 .into_pixels()

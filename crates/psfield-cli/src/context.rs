@@ -50,6 +50,11 @@ pub(crate) fn with_option(text: impl std::fmt::Display, setting: Option<&str>) -
     }
 }
 
+/// The text of an error without the option that it advises, for files that have no such option.
+pub(crate) fn without_option(error: impl std::error::Error + 'static) -> anyhow::Error {
+    anyhow::anyhow!(psfield::error_text(&error))
+}
+
 /// Names the setting that accepts NaN in an error about a pixel.
 pub(crate) fn with_nan_setting(error: IoError, setting: &'static str) -> IoError {
     match error.place() {

@@ -4,7 +4,6 @@ use std::path::PathBuf;
 use std::str::FromStr;
 
 use anyhow::Context as _;
-use psf_types::FrameShape;
 use psfield::Psf;
 use psfield::convert::{PsfFormat, SamplesAt, is_on_grid};
 
@@ -112,6 +111,10 @@ impl Target {
     }
 }
 
+/// The largest number of positions of `--grid`. A larger number is probably a typing error, and
+/// would take very long.
+const MAX_POSITIONS: usize = 1 << 16;
+
 impl ConvertArgs {
     pub(crate) fn run(self, context: &Context) -> anyhow::Result<()> {
         let target = self.target()?;
@@ -119,7 +122,10 @@ impl ConvertArgs {
         self.table.check(self.at.as_deref())?;
         let at = match (self.grid, &self.at) {
             (Some(Pair(nx, ny)), _) => {
-                FrameShape::new(nx, ny).map_err(|e| UsageError(format!("--grid: {e}")))?;
+                if nx.saturating_mul(ny) > MAX_POSITIONS {
+                    let what = format!("--grid {nx},{ny}: at most {MAX_POSITIONS} positions are possible");
+                    return Err(UsageError(what).into());
+                }
                 SamplesAt::Grid { nx, ny }
             }
             (None, Some(path)) => {
@@ -142,7 +148,10 @@ impl ConvertArgs {
         };
         let written = psf
             .write(&self.output, &format, &signature(), self.overwrite)
-            .with_context(|| format!("with the PSF of {}", self.input.display()))?;
+            .with_context(|| match &self.at {
+                Some(at) => format!("{} at the positions of {}", self.input.display(), at.display()),
+                None => format!("with the PSF of {}", self.input.display()),
+            })?;
         drop(spinner);
         for note in &written.notes {
             context.note(&format!("{}: {note}", self.output.display()));

@@ -1,6 +1,6 @@
 //! `psfield expose`.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use detector::{Detector, DetectorError, DetectorParams};
@@ -118,16 +118,21 @@ const OPTIONS: [(&str, &str); 3] = [
     ("exposure_s", "--exposure"),
 ];
 
-/// Refuses a detector without any effect, if it is `alone` (without a mask). Warns if there is no
-/// photon noise.
-pub(crate) fn check_detector(detector: &Detector, alone: bool, context: &Context) -> anyhow::Result<()> {
+/// Refuses the detector of a `file` (or of options) without any effect, if it is `alone` (without a
+/// mask). Warns if there is no photon noise.
+pub(crate) fn check_detector(
+    detector: &Detector,
+    file: Option<&Path>,
+    alone: bool,
+    context: &Context,
+) -> anyhow::Result<()> {
     if detector.is_perfect() && alone {
-        return Err(UsageError(
-            "there is nothing to add: the detector has no settings. Set some in the file of --detector DETECTOR.toml. The command \
+        let file = file.map_or_else(String::new, |file| format!("{}: ", file.display()));
+        let what = format!(
+            "{file}there is nothing to add: the detector has no settings. Set some in the file of --detector DETECTOR.toml. The command \
              psfield expose also has options for them, such as --photon-noise --sky 100 --read-noise 5, or --photons-only"
-                .to_owned(),
-        )
-        .into());
+        );
+        return Err(UsageError(what).into());
     }
     if !detector.params().photon_noise {
         context.warn("the exposure has no photon noise: set photon_noise = true in the detector file (or use the option --photon-noise of psfield expose)");
@@ -138,7 +143,7 @@ pub(crate) fn check_detector(detector: &Detector, alone: bool, context: &Context
 impl ExposeArgs {
     pub(crate) fn run(self, context: &Context) -> anyhow::Result<()> {
         let detector = self.detector()?;
-        check_detector(&detector, self.mask.is_none(), context)?;
+        check_detector(&detector, self.detector.as_deref(), self.mask.is_none(), context)?;
         match self.precision {
             Precision::F32 => self.run_in::<f32>(&detector, context),
             Precision::F64 => self.run_in::<f64>(&detector, context),

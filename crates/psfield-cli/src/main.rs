@@ -109,6 +109,7 @@ impl Cli {
             _ => {}
         }
         files.check()?;
+        out_of_memory::name(&files.inputs);
         #[cfg(unix)]
         interrupts::handle().context("cannot install the handlers for Ctrl-C and termination signals")?;
         // 0: one thread per core.
@@ -154,6 +155,15 @@ fn quieten_drivers() {
     }
 }
 
+/// Ends the program with a message of the parser of arguments.
+fn refuse(error: &clap::Error) -> ! {
+    if error.kind() != clap::error::ErrorKind::ValueValidation {
+        error.exit();
+    }
+    eprint!("{}", values::plain_text(error));
+    std::process::exit(error.exit_code())
+}
+
 fn main() -> ExitCode {
     #[cfg(feature = "gpu")]
     quieten_drivers();
@@ -161,8 +171,8 @@ fn main() -> ExitCode {
     let mut command = help::command::<Cli>();
     let given = command
         .try_get_matches_from_mut(arguments)
-        .unwrap_or_else(|error| error.exit());
-    let cli = Cli::from_arg_matches(&given).unwrap_or_else(|error| error.format(&mut command).exit());
+        .unwrap_or_else(|error| refuse(&error));
+    let cli = Cli::from_arg_matches(&given).unwrap_or_else(|error| refuse(&error.format(&mut command)));
     let (name, arguments) = given.subcommand().expect("clap requires a command");
     let ran = command.find_subcommand(name).expect("clap found this command");
     let Err(error) = cli.run(NamedFiles::of(ran, arguments), &notes) else {

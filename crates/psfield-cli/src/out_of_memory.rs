@@ -3,6 +3,19 @@
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::io::Write as _;
+use std::path::PathBuf;
+use std::sync::OnceLock;
+
+/// The files that the command reads, for the message.
+static INPUTS: OnceLock<String> = OnceLock::new();
+
+/// Sets the files that the message names.
+pub(crate) fn name(inputs: &[PathBuf]) {
+    let inputs: Vec<String> = inputs.iter().map(|path| path.display().to_string()).collect();
+    if !inputs.is_empty() {
+        let _ = INPUTS.set(format!(" (inputs: {})", inputs.join(", ")));
+    }
+}
 
 /// The system's allocator, except that a request it cannot meet ends the program.
 struct Checked;
@@ -41,7 +54,8 @@ fn checked(memory: *mut u8, bytes: usize) -> *mut u8 {
         // Formatting numbers takes no memory.
         let _ = writeln!(
             std::io::stderr(),
-            "psfield: error: not enough memory: {megabytes} MiB more are needed, but the system or a limit (ulimit -v) refuses them"
+            "psfield: error: not enough memory{}: {megabytes} MiB more are needed, but the system or a limit (ulimit -v) refuses them",
+            INPUTS.get().map_or("", String::as_str)
         );
         end();
     }

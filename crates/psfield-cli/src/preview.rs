@@ -73,8 +73,8 @@ impl PreviewArgs {
     pub(crate) fn run(self, context: &Context) -> anyhow::Result<()> {
         let named = self.output.as_deref().cloned();
         let output = named.or(self.default_picture()).expect("one of the two names");
-        let named_for = image::ImageFormat::from_path(&output);
-        if named_for.is_ok_and(|format| format != image::ImageFormat::Png) {
+        let ending = output.extension();
+        if ending.is_some_and(|ending| !ending.eq_ignore_ascii_case("png")) {
             let text = format!(
                 "{}: the picture is a PNG file: give a name that ends in .png",
                 output.display()

@@ -9,7 +9,7 @@ use psf_types::{Interpolation, Normalisation, OutsidePolicy, Position};
 use psfield::{ErrorKind, FitChoices, FitOptions, Psf, PsfFileOptions, PsfieldError};
 
 use crate::UsageError;
-use crate::context::{Context, with_option};
+use crate::context::{Context, with_option, without_option};
 use crate::values::{above_zero, number, numbers};
 
 /// The heading of the fit options in help texts.
@@ -209,7 +209,8 @@ impl PsfFileArgs {
                 .psf_positions
                 .as_ref()
                 .map(psf_io::read_positions)
-                .transpose()?,
+                .transpose()
+                .map_err(without_option)?,
             oversampling: self.psf_oversampling,
             centre: self.psf_centre.map(|point| point.0),
             pixel_response_included: self

@@ -3,6 +3,7 @@
 use psf_types::FrameShape;
 use psfield_lab::report::{Reproduction, ReproductionOptions, Software, Target};
 
+use super::UsageError;
 use super::context::{Context, command_text};
 use super::report_folder::{self, ReportFolder};
 use super::values::Pair;
@@ -44,6 +45,9 @@ pub(crate) struct ReproduceArgs {
     adaptive_threshold: Option<f64>,
 }
 
+/// The largest side of the frame. A larger number is a typing error.
+const MAX_SIDE: usize = 1 << 15;
+
 impl ReproduceArgs {
     pub(crate) fn run(self, context: &Context) -> anyhow::Result<()> {
         self.folder.check(&report_folder::FILES)?;
@@ -73,6 +77,11 @@ impl ReproduceArgs {
             ReproductionOptions::full()
         };
         if let Some(Pair(nx, ny)) = self.frame {
+            if nx.max(ny) > MAX_SIDE {
+                let what =
+                    format!("--frame {nx},{ny}: at most {MAX_SIDE} pixels along each axis are possible");
+                return Err(UsageError(what).into());
+            }
             options.frame = Some(FrameShape::new(nx, ny)?);
         }
         let set = |to: &mut usize, value: Option<u16>| {

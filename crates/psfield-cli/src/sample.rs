@@ -6,8 +6,8 @@ use std::path::{Path, PathBuf};
 use anyhow::Context as _;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use ndarray::{Axis, stack};
-use psf_io::{Card, FileKind, IoErrorKind};
-use psf_optics::Telescope;
+use psf_io::{Card, FileKind};
+use psf_optics::{OpticsError, Telescope};
 use psf_sample::{
     Criterion, DifferenceMeasure, SampleError, Sampling, SamplingOptions, SamplingOutcome, hold_out,
 };
@@ -127,15 +127,27 @@ impl SampleArgs {
 fn is_frame(path: &Path, chosen: bool) -> anyhow::Result<bool> {
     match psf_io::detect(path) {
         Ok(FileKind::Image) => Ok(true),
-        // The reader of telescope files reports files that cannot be read.
         Ok(FileKind::NotFits) => Ok(false),
-        Err(error) if matches!(error.kind(), IoErrorKind::NotFound | IoErrorKind::Read) => Ok(false),
         Ok(_) if chosen => Ok(true),
         Ok(kind) => anyhow::bail!(
             "{} is {kind}: give a telescope file (TOML) or a frame with stars (a single image [y, x])",
             path.display()
         ),
         Err(error) => Err(error.into()),
+    }
+}
+
+/// An error in a telescope file. A file of another ending may have been meant as a frame.
+fn not_a_telescope(path: &Path, error: OpticsError) -> anyhow::Error {
+    match error {
+        OpticsError::InFile { source, .. } if path.extension().is_none_or(|ending| ending != "toml") => {
+            let what = format!(
+                "{} is neither a FITS image nor a telescope file (TOML)",
+                path.display()
+            );
+            anyhow::Error::from(*source).context(what)
+        }
+        error => error.into(),
     }
 }
 
@@ -255,16 +267,24 @@ impl TelescopeArgs {
 
     fn run(&self, asked: &SampleArgs, context: &Context) -> anyhow::Result<()> {
         let telescope = match (&asked.input, self.preset) {
-            (Some(path), _) => Telescope::from_toml_file(path)?,
+            (Some(path), _) => {
+                Telescope::from_toml_file(path).map_err(|error| not_a_telescope(path, error))?
+            }
             (None, preset) => preset.unwrap_or(Preset::Survey2m).telescope(),
         };
-        let sampling = self.draw(&telescope, context)?;
+        let named = |error: anyhow::Error| match &asked.input {
+            Some(path) if error.is::<SampleError>() => {
+                error.context(format!("with the telescope of {}", path.display()))
+            }
+            _ => error,
+        };
+        let sampling = self.draw(&telescope, context).map_err(named)?;
         let positions = sampling.samples.positions();
         let held_out = asked.hold_out.map(|count| {
             let drawn = (usize::from(count), asked.seed);
             hold_out(&telescope, positions, drawn, &context.bar("holding out"))
         });
-        let held_out = held_out.transpose()?;
+        let held_out = held_out.transpose().map_err(|error| named(error.into()))?;
         let held_out = held_out.as_ref();
         asked.write(&sampling.samples, held_out)?;
         let found = &sampling.report;
@@ -392,6 +412,12 @@ impl FrameArgs {
         })?;
         drop(spinner);
         warn_of(&found, context);
+        let (held_out, wanted) = (found.held_out.as_ref().map_or(0, PsfSamples::len), asked.hold_out);
+        if let Some(wanted) = wanted.filter(|&wanted| held_out < usize::from(wanted)) {
+            context.warn(&format!(
+                "{held_out} stars are written to the file of --hold-out, not {wanted}: the pixels of the others have no flux"
+            ));
+        }
         // Number of rejected sources for each reason. A source may be rejected for several reasons.
         let counts = found.rejection_counts().into_iter();
         let rejected: BTreeMap<&str, usize> = counts.map(|(reason, count)| (reason.name(), count)).collect();

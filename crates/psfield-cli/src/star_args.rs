@@ -115,9 +115,7 @@ impl MaskArgs {
                     "{mask}: the mask has {masked} pixels, but {path} has {shape}: give a mask of the frame's shape (option --mask)"
                 );
             }
-            let bad = mask_reader
-                .read_rows_with_undefined(rows.clone())?
-                .mapv(|v| v != 0.0);
+            let bad = mask_reader.read_rows_with_undefined(rows)?.mapv(|v| v != 0.0);
             Zip::from(&mut frame)
                 .and(&mut undefined)
                 .and(&bad)
@@ -128,9 +126,8 @@ impl MaskArgs {
                 });
         }
         if undefined.iter().any(|&undefined| undefined) {
-            // Reading again gives the error, with the place of the first NaN or infinite pixel.
-            let read = reader.read_rows::<f64>(rows);
-            read.map_err(|error| with_nan_setting(error, "nan_is_masked"))?;
+            let error = reader.undefined_error(|pixel| undefined[pixel]);
+            return Err(with_nan_setting(error, "nan_is_masked").into());
         }
         Ok(frame)
     }

@@ -151,7 +151,6 @@ of_stages!(
     coeff_field::CoeffFieldError => Fit,
     psf_types::FieldError => Field,
     psf_types::SourceError => Sampling,
-    psf_sample::SampleError => Sampling,
     psf_optics::OpticsError => Sampling,
     psf_stars::StarError => Stars,
     psf_io::CardError => Data,
@@ -177,11 +176,22 @@ impl From<psf_io::IoError> for PsfieldError {
     }
 }
 
+impl From<psf_sample::SampleError> for PsfieldError {
+    fn from(error: psf_sample::SampleError) -> Self {
+        let kind = match error {
+            psf_sample::SampleError::Cancelled(_) => ErrorKind::Cancelled,
+            _ => ErrorKind::Sampling,
+        };
+        Self::of_stage(kind, error)
+    }
+}
+
 impl From<ConvError> for PsfieldError {
     fn from(error: ConvError) -> Self {
         let (kind, setting) = match error {
             ConvError::Tolerance { .. } => (ErrorKind::Setting, Some("tolerance")),
             ConvError::PatchSize => (ErrorKind::Setting, Some("method")),
+            ConvError::StampSize => (ErrorKind::Setting, Some("stamp_size")),
             ConvError::RegionOutsideFrame { .. } => (ErrorKind::Setting, Some("region")),
             ConvError::Cancelled(_) => (ErrorKind::Cancelled, None),
             ConvError::Field(_) => (ErrorKind::Field, None),
@@ -193,8 +203,54 @@ impl From<ConvError> for PsfieldError {
     }
 }
 
+/// Words of Rust's own errors about numbers and types, and plain words for them.
+const PLAIN: [(&str, &str); 13] = [
+    ("invalid digit found in string", "a whole number is needed"),
+    (
+        "cannot parse integer from empty string",
+        "a whole number is needed",
+    ),
+    ("invalid float literal", "a number is needed"),
+    ("cannot parse float from empty string", "a number is needed"),
+    (
+        "number too large to fit in target type",
+        "the number is too large",
+    ),
+    (
+        "number too small to fit in target type",
+        "the number is too small",
+    ),
+    (
+        "stream did not contain valid UTF-8",
+        "the file is not a text in UTF-8",
+    ),
+    (
+        "number would be zero for non-zero type",
+        "a number above 0 is needed",
+    ),
+    (" as i128", ""),
+    ("expected usize", "expected a whole number, 0 or above"),
+    ("expected u64", "expected a whole number, 0 or above"),
+    ("expected u32", "expected a whole number, 0 or above"),
+    ("expected f64", "expected a number"),
+];
+
+/// Replaces words of Rust's own errors about numbers and types by plain ones.
+pub fn in_plain_words(text: &str) -> String {
+    let replaced = |text: String, (rust, plain): (&str, &str)| text.replace(rust, plain);
+    let mut text = PLAIN.into_iter().fold(text.to_owned(), replaced);
+    if let Some((before, after)) = text.split_once("expected struct ") {
+        text = format!(
+            "{before}expected a table{}",
+            after.trim_start_matches(char::is_alphanumeric)
+        );
+    }
+    text
+}
+
 /// Formats an error with its causes in one line, `problem: cause: cause of the cause`. A cause is
-/// left out if the text before it already contains its text.
+/// left out if the text before it already contains its text. Words of Rust's own errors about
+/// numbers and types are replaced by plain ones.
 ///
 /// ```
 /// use psfield::{Psf, error_text};
@@ -213,5 +269,5 @@ pub fn error_text(error: &dyn Error) -> String {
         }
         cause = error.source();
     }
-    all
+    in_plain_words(&all)
 }

@@ -74,7 +74,7 @@ pub use {
 pub use device::{
     CpuReason, GpuSeconds, MIN_SECONDS_FOR_GPU, Placement, PredictedSeconds, forget_gpus, open_gpu,
 };
-pub use error::{ErrorKind, PsfieldError, error_text};
+pub use error::{ErrorKind, PsfieldError, error_text, in_plain_words};
 pub use evaluate::{
     EvaluateOptions, OutputGrid, check_frame_on_field, check_on_field, evaluate, evaluate_stamps,
 };

@@ -256,10 +256,7 @@ pub(crate) fn treated<T: ConvReal, S: Lanes<T>>(
         }),
     })?;
     let count = kernels.block.kernel_count();
-    let draw = match direction {
-        Direction::Scatter => plan.cost.draw(engine.geometry.stamp, count),
-        Direction::Gather => plan.cost.draw_gathered(engine.geometry.stamp, count),
-    };
+    let draw = plan.cost.draw(direction, engine.geometry.stamp, count);
     let back = rescale(&mut seen, workspace.light.get_mut());
     let (method, mut drawn) = choose(pass, seen, size, tile.part.size, (count, draw), workspace);
     if let Some(back) = back {

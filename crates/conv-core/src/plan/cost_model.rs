@@ -1,5 +1,6 @@
 //! The cost of the engine's steps.
 
+use super::geometry::Direction;
 use crate::ConvReal;
 use crate::transform::{X_STEP, Y_STEP};
 
@@ -83,14 +84,14 @@ impl CostModel {
             + self.width * (READ_OR_ADD_PIXEL * pixels + ADD * plane)
     }
 
-    /// Drawing one lit pixel.
-    pub(crate) fn draw(self, stamp: (usize, usize), kernels: usize) -> f64 {
-        self.width * DRAW * (stamp.0 * stamp.1) as f64 * (kernels as f64 + 1.5)
-    }
-
-    /// Drawing one lit pixel where every pixel that it reaches has its own coefficients.
-    pub(crate) fn draw_gathered(self, stamp: (usize, usize), kernels: usize) -> f64 {
-        DRAW_GATHERED * self.draw(stamp, kernels)
+    /// Drawing one lit pixel. If light is gathered, every pixel that it reaches has its own
+    /// coefficients.
+    pub(crate) fn draw(self, direction: Direction, stamp: (usize, usize), kernels: usize) -> f64 {
+        let scattered = self.width * DRAW * (stamp.0 * stamp.1) as f64 * (kernels as f64 + 1.5);
+        match direction {
+            Direction::Scatter => scattered,
+            Direction::Gather => DRAW_GATHERED * scattered,
+        }
     }
 
     /// Convolving a tile by the direct sum.

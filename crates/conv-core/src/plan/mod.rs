@@ -382,8 +382,9 @@ impl<T: ConvReal> Plan<T> {
         let (whole, direct) = self.whole_tile(tile, kernels.ceil() as usize);
         summary.direct = direct && self.options.paths() == Paths::Cheapest;
         let draws = self.options.paths() == Paths::Cheapest;
-        summary.drawn_up_to = usize::from(draws)
-            * (whole / self.cost.draw(self.geometry.stamp, kernels.ceil() as usize)) as usize;
+        let (direction, stamp) = (self.direction(false), self.geometry.stamp);
+        let draw = self.cost.draw(direction, stamp, kernels.ceil() as usize);
+        summary.drawn_up_to = usize::from(draws) * (whole / draw) as usize;
         summary.predicted_seconds = summary.tiles as f64 * whole
             + summary.blocks as f64 * kernels * self.cost.kernel(self.tiling.size, self.geometry.stamp);
         summary

@@ -49,10 +49,11 @@ impl StampSplines {
 impl<'a> StarPainter<'a> {
     /// A painter for a frame, which is a region of the scene. Sources are given in pixels of the
     /// scene. If `size` is given, each star is truncated to `size` columns and rows. The pixel that
-    /// the star lies on has index `size / 2` in both. `size` must be at least 1.
+    /// the star lies on has index `size / 2` in both.
     ///
     /// # Errors
-    /// [`ConvError::PixelResponse`] if the stamps do not include the pixel response.
+    /// [`ConvError::PixelResponse`] if the stamps do not include the pixel response,
+    /// [`ConvError::StampSize`] if `size` is 0.
     pub fn new(
         model: &'a PsfModel,
         frame: PixelRegion,
@@ -62,6 +63,9 @@ impl<'a> StarPainter<'a> {
         let grid = model.grid();
         if !grid.pixel_response_included() {
             return Err(ConvError::PixelResponse);
+        }
+        if size == Some(0) {
+            return Err(ConvError::StampSize);
         }
         let splines = (anchor == Anchor::Output).then(StampSplines::default);
         let beyond = Kernel::of(grid.interpolation()).reach();

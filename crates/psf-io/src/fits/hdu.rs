@@ -226,6 +226,13 @@ impl Hdu {
         self.header_error(keyword, format!("must be {expected}, got {got}"))
     }
 
+    /// Returns a function for `map_err` that reports a keyword whose value breaks a rule.
+    pub(crate) fn invalid_keyword(&self, keyword: &str) -> impl Fn(DataError) -> IoError + use<'_> {
+        let (hdu, keyword) = (self.index, keyword.to_owned());
+        let place = Place::Keyword { hdu, keyword };
+        move |source| invalid(self.path())(source).at(place.clone())
+    }
+
     /// The value of a keyword, if the keyword exists and its value has this type.
     pub(crate) fn value<T: FromValue>(&self, keyword: &str) -> Option<T> {
         self.header.value(keyword)
@@ -289,7 +296,7 @@ impl Hdu {
         expected: &'static str,
     ) -> Result<Option<T>, IoError> {
         self.optional::<String>(keyword, expected)?
-            .map(|text| text.parse().map_err(invalid(self.path())))
+            .map(|text| text.parse().map_err(self.invalid_keyword(keyword)))
             .transpose()
     }
 

@@ -315,6 +315,11 @@ impl ImageReader {
         Self { nan_as, ..self }
     }
 
+    /// The value that replaces NaN ([`with_nan_as`](Self::with_nan_as)).
+    pub fn nan_as(&self) -> Option<f64> {
+        self.nan_as
+    }
+
     /// The number of pixels replaced so far ([`with_nan_as`](Self::with_nan_as)). A row that is
     /// read again is not counted again, if the rows are first read in ascending order.
     pub fn nan_pixels(&self) -> usize {
@@ -380,8 +385,19 @@ impl ImageReader {
         if clean {
             Ok(())
         } else {
-            Err(self.pixels.defect(first, ny * nx))
+            let replaced = self.nan_as.is_some();
+            let bad = |_, value: f64| !(replaced && value.is_nan());
+            Err(self.pixels.defect(first, ny * nx, bad))
         }
+    }
+
+    /// The error of [`read_rows`](Self::read_rows) about the whole image if only some undefined
+    /// pixels are bad: those for which `is_bad([y, x])` is true. It has the place of the first bad
+    /// pixel.
+    pub fn undefined_error(&mut self, is_bad: impl Fn([usize; 2]) -> bool) -> IoError {
+        let nx = self.shape.nx();
+        let bad = |at: usize, _| is_bad([at / nx, at % nx]);
+        self.pixels.defect(self.origin, self.shape.pixel_count(), bad)
     }
 
     /// Works like [`read_rows`](Self::read_rows), but keeps undefined pixels: NaN and infinities as
@@ -476,9 +492,10 @@ impl Pixels {
         Ok(pixels.chunks(CHUNK).all(clean))
     }
 
-    /// The error for pixels that are not all finite in the requested type.
-    fn defect(&mut self, first: usize, count: usize) -> IoError {
-        match self.non_finite(first, count) {
+    /// The error for pixels that are not all finite in the requested type. `is_bad` takes the index
+    /// of a pixel that is not finite, counted from `first`, and its value.
+    fn defect(&mut self, first: usize, count: usize, is_bad: impl Fn(usize, f64) -> bool) -> IoError {
+        match self.non_finite(first, count, is_bad) {
             Ok(Some((flat, value, count))) => {
                 let problem = format!(
                     "the value is {value}. Among the pixels read, {count} pixel(s) are NaN, infinite or BLANK: replace them by numbers"
@@ -492,9 +509,14 @@ impl Pixels {
         }
     }
 
-    /// The first pixel that is not finite in double precision, its value, and the number of such
-    /// pixels.
-    fn non_finite(&mut self, first: usize, count: usize) -> Result<Option<(usize, f64, usize)>, IoError> {
+    /// The first bad pixel that is not finite in double precision, its value, and the number of
+    /// such pixels.
+    fn non_finite(
+        &mut self,
+        first: usize,
+        count: usize,
+        is_bad: impl Fn(usize, f64) -> bool,
+    ) -> Result<Option<(usize, f64, usize)>, IoError> {
         let mut found = None;
         // This reads in chunks, because a second copy of the pixels might not fit into memory.
         let mut values = vec![0.0_f64; CHUNK];
@@ -503,8 +525,10 @@ impl Pixels {
             if self.load(start, chunk)? {
                 continue;
             }
-            for (i, &value) in chunk.iter().enumerate().filter(|(_, value)| !value.is_finite()) {
-                found.get_or_insert((start + i, value, 0)).2 += 1;
+            for (i, &value) in chunk.iter().enumerate() {
+                if !value.is_finite() && is_bad(start + i - first, value) {
+                    found.get_or_insert((start + i, value, 0)).2 += 1;
+                }
             }
         }
         Ok(found)
@@ -533,7 +557,7 @@ fn read_pixels<T: Real>(hdu: &Hdu) -> Result<Vec<T>, IoError> {
     if pixels.load(0, &mut values)? {
         Ok(values)
     } else {
-        Err(pixels.defect(0, values.len()))
+        Err(pixels.defect(0, values.len(), |_, _| true))
     }
 }
 

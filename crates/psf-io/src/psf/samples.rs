@@ -161,12 +161,22 @@ pub(crate) fn write_positions_of(fits: &mut Fits, positions: &SamplePositions) -
 /// The grid of stamps of `nx` by `ny` pixels, from `OVERSAMP`, `CENX`, `CENY`, `PIXCONV` and
 /// `STAMPINT`.
 pub(crate) fn stamp_grid(hdu: &Hdu, nx: usize, ny: usize) -> Result<StampGrid, IoError> {
-    let data = |result: Result<StampGrid, _>| result.map_err(invalid(hdu.path()));
-    let grid = data(StampGrid::new(nx, ny))?;
-    let centre_x = hdu.optional_real("CENX")?.unwrap_or(grid.centre_x());
-    let centre_y = hdu.optional_real("CENY")?.unwrap_or(grid.centre_y());
-    let grid = data(grid.with_centre(centre_x, centre_y))?;
-    let grid = data(grid.with_oversampling(hdu.optional_real("OVERSAMP")?.unwrap_or(1.0)))?;
+    let mut grid = StampGrid::new(nx, ny).map_err(invalid(hdu.path()))?;
+    let number = |keyword| {
+        Ok::<_, IoError>(
+            hdu.optional_real(keyword)?
+                .map(|v| (v, hdu.invalid_keyword(keyword))),
+        )
+    };
+    if let Some((x, wrong)) = number("CENX")? {
+        grid = grid.with_centre(x, grid.centre_y()).map_err(wrong)?;
+    }
+    if let Some((y, wrong)) = number("CENY")? {
+        grid = grid.with_centre(grid.centre_x(), y).map_err(wrong)?;
+    }
+    if let Some((oversampling, wrong)) = number("OVERSAMP")? {
+        grid = grid.with_oversampling(oversampling).map_err(wrong)?;
+    }
     let interpolation = hdu.optional_choice("STAMPINT", "cubic-spline or lanczos3")?;
     Ok(grid
         .with_pixel_response_included(hdu.optional_logical("PIXCONV")?.unwrap_or(true))
@@ -185,7 +195,7 @@ pub(crate) fn field(hdu: &Hdu) -> Result<Option<FrameShape>, IoError> {
     let count = |keyword| hdu.required_length(keyword, EXPECTED);
     FrameShape::new(count("FIELDNX")?, count("FIELDNY")?)
         .map(Some)
-        .map_err(invalid(hdu.path()))
+        .map_err(hdu.invalid_keyword("FIELDNX"))
 }
 
 /// The cards of a grid and of the size of the frame, for [`stamp_grid`] and [`field`] to read.

@@ -13,6 +13,7 @@ use crate::UsageError;
 use crate::batch::jobs_file::{JobsFile, Setting, Settings};
 use crate::files::{FileUses, NamedFiles, OutputFile};
 use crate::simulate::{JobMark, SimulateArgs};
+use crate::values::plain_text;
 
 /// The option of the scene, which has no long name on the command line.
 const SCENE: &str = "scene";
@@ -222,7 +223,7 @@ fn digest(settings: &Settings, command: &Command) -> String {
 
 /// Returns the message of the parser in one line, without its advice for the command line.
 fn in_one_line(error: &clap::Error) -> String {
-    let text = error.to_string();
+    let text = plain_text(error);
     let end = ["\n\nUsage:", "\n\nFor more information"]
         .iter()
         .filter_map(|advice| text.find(advice))

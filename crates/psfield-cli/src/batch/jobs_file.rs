@@ -101,7 +101,19 @@ impl JobsFile {
         }
         let mut jobs = Vec::new();
         for (k, row) in reader.records().enumerate() {
-            let row = row.map_err(|e| e.to_string())?;
+            let row = row.map_err(|e| match e.kind() {
+                csv::ErrorKind::UnequalLengths {
+                    pos: Some(at),
+                    expected_len,
+                    len,
+                } => {
+                    format!(
+                        "line {}: {len} fields, but the first line has {expected_len}",
+                        line_of(bytes, at)
+                    )
+                }
+                _ => e.to_string(),
+            })?;
             let line = row.position().map_or(0, |position| line_of(bytes, position));
             let place = format!("job {} (line {line})", k + 1);
             let mut options = Settings::default();

@@ -21,7 +21,7 @@ use serde::Serialize;
 use crate::UsageError;
 use crate::bench::report::Report;
 use crate::bench::settings::{BenchDeviceArgs, Settings};
-use crate::context::{Context, object};
+use crate::context::{Context, object, without_option};
 use crate::files::OutputFile;
 use crate::sample::Preset;
 use crate::values::{Precision, number, tolerance};
@@ -246,7 +246,7 @@ impl BenchArgs {
                 let bar = context.bar("measuring");
                 let case = BenchCase::new(record, scene);
                 let outcome = bench::run(&case, &contenders, &options, &bar);
-                report.add(outcome.with_context(|| self.origin())?);
+                report.add(outcome.map_err(without_option).with_context(|| self.origin())?);
                 Ok(())
             };
             match &scene {

@@ -10,11 +10,11 @@ use psf_io::{Card, ImageReader, ImageWriter};
 use psf_types::{Image, NoProgress};
 use psfield::{PixelPicker, Preparation, PsfieldError, Simulator, SpotCheck};
 
-use crate::context::{Context, with_nan_setting};
+use crate::context::Context;
 use crate::simulate::SimulateArgs;
 use crate::simulate::exposure_args::Exposing;
 use crate::simulate::report::Seconds;
-use crate::simulate::scene::ReadScene;
+use crate::simulate::scene::{ReadScene, with_nan_as};
 
 /// The results of a simulation whose image has been written.
 pub(super) struct Outcome {
@@ -157,7 +157,7 @@ impl<T: ConvReal> RowStream<T> for FitsRows<T> {
     fn read(&mut self, rows: Range<usize>, light: ArrayViewMut2<'_, T>) -> Result<(), PsfieldError> {
         let clock = Instant::now();
         let read = self.reader.read_rows_into(rows.start, light);
-        read.map_err(|error| with_nan_setting(error, "nan_as"))?;
+        read.map_err(|error| with_nan_as(error, &self.reader))?;
         self.read_seconds += clock.elapsed().as_secs_f64();
         Ok(())
     }

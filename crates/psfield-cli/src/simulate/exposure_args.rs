@@ -78,7 +78,7 @@ impl ExposureArgs {
             return Ok(None);
         };
         let detector = Detector::from_toml_file(path)?;
-        check_detector(&detector, true, context)?;
+        check_detector(&detector, Some(path), true, context)?;
         Ok(Some(Exposing {
             detector,
             files,

@@ -182,7 +182,7 @@ fn memory_help() -> String {
 }
 
 /// The largest number of pixels of a spot check. A larger number is a typing error.
-const MAX_SPOT_CHECK: i64 = 10_000_000;
+const MAX_SPOT_CHECK: i64 = 100_000;
 
 /// If scene and image together need more than this fraction of the free memory, they are streamed.
 const IN_MEMORY: f64 = 0.7;

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use conv_core::ConvReal;
-use psf_io::{Catalog, CatalogOptions, HduChoice, HeaderCards, ImageReader, SkyCoordinates};
+use psf_io::{Catalog, CatalogOptions, HduChoice, HeaderCards, ImageReader, IoError, SkyCoordinates};
 use psf_types::{FrameShape, Image};
 use psfield::{Scene, SimulateOptions, Simulator};
 
@@ -111,6 +111,14 @@ pub(super) struct ReadScene<T: ConvReal> {
     pub(super) nan_pixels: usize,
 }
 
+/// Names `--nan-as` in an error about a pixel, unless it is given.
+pub(super) fn with_nan_as(error: IoError, reader: &ImageReader) -> IoError {
+    match reader.nan_as() {
+        None => with_nan_setting(error, "nan_as"),
+        Some(_) => error,
+    }
+}
+
 impl SceneArgs {
     /// Returns an error message if the options do not fit together.
     pub(super) fn missing(&self) -> Option<String> {
@@ -160,7 +168,7 @@ impl SceneArgs {
                 let mut reader = self.open(path)?;
                 let shape = reader.shape();
                 let pixels = reader.read_rows(0..shape.ny());
-                let pixels = pixels.map_err(|error| with_nan_setting(error, "nan_as"))?;
+                let pixels = pixels.map_err(|error| with_nan_as(error, &reader))?;
                 nan_pixels = reader.nan_pixels();
                 scene = Scene::from(Image::<T>::new(pixels)?);
                 (shape, reader.header().clone())
@@ -189,7 +197,7 @@ impl SceneArgs {
     }
 
     /// Opens the image of the scene for reading by rows.
-    pub(super) fn open(&self, path: &Path) -> Result<ImageReader, psf_io::IoError> {
+    pub(super) fn open(&self, path: &Path) -> Result<ImageReader, IoError> {
         Ok(ImageReader::open_hdu(path, self.extension.as_ref())?.with_nan_as(self.nan_as))
     }
 

@@ -10,7 +10,7 @@ use psfield::Psf;
 use psfield_lab::report::{Software, Validation};
 
 use crate::UsageError;
-use crate::context::{Context, command_text, with_window_hint};
+use crate::context::{Context, command_text, with_window_hint, without_option};
 use crate::psf_args::{PsfArgs, PsfFileArgs, notes_of};
 use crate::report_folder::{self, ReportFolder};
 use crate::reproduce::targets_text;
@@ -106,7 +106,7 @@ impl ValidateArgs {
                     .map_err(with_window_hint)
                     .with_context(of_truth)?
             }
-            _ => match Psf::open(reference)?.samples() {
+            _ => match Psf::open(reference).map_err(without_option)?.samples() {
                 Some((samples, _)) => {
                     let given = self.window.map(|_| "--window");
                     if let Some(option) = given.or(self.mask.given()).or(self.stars.given()) {
@@ -129,11 +129,10 @@ impl ValidateArgs {
             }
             _ => measured,
         };
-        if measured.at_samples > 0 {
+        if let Some(count @ 1..) = measured.at_samples {
             context.warn(&format!(
-                "{} of {} objects of {} lie at positions of the samples from which {} was made: their errors do not show the error between \
+                "{count} of {} objects of {} lie at positions of the samples from which {} was made: their errors do not show the error between \
                  the samples (psfield sample --hold-out N writes PSFs that are not samples)",
-                measured.at_samples,
                 measured.objects.summary.objects,
                 reference.display(),
                 self.input.display()

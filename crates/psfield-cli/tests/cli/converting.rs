@@ -450,8 +450,8 @@ fn conversions_that_cannot_be() {
         ),
         (
             "model.fits -o out.fits --to psf-samples --grid 100000,100000",
-            1,
-            &["GiB"],
+            2,
+            &["65536"],
         ),
         (
             "scene.fits -o out.fits --to psf-model",

@@ -161,7 +161,7 @@ fn runs_of_one_output_leave_each_other_alone() {
     // The temporary file of a running process is kept. That process is stopped, so that it does not
     // end before the other one.
     let left = desk.temporaries();
-    desk.done("preview scene.fits -o out.fits --overwrite -q --max-size 100");
+    desk.done("fit samples.fits -o out.fits --overwrite -q");
     assert_eq!(left.len(), 1);
     assert_eq!(desk.temporaries(), left);
     send("CONT", &first);
@@ -205,7 +205,7 @@ const WRITERS: [(&str, &[&str]); 7] = [
     ),
     ("convert samples.fits --to psfex=1 -o out.fits", &["out.fits"]),
     ("evaluate samples.fits --at at.csv -o out.fits", &["out.fits"]),
-    ("preview scene.fits -o out.fits", &["out.fits"]),
+    ("preview scene.fits -o out.png", &["out.png"]),
 ];
 
 #[test]

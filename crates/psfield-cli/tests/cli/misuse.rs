@@ -55,7 +55,7 @@ const CASES: &[Case] = &[
     ("sample telescope.toml -o out.fits --bright", 2, &["'--bright'"]),
     ("sample telescope.toml -o out.fits -o other.fits", 2, &["'--output <SAMPLES.fits>' cannot be used multiple times"]),
     ("sample telescope.toml -o out.fits --threads 0", 2, &["'0' for '--threads"]),
-    ("sample telescope.toml -o out.fits --threads 1000000", 2, &["'1000000' for '--threads"]),
+    ("sample telescope.toml -o out.fits --threads 1000000", 2, &["'1000000' for '--threads", "1 to 1024"]),
     ("sample telescope.toml -o out.fits --json=yes", 2, &["'yes' for '--json'"]),
     ("sample telescope.toml -o out.fits --threshold nan", 2, &["'nan' for '--threshold", "above 0"]),
     ("sample telescope.toml -o out.fits --threshold inf", 2, &["'inf' for '--threshold"]),
@@ -74,7 +74,7 @@ const CASES: &[Case] = &[
     ("sample telescope.toml -o out.fits --uniform 3,3 --max-samples 50", 2, &["'--uniform <NX,NY>' cannot be used with '--max-samples"]),
     ("sample telescope.toml -o out.fits --max-samples 0", 2, &["--max-samples 0"]),
     ("sample telescope.toml -o out.fits --max-samples many", 2, &["'many' for '--max-samples"]),
-    ("sample telescope.toml -o out.fits --max-samples 99999999999999999999999", 2, &["'99999999999999999999999' for '--max-samples"]),
+    ("sample telescope.toml -o out.fits --max-samples 99999999999999999999999", 2, &["'99999999999999999999999' for '--max-samples", "the number is too large"]),
     ("sample telescope.toml -o out.fits --sources s.csv", 2, &["--sources applies only to frames"]),
     ("sample telescope.toml -o out.fits --coverage c.fits", 2, &["--coverage applies only to frames"]),
     ("sample telescope.toml -o out.fits --extension 1", 2, &["--extension applies only to frames"]),
@@ -99,13 +99,15 @@ const CASES: &[Case] = &[
     ("sample scene.fits -o out.fits --isolation -1", 2, &["'-1' for '--isolation"]),
     ("sample scene.fits -o out.fits --edge -1", 2, &["'-1' for '--edge"]),
     ("sample scene.fits -o out.fits --stamp-size wide", 2, &["'wide' for '--stamp-size"]),
-    ("sample scene.fits -o out.fits --oversampling 2.5", 2, &["'2.5' for '--oversampling"]),
+    ("sample scene.fits -o out.fits --oversampling 2.5", 2, &["'2.5' for '--oversampling", "a whole number is needed"]),
     ("sample scene.fits -o out.fits --registration fit", 2, &["'fit' for '--registration", "epsf"]),
     ("sample scene.fits -o out.fits --extension=", 2, &["'' for '--extension"]),
     ("sample scene.fits -o out.fits --extension SCI", 1, &["scene.fits", "HDU SCI", "--extension"]),
     ("sample scene.fits -o out.fits", 1, &["scene.fits", "no noise"]),
     ("sample folder -o out.fits", 1, &["folder", "not a regular file"]),
     ("sample none.toml -o out.fits", 1, &["none.toml", "cannot read"]),
+    ("sample none.fits -o out.fits", 1, &["none.fits: cannot read the file"]),
+    ("sample at.csv -o out.fits", 1, &["at.csv is neither a FITS image nor a telescope file"]),
     ("sample empty.toml -o out.fits", 1, &["empty.toml", "wavelength_nm"]),
     ("sample detector.toml -o out.fits", 1, &["detector.toml", "photon_noise"]),
     ("sample samples.fits -o out.fits", 1, &["samples.fits is PSF samples"]),
@@ -129,8 +131,10 @@ const CASES: &[Case] = &[
     ("sample t-no-wavelength.toml -o out.fits", 1, &["t-no-wavelength.toml", "missing field `wavelength_nm`"]),
     ("sample t-scale.toml -o out.fits", 1, &["t-scale.toml", "pixel_scale_arcsec", "-0.1"]),
     ("sample t-scale-huge.toml -o out.fits", 1, &["t-scale-huge.toml", "pixel scale"]),
+    ("sample t-wavelength-huge.toml -o out.fits", 1, &["t-wavelength-huge.toml", "wavelength_nm = 1.0e30"]),
+    ("sample t-value-huge.toml -o out.fits --uniform 2,2", 1, &["t-value-huge.toml", "(0, 0)", "e28 frame pixels off"]),
     ("sample t-frame.toml -o out.fits", 1, &["t-frame.toml", "a frame of 0 x 96"]),
-    ("sample t-frame-half.toml -o out.fits", 1, &["t-frame-half.toml", "line 4", "nx = 1.5"]),
+    ("sample t-frame-half.toml -o out.fits", 1, &["t-frame-half.toml", "line 4", "nx = 1.5", "a whole number"]),
     ("sample t-stamp.toml -o out.fits", 1, &["t-stamp.toml", "a stamp of 0 x 24"]),
     ("sample t-stamp-huge.toml -o out.fits", 1, &["t-stamp-huge.toml", "6144"]),
     ("sample t-diameter.toml -o out.fits", 1, &["t-diameter.toml", "aperture.diameter_m"]),
@@ -194,7 +198,9 @@ const CASES: &[Case] = &[
     ("fit table.fits -o out.fits", 1, &["table.fits", "no image"]),
     ("fit field.psf -o out.fits", 1, &["field.psf", "PSFEx"]),
     ("fit axes.fits -o out.fits", 1, &["axes.fits", "HDU 0", "NAXIS"]),
-    ("fit s-centre.fits -o out.fits", 1, &["s-centre.fits", "centre (99, 7)"]),
+    ("fit s-centre.fits -o out.fits", 1, &["s-centre.fits", "HDU 0", "CENX", "centre (99, 7)"]),
+    ("fit s-oversampling.fits -o out.fits", 1, &["s-oversampling.fits", "HDU 0", "OVERSAMP", "above 0, got 0"]),
+    ("fit s-interpolation.fits -o out.fits", 1, &["s-interpolation.fits", "HDU 0", "STAMPINT", "lanczos3", "linear"]),
     ("fit s-centre-word.fits -o out.fits", 1, &["s-centre-word.fits", "HDU 0", "CENX", "\"mid\""]),
     ("fit s-field-0.fits -o out.fits", 1, &["s-field-0.fits", "HDU 0", "FIELDNX", "got 0"]),
     ("fit s-field-half.fits -o out.fits", 1, &["s-field-half.fits", "HDU 0", "FIELDNX", "61.5"]),
@@ -225,7 +231,8 @@ const CASES: &[Case] = &[
     ("convert model.fits -o out.fits --to gridded --grid 3", 2, &["'3' for '--grid"]),
     ("convert model.fits -o out.fits --to gridded --grid a,b", 2, &["'a,b' for '--grid"]),
     ("convert model.fits -o out.fits --to psf-samples --grid 99999999999999999999,1", 2, &["'99999999999999999999,1' for '--grid"]),
-    ("convert model.fits -o out.fits --to gridded --grid 100000,100000", 1, &["model.fits", "10000000000", "GiB"]),
+    ("convert model.fits -o out.fits --to gridded --grid 100000,100000", 2, &["--grid 100000,100000", "65536"]),
+    ("convert model.fits -o out.fits --to psf-samples --at far.csv", 1, &["model.fits", "far.csv", "(300, 400)", "61 x 51"]),
     ("convert model.fits -o out.fits --to psf-samples --grid 3,3 --at at.csv", 2, &["'--grid <NX,NY>' cannot be used with '--at"]),
     ("convert model.fits -o out.fits --to psf-samples --at=", 2, &["'--at <POSITIONS.csv>'"]),
     ("convert model.fits -o out.fits --to psf-samples --at none.csv", 1, &["none.csv", "cannot read"]),
@@ -317,8 +324,10 @@ const CASES: &[Case] = &[
     ("simulate scene.fits --psf model.fits -o out.fits --stream --method direct", 2, &["--stream", "auto and lowrank"]),
     ("simulate scene.fits --psf model.fits -o out.fits --memory lots", 2, &["'lots' for '--memory", "256M"]),
     ("simulate scene.fits --psf model.fits -o out.fits --memory 1.5G", 2, &["'1.5G' for '--memory", "256M"]),
-    ("simulate scene.fits --psf model.fits -o out.fits --spot-check all", 2, &["'all' for '--spot-check"]),
+    ("simulate scene.fits --psf model.fits -o out.fits --spot-check all", 2, &["'all' for '--spot-check", "a whole number is needed"]),
     ("simulate scene.fits --psf model.fits -o out.fits --seed pi", 2, &["'pi' for '--seed"]),
+    ("simulate scene.fits --psf model.fits -o out.fits --spot-check 10000000", 2, &["'10000000' for '--spot-check", "100000"]),
+    ("simulate inf.fits --psf model.fits -o out.fits --nan-as 0", 1, &["inf.fits", "pixel [12, 5]", "inf"]),
     ("simulate scene.fits --psf model.fits -o out.fits --seed 99999999999999999999", 2, &["'99999999999999999999' for '--seed"]),
     ("simulate scene.fits --psf model.fits -o out.fits --method", 2, &["required for '--method"]),
     ("simulate scene.fits --psf model.fits -o out.fits --method patch=x", 2, &["'patch=x' for '--method", "patch=N"]),
@@ -333,6 +342,7 @@ const CASES: &[Case] = &[
     ("simulate scene.fits --psf model.fits -o out.fits --truth t.fits", 2, &["not provided:\n  --detector"]),
     ("simulate scene.fits --psf model.fits -o out.fits --quality q.fits", 2, &["not provided:\n  --detector"]),
     ("simulate scene.fits --psf model.fits -o out.fits --detector none.toml", 1, &["none.toml", "cannot read"]),
+    ("simulate scene.fits --psf model.fits -o out.fits --detector empty.toml", 2, &["empty.toml", "no settings"]),
     ("simulate scene.fits --psf model.fits -o out.fits --detector telescope.toml", 1, &["telescope.toml", "line 6", "`aperture`"]),
     ("simulate scene.fits --psf model.fits -o out.fits --detector detector.toml --truth t.fits --no-truth", 2, &["'--truth <TRUTH.fits>' cannot be used with '--no-truth'"]),
     ("simulate scene.fits --psf model.fits -o out.fits --detector detector.toml --truth there.fits", 1, &["there.fits", "exists", "--overwrite"]),
@@ -375,7 +385,7 @@ const CASES: &[Case] = &[
     ("expose scene.fits -o out.fits --photon-noise --full-well 0", 2, &["'0' for '--full-well"]),
     ("expose scene.fits -o out.fits --photon-noise --read-noise -1", 2, &["'-1' for '--read-noise"]),
     ("expose scene.fits -o out.fits --photon-noise --gain nan", 2, &["'nan' for '--gain"]),
-    ("expose scene.fits -o out.fits --photon-noise --bias low", 2, &["'low' for '--bias"]),
+    ("expose scene.fits -o out.fits --photon-noise --bias low", 2, &["'low' for '--bias", "a number is needed"]),
     ("expose scene.fits -o out.fits --photon-noise --bias nan", 2, &["--bias", "NaN"]),
     ("expose scene.fits -o out.fits --photon-noise --bits 0", 2, &["'0' for '--bits", "24"]),
     ("expose scene.fits -o out.fits --photon-noise --bits 16.5", 2, &["'16.5' for '--bits"]),
@@ -388,6 +398,7 @@ const CASES: &[Case] = &[
     ("expose scene.fits -o out.fits --photon-noise --mask text.fits", 1, &["text.fits", "not a FITS file"]),
     ("expose scene.fits -o out.fits --photon-noise --mask nan.fits", 1, &["nan.fits", "pixel [12, 5]", "NaN"]),
     ("expose scene.fits -o out.fits --detector folder", 1, &["folder", "cannot read"]),
+    ("expose scene.fits -o out.fits --detector empty.toml", 2, &["empty.toml", "no settings"]),
     ("expose scene.fits -o out.fits --detector at.csv", 1, &["at.csv", "line 1"]),
     ("expose scene.fits -o out.fits --detector d-word.toml", 1, &["d-word.toml", "line 1", "\"bright\""]),
     ("expose scene.fits -o out.fits --detector d-bool.toml", 1, &["d-bool.toml", "line 1", "boolean"]),
@@ -447,7 +458,7 @@ const CASES: &[Case] = &[
     ("batch j-list.toml", 2, &["j-list.toml", "job 2", "'1,2' for '--tolerance"]),
     ("batch j-range.toml", 2, &["j-range.toml", "job 2", "'0' for '--stamp-size"]),
     ("batch j-nan.toml", 2, &["j-nan.toml", "job 2", "'NaN' for '--tolerance"]),
-    ("batch j-seed.toml", 2, &["j-seed.toml", "job 2", "'-1' for '--seed"]),
+    ("batch j-seed.toml", 2, &["j-seed.toml", "job 2", "'-1' for '--seed", "a whole number"]),
     ("batch j-no-output.toml", 2, &["j-no-output.toml", "job 2", "--output <IMAGE.fits>"]),
     ("batch j-no-psf.toml", 2, &["j-no-psf.toml", "job 2", "--psf <PSF>"]),
     ("batch j-no-scene.toml", 2, &["j-no-scene.toml", "job 2", "nothing to convolve"]),
@@ -466,7 +477,7 @@ const CASES: &[Case] = &[
     ("batch j-twice.toml", 2, &["j-twice.toml", "line 9", "duplicate key"]),
     ("batch j-table.toml", 2, &["j-table.toml", "defaults", "[[job]]"]),
     ("batch c-unknown.csv", 2, &["c-unknown.csv", "job 1 (line 2)", "--blur"]),
-    ("batch c-ragged.csv", 2, &["c-ragged.csv", "line: 2", "2 fields"]),
+    ("batch c-ragged.csv", 2, &["c-ragged.csv", "line 2", "2 fields", "3"]),
     ("batch c-header.csv", 2, &["c-header.csv", "no job"]),
     ("batch c-no-output.csv", 2, &["c-no-output.csv", "job 1 (line 2)", "--output"]),
     ("batch c-empty-output.csv", 2, &["c-empty-output.csv", "job 1 (line 2)", "--output"]),
@@ -499,6 +510,7 @@ const CASES: &[Case] = &[
     ("preview scene.fits --extension 1", 1, &["scene.fits", "HDU 1", "--extension"]),
     ("preview scene.fits --extension=", 2, &["'' for '--extension"]),
     ("preview scene.fits -o none/out.png", 1, &["none/out.png", "no directory none"]),
+    ("preview scene.fits -o out.fits", 2, &["out.fits", "PNG", ".png"]),
     ("preview folder", 1, &["folder", "not a regular file"]),
     ("preview none.fits", 1, &["none.fits", "cannot read"]),
     ("preview empty.fits", 1, &["empty.fits", "not a FITS file"]),
@@ -539,6 +551,9 @@ const CASES: &[Case] = &[
     ("evaluate m-version.fits --at at.csv -o out.fits", 1, &["m-version.fits", "HDU 0", "PSFMODEL", "\"new\""]),
     ("evaluate m-components.fits --at at.csv -o out.fits", 1, &["m-components.fits", "HDU 0", "NCOMP", "\"all\""]),
     ("evaluate m-oversampling.fits --at at.csv -o out.fits", 1, &["m-oversampling.fits", "HDU 0", "OVERSAMP", "\"two\""]),
+    ("evaluate m-interpolation.fits --at at.csv -o out.fits", 1, &["m-interpolation.fits", "HDU 0", "INTERPOL", "bicubic", "got cubic"]),
+    ("evaluate m-outside.fits --at at.csv -o out.fits", 1, &["m-outside.fits", "HDU 0", "OUTSIDE", "nearest", "got wrap"]),
+    ("evaluate m-normalise.fits --at at.csv -o out.fits", 1, &["m-normalise.fits", "HDU 0", "NORMALIS", "unit", "got sum"]),
     ("evaluate m-short.fits --at at.csv -o out.fits", 1, &["m-short.fits", "cut short"]),
     ("evaluate p-degree.psf --at at.csv -o out.fits", 1, &["p-degree.psf", "HDU 1", "POLDEG1", "99"]),
     ("evaluate p-word.psf --at at.csv -o out.fits", 1, &["p-word.psf", "HDU 1", "POLDEG1", "\"one\""]),
@@ -586,6 +601,7 @@ const CASES: &[Case] = &[
     ("compare scene.fits scene.fits --json=x", 2, &["'x' for '--json'"]),
     ("compare scene.fits scene.fits --extension 3", 1, &["scene.fits", "HDU 3", "--extension"]),
     ("compare scene.fits scene.fits --extension=", 2, &["'' for '--extension"]),
+    ("compare scene.fits scene.fits --reference-extension 3", 1, &["scene.fits", "HDU 3", "option --reference-extension"]),
     ("compare scene.fits none.fits", 1, &["none.fits", "cannot read"]),
     ("compare folder scene.fits", 1, &["folder", "not a regular file"]),
     ("compare scene.fits folder", 1, &["folder", "not a regular file"]),
@@ -662,6 +678,7 @@ const CASES: &[Case] = &[
     ("reproduce --quick --report there.fits", 1, &["there.fits", "cannot be made"]),
     ("reproduce --quick --report r --frame 0,5", 2, &["'0,5' for '--frame"]),
     ("reproduce --quick --report r --frame 5", 2, &["'5' for '--frame", "two whole numbers"]),
+    ("reproduce --quick --report r --frame 10000000,10000000", 2, &["--frame 10000000,10000000", "32768"]),
     ("reproduce --quick --report r --samples 1", 2, &["'1' for '--samples", "200"]),
     ("reproduce --quick --report r --samples 1000000", 2, &["'1000000' for '--samples", "200"]),
     ("reproduce --quick --report r --objects x", 2, &["'x' for '--objects"]),
@@ -679,7 +696,8 @@ const CASES: &[Case] = &[
     ("bench --quick --preset survey-2m --psf model.fits", 2, &["'--preset <PRESET>' cannot be used with '--psf"]),
     ("bench --quick --methods direct,fast", 2, &["'fast' for '--methods", "lowrank"]),
     ("bench --quick --tolerances 1e-3,nan", 2, &["'nan' for '--tolerances"]),
-    ("bench --quick --rank x", 2, &["'x' for '--rank"]),
+    ("bench --quick --rank x", 2, &["'x' for '--rank", "a whole number is needed"]),
+    ("bench --quick --rank 0", 2, &["'0' for '--rank", "above 0"]),
     ("bench --quick --pixels x", 2, &["'x' for '--pixels"]),
     ("bench --quick --device auto", 2, &["'auto' for '--device", "cpu"]),
     ("bench --quick --device gpu --precision f64", 2, &["--device gpu", "--precision f64"]),
@@ -817,6 +835,8 @@ const TELESCOPES: &[(&str, &str, &str)] = &[
     ),
     ("t-power.toml", "x = 2,", "x = 99,"),
     ("t-value.toml", "60.0", "inf"),
+    ("t-value-huge.toml", "60.0", "1e30"),
+    ("t-wavelength-huge.toml", "633.0", "1e30"),
     ("t-response.toml", "true", "1"),
     ("t-twice.toml", "[detector]", "[wavefront]"),
     (
@@ -983,6 +1003,26 @@ const HEADERS: &[(&str, &str, &str, &str)] = &[
         "CENX    =                 99.0",
     ),
     ("samples.fits", "s-centre-word.fits", "CENX", "CENX    = 'mid'"),
+    (
+        "samples.fits",
+        "s-oversampling.fits",
+        "OVERSAMP",
+        "OVERSAMP=                  0.0",
+    ),
+    (
+        "samples.fits",
+        "s-interpolation.fits",
+        "STAMPINT",
+        "STAMPINT= 'linear'",
+    ),
+    (
+        "model.fits",
+        "m-interpolation.fits",
+        "INTERPOL",
+        "INTERPOL= 'cubic'",
+    ),
+    ("model.fits", "m-outside.fits", "OUTSIDE", "OUTSIDE = 'wrap'"),
+    ("model.fits", "m-normalise.fits", "NORMALIS", "NORMALIS= 'sum'"),
     (
         "samples.fits",
         "s-field-0.fits",
@@ -1176,6 +1216,44 @@ fn the_cases_are_many_and_differ() {
     for &(arguments, code, needles) in CASES {
         assert!(code == 1 || code == 2, "{arguments}");
         assert!(!needles.is_empty(), "{arguments}");
+    }
+}
+
+#[test]
+fn no_message_advises_an_option_that_does_not_apply() {
+    let desk = desk();
+    // Two tables with the columns x and y.
+    let samples = desk.bytes("samples.fits");
+    let table = &samples[find(&samples, "XTENSION")..];
+    desk.write("tables.fits", [samples.as_slice(), table].concat());
+    for (arguments, names, wrong) in [
+        (
+            "validate model.fits --truth cube.fits --report r",
+            "cube.fits",
+            "--psf-positions",
+        ),
+        (
+            "bench --quick --psf model.fits --sizes 512",
+            "model.fits",
+            "--frame",
+        ),
+        (
+            "fit cube.fits -o out.fits --psf-positions tables.fits",
+            "tables.fits",
+            "--table",
+        ),
+        (
+            "compare scene.fits scene.fits --reference-extension 3",
+            "scene.fits",
+            "option --extension",
+        ),
+    ] {
+        let run = desk.run(arguments);
+        assert_eq!(run.code, Some(1), "{run:?}");
+        assert!(
+            run.stderr.contains(names) && !run.stderr.contains(wrong),
+            "{run:?}"
+        );
     }
 }
 

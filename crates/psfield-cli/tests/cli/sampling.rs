@@ -170,6 +170,12 @@ fn a_model_is_validated_between_its_samples() {
 
     let page = String::from_utf8(desk.bytes("samples/report.html")).unwrap();
     assert!(page.contains("25 PSFs, 25 of them at positions of the model's own samples"));
+    // A PSFEx file does not tell its samples.
+    desk.done("convert model.fits -o field.psf --to psfex=2 -q");
+    let run = desk.run("validate field.psf --truth samples.fits --report field --json");
+    assert!(run.json()["at_samples"].is_null(), "{run:?}");
+    let page = String::from_utf8(desk.bytes("field/report.html")).unwrap();
+    assert!(page.contains("25 PSFs, the positions of the model's own samples are not known"));
     // A seed gives one choice, and needs something to choose.
     desk.done("sample telescope.toml -o again.fits --uniform 5,5 --hold-out 30 --seed 2");
     assert_ne!(desk.samples("again_holdout.fits"), held_out);

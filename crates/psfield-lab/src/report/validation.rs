@@ -29,8 +29,8 @@ pub struct Validation {
     /// Components of the model, the mean not counted.
     pub rank: usize,
     /// Number of objects that lie on samples of the model, counted by
-    /// [`with_training`](Self::with_training). 0 if they were not counted.
-    pub at_samples: usize,
+    /// [`with_training`](Self::with_training). None if they were not counted.
+    pub at_samples: Option<usize>,
     /// The targets for PSFs without noise. Empty for a frame.
     pub targets: Vec<Target>,
     /// The errors of the PSFs or stars.
@@ -91,7 +91,7 @@ impl Validation {
             window: [grid.nx(), grid.ny()],
             oversampling: grid.oversampling(),
             rank: model.rank(),
-            at_samples: 0,
+            at_samples: None,
             targets: Target::of("PSFs", &objects.summary),
             objects,
         })
@@ -156,7 +156,7 @@ impl Validation {
             window: [window; 2],
             oversampling: 1.0,
             rank: model.rank(),
-            at_samples: 0,
+            at_samples: None,
             targets: Vec::new(),
             objects,
         })
@@ -176,7 +176,7 @@ impl Validation {
             let mut distances = samples.iter().map(|s| (s.x() - row.x).hypot(s.y() - row.y));
             distances.any(|distance| distance < ON_SAMPLE_PX)
         };
-        self.at_samples = self.objects.rows.iter().filter(near).count();
+        self.at_samples = Some(self.objects.rows.iter().filter(near).count());
         self
     }
 
@@ -204,10 +204,13 @@ impl Validation {
                  model at the measured position with the measured flux, without noise. The differences include the noise of the frame.",
             ),
         };
-        let (objects, at_samples) = (self.objects.summary.objects, self.at_samples);
+        let at_samples = match self.at_samples {
+            Some(count) => format!("{count} of them at positions of the model's own samples"),
+            None => "the positions of the model's own samples are not known".to_owned(),
+        };
         inputs.push((
             "objects",
-            format!("{objects} {name}, {at_samples} of them at positions of the model's own samples"),
+            format!("{} {name}, {at_samples}", self.objects.summary.objects),
         ));
         let ([nx, ny], finer) = (self.window, self.oversampling);
         let window = format!("{nx} x {ny} pixels, {finer} per frame pixel along each axis");

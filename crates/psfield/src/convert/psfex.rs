@@ -61,6 +61,10 @@ pub fn to_psfex(psf: &Psf, degree: Option<usize>) -> Result<PsfexConversion, Psf
             "the PSF is not a polynomial model, so the degree must be given: choose a total degree in x and y, 0 to 10";
         PsfieldError::of_setting("degree", NEEDED)
     })?;
+    if degree > PsfexPolynomial::MAX_DEGREE {
+        let message = format!("the degree of a PSFEx model must be 0 to 10, got {degree}");
+        return Err(PsfieldError::of_setting("degree", message));
+    }
     if !psf.grid().pixel_response_included() {
         let message = format!(
             "{FORMAT} needs stamps that include the pixel response. If these stamps include it, state so. If not, \
@@ -324,7 +328,10 @@ mod tests {
                 (ErrorKind::Fit, Some("degree"))
             );
         }
-        assert!(to_psfex(&input(samples(15, 5)), Some(11)).is_err());
+        let absurd = (ErrorKind::Setting, Some("degree"));
+        assert_eq!(error(&input_of(3), Some(usize::MAX)), absurd);
+        let record = record_of_psfex(&to_psfex(&input_of(4), Some(1)).unwrap().model).unwrap();
+        assert_eq!(error(&Psf::from(record), Some(1_000_000)), absurd);
         let samples = samples(3, 9);
         let grid = samples.grid().with_pixel_response_included(false);
         let bare = PsfSamples::new(samples.stamps().to_owned(), samples.positions().clone(), grid).unwrap();
