@@ -1228,7 +1228,7 @@ fn no_message_advises_an_option_that_does_not_apply() {
     desk.write("tables.fits", [samples.as_slice(), table].concat());
     for (arguments, names, wrong) in [
         (
-            "validate model.fits --truth cube.fits --report r",
+            "validate model.fits --reference cube.fits --report r",
             "cube.fits",
             "--psf-positions",
         ),

@@ -172,7 +172,7 @@ fn a_model_is_validated_between_its_samples() {
     assert!(page.contains("25 PSFs, 25 of them at positions of the model's own samples"));
     // A PSFEx file does not tell its samples.
     desk.done("convert model.fits -o field.psf --to psfex=2 -q");
-    let run = desk.run("validate field.psf --truth samples.fits --report field --json");
+    let run = desk.run("validate field.psf --reference samples.fits --report field --json");
     assert!(run.json()["at_samples"].is_null(), "{run:?}");
     let page = String::from_utf8(desk.bytes("field/report.html")).unwrap();
     assert!(page.contains("25 PSFs, the positions of the model's own samples are not known"));
