@@ -1,6 +1,6 @@
 //! One oversampled PSF over the field, fitted to the pixels of all stars together.
 
-use nalgebra::{Matrix4, Vector4};
+use nalgebra::{Matrix3, Vector3};
 use ndarray::Array2;
 use psf_types::FrameShape;
 use rayon::prelude::*;
@@ -55,18 +55,21 @@ const MISMATCH_RATIO: f64 = 3.0;
 const SHIFT: f64 = 0.5;
 
 impl Epsf {
+    /// Fits the PSF to stars. `degree` is that of the polynomial over the field. None: the degree
+    /// that best predicts stars which are left out.
     pub(crate) fn fit(
         mut stars: Vec<Star>,
         grid: FineGrid,
         fwhm_px: f64,
         frame: FrameShape,
         camera: &Camera,
+        degree: Option<usize>,
     ) -> Self {
         let surface = SurfaceGrid::new(grid);
-        let prior = Prior::gaussian(surface, fwhm_px);
+        let gaussian = Prior::gaussian(surface, fwhm_px);
         let mut psf = FieldPsf {
             terms: FieldTerms::new(0, frame),
-            planes: vec![prior.mean.clone()],
+            planes: vec![gaussian.mean.clone()],
             surface,
             camera: *camera,
         };
@@ -88,10 +91,11 @@ impl Epsf {
                 let mut agree = agree.iter();
                 stars.retain(|_| *agree.next().expect("one flag per star"));
             }
-            let terms = if round == ROUNDS_BEFORE_REJECTION {
-                psf.choose_degree(&stars, &prior)
-            } else {
-                psf.terms
+            let prior = gaussian.with_wings_of(&stars, surface, fwhm_px, camera);
+            let terms = match degree {
+                _ if round != ROUNDS_BEFORE_REJECTION => psf.terms,
+                Some(degree) => FieldTerms::new(degree, frame),
+                None => psf.choose_degree(&stars, &prior),
             };
             psf = psf.fitted(&stars, &prior, terms);
         }
@@ -117,6 +121,15 @@ impl Epsf {
         }
         let flux = surface.flux(&coefficients);
         (flux > 0.0 && star.flux > 0.0).then(|| (surface.at_nodes(&coefficients) / flux, star.flux * flux))
+    }
+
+    /// Fits the PSF to a star that was not part of its fit. Returns the star's position and flux,
+    /// or `None` if the PSF does not fit the star.
+    pub(crate) fn measure(&self, star: &Star) -> Option<(f64, f64, f64)> {
+        let mut star = star.clone();
+        let fitted = self.psf.refine_one(&mut star).is_finite();
+        let (_, flux) = self.sample(&star, false).filter(|_| fitted)?;
+        Some((star.x, star.y, flux))
     }
 
     /// The degree of the polynomial over the field.
@@ -150,7 +163,7 @@ impl FieldPsf {
         }
     }
 
-    /// Fits flux, position and background of every star under the current PSF. Returns the root of
+    /// Fits flux and position of every star under the current PSF. Returns the root of
     /// each star's reduced chi squared, or infinity for a star that cannot be fitted.
     ///
     /// A shift of the PSF is equivalent to an opposite shift of all stars, so the mean shift of the
@@ -174,7 +187,7 @@ impl FieldPsf {
         let (surface, coefficients, start) = (self.surface, self.at(star), star.start);
         let mut chi = f64::INFINITY;
         for step in 0..=STEPS {
-            let (mut normal, mut gradient) = (Matrix4::zeros(), Vector4::zeros());
+            let (mut normal, mut gradient) = (Matrix3::zeros(), Vector3::zeros());
             let (mut sum, mut count) = (0.0, 0.0);
             let (x, y, flux, offset) = (star.x, star.y, star.flux, star.offset);
             for pixel in &mut star.pixels {
@@ -192,14 +205,14 @@ impl FieldPsf {
                 let deviation = residual.abs() / variance.sqrt();
                 pixel.trust = if deviation > HUBER { HUBER / deviation } else { 1.0 };
                 let w = pixel.trust / variance;
-                let row = Vector4::new(psf, -flux * sx, -flux * sy, 1.0);
+                let row = Vector3::new(psf, -flux * sx, -flux * sy);
                 normal += w * row * row.transpose();
                 gradient += w * residual * row;
                 sum += w * residual * residual;
                 count += 1.0;
             }
-            chi = if count > 4.0 {
-                (sum / (count - 4.0)).sqrt()
+            chi = if count > 3.0 {
+                (sum / (count - 3.0)).sqrt()
             } else {
                 f64::INFINITY
             };
@@ -212,7 +225,6 @@ impl FieldPsf {
             star.flux += by[0];
             star.x = (star.x + by[1].clamp(-LONGEST, LONGEST)).clamp(start.0 - SHIFT, start.0 + SHIFT);
             star.y = (star.y + by[2].clamp(-LONGEST, LONGEST)).clamp(start.1 - SHIFT, start.1 + SHIFT);
-            star.offset += by[3];
             if !(star.flux > 0.0 && star.flux.is_finite()) {
                 star.flux = flux;
                 return f64::INFINITY;

@@ -151,7 +151,8 @@ pub(crate) fn combined(planes: &[Vec<f64>], terms: &[f64]) -> Vec<f64> {
 
 /// The PSF that is expected before the fit: its coefficients, and by how much the true coefficients
 /// may differ from them. For the PSF of the field, the expected PSF is a round Gaussian of the
-/// stars' FWHM. For a star's own PSF, it is the PSF of the field at the star.
+/// stars' FWHM with the mean wings of the stars. For a star's own PSF, it is the PSF of the field
+/// at the star.
 ///
 /// The fit is the most probable PSF if the noise of the pixels and the differences from the
 /// expected coefficients are Gaussian and independent. Coefficients that no pixel of any star
@@ -192,20 +193,59 @@ impl Prior {
         for v in &mut mean {
             *v /= flux;
         }
+        Self::about(mean, OWN_PART)
+    }
+
+    /// Returns the prior with the wings of `stars` in place of the wings of the Gaussian: beyond
+    /// one FWHM, the mean of the stars' pixels at the same distance from their star.
+    ///
+    /// A real PSF has more light in its wings than a Gaussian. Faint wings have little weight in
+    /// the fit of a single coefficient, so that a Gaussian prior would remove them.
+    pub(crate) fn with_wings_of(
+        &self,
+        stars: &[Star],
+        surface: SurfaceGrid,
+        fwhm_px: f64,
+        camera: &Camera,
+    ) -> Self {
+        let width = 1.0 / surface.grid.scale as f64;
+        let ring = |x: f64, y: f64| (x.hypot(y) / width).round() as usize;
+        let mut mean = self.mean.clone();
+        let rings = surface.offsets().map(|(x, y)| ring(x, y)).max().unwrap_or(0) + 1;
+        let mut sums = vec![(0.0, 0.0); rings];
+        for star in stars {
+            for pixel in star.pixels.iter().filter(|p| p.trust > 0.0) {
+                let (dx, dy) = (pixel.x - star.x, pixel.y - star.y);
+                if let Some(place) = surface.place(dx, dy) {
+                    let expected = surface.value(&mean, &place);
+                    let w = pixel.trust * weight(star, expected, pixel.rms, camera);
+                    let (sum, weights) = &mut sums[ring(dx, dy)];
+                    *sum += w * (pixel.value - star.offset) / star.flux;
+                    *weights += w;
+                }
+            }
+        }
+        for (v, (x, y)) in mean.iter_mut().zip(surface.offsets()) {
+            let (sum, weights) = sums[ring(x, y)];
+            if x.hypot(y) > fwhm_px && weights > 0.0 {
+                *v = sum / weights;
+            }
+        }
+        Self::about(mean, OWN_PART)
+    }
+
+    /// The prior with the expected coefficients `mean`, from which the true ones may differ by
+    /// `part` of their size and by [`PEAK_PART`] of the peak.
+    fn about(mean: Vec<f64>, part: f64) -> Self {
         let peak = mean.iter().copied().fold(0.0, f64::max);
-        let spread = mean.iter().map(|v| OWN_PART * v + PEAK_PART * peak).collect();
+        let spread = mean.iter().map(|v| part * v.abs() + PEAK_PART * peak).collect();
         Self { mean, spread }
     }
 
     /// The prior for a star's own PSF: the PSF of the field at the star, from which it may differ a
     /// little.
     pub(crate) fn local(mean: Vec<f64>) -> Self {
-        let peak = mean.iter().copied().fold(0.0, f64::max);
-        let spread = mean
-            .iter()
-            .map(|v| LOCAL_PART * v.abs() + PEAK_PART * peak)
-            .collect();
-        Self { mean, spread }
+        Self::about(mean, LOCAL_PART)
     }
 }
 

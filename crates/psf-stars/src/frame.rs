@@ -4,6 +4,7 @@ use ndarray::Array2;
 use psf_types::FrameShape;
 use rayon::prelude::*;
 
+use crate::background::median;
 use crate::registration::FineGrid;
 use crate::source::Gaussian;
 use crate::{Background, Camera, Detection, Peak, Rejection, Rejections, Saturation, Source, StarError};
@@ -14,6 +15,11 @@ const APERTURE_FWHM: f64 = 1.25;
 const APERTURE_PX: f64 = 2.0;
 /// The radius of the pixels used by a Gaussian fit, in FWHM.
 const FIT_FWHM: f64 = 1.5;
+/// The outer radius of the ring around a star in which the background is measured, in units of the
+/// inner radius, which is half a stamp.
+const RING: f64 = 2.0;
+/// With fewer free pixels in the ring, the background map is better than their median.
+const LEAST_RING: usize = 40;
 /// Two fits count as fits of one source if they are closer than this distance in pixels.
 const SAME_SOURCE_PX: f64 = 1.0;
 
@@ -196,9 +202,30 @@ impl FrameView {
             x,
             y,
             flux: source.flux,
-            offset: 0.0,
+            offset: self.level_around(index, source, ownership, grid),
             pixels,
         }
+    }
+
+    /// The background around a star above the background map: the median of the pixels in a ring
+    /// outside its stamp that are free of other sources. 0 if there are too few such pixels.
+    ///
+    /// Pixels of the stamp cannot give this level. They hold the wings of the star, and a level
+    /// fitted to them takes the wings from the PSF.
+    fn level_around(&self, index: usize, source: &Source, ownership: &Ownership, grid: FineGrid) -> f64 {
+        let (x, y, inner) = (source.x, source.y, grid.reach as f64);
+        let free = |&(column, row): &(usize, usize)| {
+            let (px, py) = (column as f64, row as f64);
+            (px - x).hypot(py - y) > inner
+                && !self.is_masked(column, row)
+                && ownership.allows(index, 0.0, px, py)
+        };
+        let ring = self.disc(x, y, RING * inner).filter(free);
+        let mut levels: Vec<f64> = ring.map(|(column, row)| self.excess[[row, column]]).collect();
+        if levels.len() < LEAST_RING {
+            return 0.0;
+        }
+        median(&mut levels)
     }
 }
 

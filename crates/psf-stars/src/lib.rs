@@ -38,4 +38,4 @@ pub use error::StarError;
 pub use registration::{Registration, RegistrationMethod, RegistrationReport};
 pub use selection::Selection;
 pub use source::{Rejection, Rejections, SOURCE_COLUMNS, Source};
-pub use star_sampling::{StarSamples, StarSampling};
+pub use star_sampling::{Fold, StarSamples, StarSampling};

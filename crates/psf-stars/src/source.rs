@@ -146,9 +146,10 @@ pub struct Source {
     pub x: f64,
     /// Row coordinate of the centre.
     pub y: f64,
-    /// Flux in units of the frame. For a sample, it results from the registration. For other
-    /// sources, it results from a fit of the nearest sample's PSF, which has unit flux over its
-    /// stamp. This fit ignores masked and saturated pixels.
+    /// Flux in units of the frame: all light of a PSF that has unit flux over its stamp, so that
+    /// this PSF multiplied by the flux is the star. For a sample, it results from the registration,
+    /// above the background near the star. For other sources, it results from a fit of the
+    /// nearest sample's PSF, which ignores masked and saturated pixels.
     pub flux: f64,
     /// Signal-to-noise ratio in an aperture of radius 1.25 FWHM, at least 2 pixels
     /// ([`Camera`](crate::Camera)).

@@ -52,7 +52,14 @@ pub struct StarSampling {
     selection: Selection,
     registration: Registration,
     hold_out: (usize, u64),
+    cross_validation: bool,
 }
+
+/// The number of groups into which the stars are divided for a cross-validation. Each group is left
+/// out once, so that four fifths of the stars make the PSF.
+const FOLDS: usize = 5;
+/// With fewer samples there is no cross-validation.
+const LEAST_FOR_FOLDS: usize = 2 * FOLDS;
 
 /// A stamp of unit flux, and the star's flux.
 type StampAndFlux = (Array2<f64>, f64);
@@ -102,6 +109,17 @@ impl StarSampling {
     pub fn with_hold_out(self, count: usize, seed: u64) -> Self {
         Self {
             hold_out: (count, seed),
+            ..self
+        }
+    }
+
+    /// Divides the stars that serve as samples into five groups. For each group, samples are made
+    /// without its stars ([`StarSamples::folds`]). There are no groups if there are fewer than ten
+    /// samples.
+    #[must_use]
+    pub fn with_cross_validation(self) -> Self {
+        Self {
+            cross_validation: true,
             ..self
         }
     }
@@ -168,7 +186,50 @@ impl StarSampling {
         let grid = self.registration.grid(fwhm_px, accepted);
         let method = self.registration.resolve(fwhm_px, accepted, grid.scale)?;
         let registered = self.register(&view, &mut sources, (method, grid), fwhm_px)?;
-        view.collected(sources, registered, fwhm_px)
+        let folds = self.folds(&view, &registered, fwhm_px);
+        view.collected(sources, registered, folds, fwhm_px)
+    }
+
+    /// Makes the samples of every fold. A star belongs to the fold of its index modulo the number
+    /// of folds. Samples are ordered by significance, so that every fold has bright and faint stars.
+    fn folds(&self, view: &FrameView, registered: &Registered, fwhm_px: f64) -> Vec<RegisteredFold> {
+        let all = &registered.samples;
+        if !self.cross_validation || all.len() < LEAST_FOR_FOLDS {
+            return Vec::new();
+        }
+        let fold = |number: usize| {
+            let part = |left_out: bool| {
+                let chosen = all.iter().enumerate();
+                chosen.filter(move |(k, _)| (k % FOLDS == number) == left_out)
+            };
+            if registered.report.method != RegistrationMethod::Epsf {
+                let left_out = part(true).map(|(k, (star, _, flux))| (k, star.x, star.y, *flux));
+                return RegisteredFold {
+                    samples: part(false).map(|(_, sample)| sample.clone()).collect(),
+                    left_out: left_out.collect(),
+                };
+            }
+            let others = part(false).map(|(_, (star, ..))| star.clone()).collect();
+            // The degree was chosen by leaving stars out, and choosing it takes most of the time.
+            let degree = registered.report.field_degree;
+            let (grid, frame) = (registered.grid, view.shape());
+            let epsf = Epsf::fit(others, grid, fwhm_px, frame, &self.camera, degree);
+            let left_out = part(true).map(|(k, (star, _, flux))| {
+                // A star that the PSF does not fit keeps the values of the fit to all stars.
+                let (x, y, flux) = epsf.measure(star).unwrap_or((star.x, star.y, *flux));
+                (k, x, y, flux)
+            });
+            let left_out = left_out.collect();
+            let samples = epsf.stars.iter().filter_map(|star| {
+                let (stamp, flux) = epsf.sample(star, self.registration.own_shapes)?;
+                Some((star.clone(), stamp, flux))
+            });
+            RegisteredFold {
+                samples: samples.collect(),
+                left_out,
+            }
+        };
+        (0..FOLDS).map(fold).collect()
     }
 
     /// Rejects the stars that are held out.
@@ -239,7 +300,7 @@ impl StarSampling {
             median_chi: None,
         };
         let (stars, stamps): (Vec<Star>, Vec<Option<StampAndFlux>>) = if method == RegistrationMethod::Epsf {
-            let epsf = Epsf::fit(stars, grid, fwhm_px, view.shape(), &self.camera);
+            let epsf = Epsf::fit(stars, grid, fwhm_px, view.shape(), &self.camera, None);
             report.field_degree = Some(epsf.field_degree());
             report.median_chi = Some(epsf.median_chi);
             for &source in &epsf.mismatched {
@@ -278,6 +339,13 @@ impl StarSampling {
     }
 }
 
+/// The samples of all stars but one group, and the stars of the group: index of the sample,
+/// position, flux.
+struct RegisteredFold {
+    samples: Vec<(Star, Array2<f64>, f64)>,
+    left_out: Vec<(usize, f64, f64, f64)>,
+}
+
 /// Stars with their samples `[y, x]` of unit flux and their fluxes.
 struct Registered {
     samples: Vec<(Star, Array2<f64>, f64)>,
@@ -293,6 +361,7 @@ impl FrameView {
         self,
         mut sources: Vec<Source>,
         registered: Registered,
+        folds: Vec<RegisteredFold>,
         fwhm_px: f64,
     ) -> Result<StarSamples, StarError> {
         let shape = self.shape();
@@ -337,7 +406,23 @@ impl FrameView {
             source.sample = Some(k);
         }
         self.measure_psf_fluxes(&mut sources, &registered, fwhm_px);
+        let fold_of = |fold: RegisteredFold| -> Result<Fold, StarError> {
+            let stars = fold.samples.iter();
+            let samples = samples_of(&stars.map(|(s, stamp, _)| ((s.x, s.y), stamp)).collect::<Vec<_>>())?;
+            let left_out = fold.left_out.into_iter().map(|(k, x, y, flux)| Source {
+                x,
+                y,
+                flux,
+                ..sources[registered.samples[k].0.source].clone()
+            });
+            Ok(Fold {
+                samples,
+                left_out: left_out.collect(),
+            })
+        };
+        let folds = folds.into_iter().map(fold_of).collect::<Result<_, _>>()?;
         Ok(StarSamples {
+            folds,
             coverage: CoverageMap::new(samples.positions().as_slice(), shape),
             samples,
             held_out,
@@ -391,6 +476,17 @@ impl FrameView {
     }
 }
 
+/// One part of a cross-validation ([`StarSampling::with_cross_validation`]).
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct Fold {
+    /// The samples of the other stars, of unit flux. The stars left out had no part in them.
+    pub samples: PsfSamples,
+    /// The stars left out. With an oversampled PSF, the PSF of the other stars is fitted to the
+    /// position and the flux of each. Otherwise they come from the star's own pixels.
+    pub left_out: Vec<Source>,
+}
+
 /// PSF samples from the stars of a frame, with all information about the way they were made.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
@@ -400,6 +496,9 @@ pub struct StarSamples {
     /// The stamps of the stars that were held out ([`StarSampling::with_hold_out`]), of unit flux,
     /// with the noise of the stars. None if no star was held out.
     pub held_out: Option<PsfSamples>,
+    /// The parts of the cross-validation. Empty unless
+    /// [`StarSampling::with_cross_validation`] asked for it.
+    pub folds: Vec<Fold>,
     /// Every source found, the most significant first. Rejected sources are included with their
     /// reasons.
     pub sources: Vec<Source>,

@@ -35,7 +35,13 @@ fn psf(at: Position, dx: f64, dy: f64) -> f64 {
     in_pixel(dx, sx) * in_pixel(dy, sy)
 }
 
-fn frame() -> (Image<f64>, Vec<Position>) {
+/// The PSF with a tenth of its light in wings with a FWHM of 4.7 pixels.
+fn psf_with_wings(at: Position, dx: f64, dy: f64) -> f64 {
+    0.9 * psf(at, dx, dy) + 0.1 * in_pixel(dx, 2.0) * in_pixel(dy, 2.0)
+}
+
+/// A frame with 144 stars, and their positions and fluxes.
+fn frame(psf: fn(Position, f64, f64) -> f64) -> (Image<f64>, Vec<(Position, f64)>) {
     let mut rng = ChaCha8Rng::seed_from_u64(11);
     let mut pixels = Array2::from_shape_simple_fn((SIDE, SIDE), || {
         let noise: f64 = StandardNormal.sample(&mut rng);
@@ -56,7 +62,7 @@ fn frame() -> (Image<f64>, Vec<Position>) {
                 *value += flux * psf(at, dx, dy);
             }
         }
-        stars.push(at);
+        stars.push((at, flux));
     }
     (Image::new(pixels).unwrap(), stars)
 }
@@ -100,7 +106,7 @@ const PLACE_PX: f64 = 0.03;
 
 #[test]
 fn an_oversampled_psf_is_closer_to_the_truth_than_single_stars() {
-    let (frame, stars) = frame();
+    let (frame, stars) = frame(psf);
     let epsf = sampled(&frame, RegistrationMethod::Auto);
     assert_eq!(epsf.registration.method, RegistrationMethod::Epsf);
     assert!(epsf.samples.len() >= 140, "{} samples", epsf.samples.len());
@@ -117,7 +123,12 @@ fn an_oversampled_psf_is_closer_to_the_truth_than_single_stars() {
         .positions()
         .as_slice()
         .iter()
-        .map(|p| stars.iter().map(|s| s.distance(*p)).fold(f64::INFINITY, f64::min))
+        .map(|p| {
+            stars
+                .iter()
+                .map(|s| s.0.distance(*p))
+                .fold(f64::INFINITY, f64::min)
+        })
         .collect();
     distances.sort_by(f64::total_cmp);
     let median = distances[distances.len() / 2];
@@ -125,15 +136,75 @@ fn an_oversampled_psf_is_closer_to_the_truth_than_single_stars() {
     assert!(median < PLACE_PX, "{median}");
 }
 
+/// Relative error of the median flux of 140 stars. The wings outside the stamp hold 0.25 % of the
+/// light, and noise in the wings of the PSF is another few parts in a thousand.
+const FLUX: f64 = 0.01;
+
+/// A local background that is fitted together with the star, or a PSF that is expected to be a
+/// Gaussian, takes the wings from the PSF and their light from the stars.
+#[test]
+fn the_flux_of_a_star_includes_its_wings() {
+    let (frame, stars) = frame(psf_with_wings);
+    let found = sampled(&frame, RegistrationMethod::Epsf);
+    let mut ratios: Vec<f64> = found
+        .sources
+        .iter()
+        .filter(|s| s.sample.is_some())
+        .map(|s| {
+            let at = Position::new(s.x, s.y).unwrap();
+            let near =
+                |a: &&(Position, f64), b: &&(Position, f64)| a.0.distance(at).total_cmp(&b.0.distance(at));
+            s.flux / stars.iter().min_by(near).unwrap().1
+        })
+        .collect();
+    ratios.sort_by(f64::total_cmp);
+    let median = ratios[ratios.len() / 2];
+    println!("median flux / true flux of {} stars: {median:.4}", ratios.len());
+    assert!(ratios.len() >= 130 && (median - 1.0).abs() < FLUX, "{median}");
+}
+
+#[test]
+fn every_star_is_left_out_of_the_samples_of_one_fold() {
+    let (frame, stars) = frame(psf);
+    let found = StarSampling::default()
+        .with_cross_validation()
+        .run(&frame)
+        .unwrap();
+    assert_eq!(found.folds.len(), 5);
+    let mut left_out: Vec<usize> = Vec::new();
+    for fold in &found.folds {
+        assert!(fold.samples.len() + fold.left_out.len() <= found.samples.len());
+        for star in &fold.left_out {
+            left_out.push(star.sample.unwrap());
+            let at = Position::new(star.x, star.y).unwrap();
+            let nearest = |p: &[Position]| p.iter().map(|s| s.distance(at)).fold(f64::INFINITY, f64::min);
+            assert!(nearest(fold.samples.positions().as_slice()) > 10.0);
+            let truth: Vec<Position> = stars.iter().map(|s| s.0).collect();
+            assert!(nearest(&truth) < 0.5);
+        }
+    }
+    left_out.sort_unstable();
+    assert_eq!(left_out, (0..found.samples.len()).collect::<Vec<_>>());
+    // The other results do not change.
+    let alone = StarSampling::default().run(&frame).unwrap();
+    assert!(alone.folds.is_empty());
+    assert_eq!((alone.samples, alone.sources), (found.samples, found.sources));
+}
+
 #[test]
 fn the_number_of_threads_does_not_matter() {
-    let (frame, _) = frame();
+    let (frame, _) = frame(psf);
     let with = |threads| {
         let pool = rayon::ThreadPoolBuilder::new()
             .num_threads(threads)
             .build()
             .unwrap();
-        pool.install(|| sampled(&frame, RegistrationMethod::Auto))
+        pool.install(|| {
+            StarSampling::default()
+                .with_cross_validation()
+                .run(&frame)
+                .unwrap()
+        })
     };
     assert_eq!(with(1), with(3));
 }

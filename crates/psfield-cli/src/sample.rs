@@ -395,7 +395,7 @@ impl FrameArgs {
 
     fn run(&self, path: &Path, asked: &SampleArgs, context: &Context) -> anyhow::Result<()> {
         let spinner = context.spinner("finding stars");
-        let (frame, sampling) = asked.stars.open_masked(path, &asked.mask)?;
+        let (frame, _, sampling) = asked.stars.open(path, &asked.mask)?;
         let found = sampling
             .with_hold_out(asked.hold_out.map_or(0, usize::from), asked.seed)
             .run_masked(frame)

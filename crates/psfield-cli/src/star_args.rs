@@ -3,11 +3,10 @@
 use std::path::{Path, PathBuf};
 
 use ndarray::{Array2, Zip};
-use psf_io::{Card, CardValue, HduChoice, HeaderCards, ImageReader, Place};
+use psf_io::{Card, CardValue, HduChoice, HeaderCards, ImageReader};
 use psf_stars::{
     BackgroundMesh, Camera, Detection, Registration, RegistrationMethod, Selection, StarError, StarSampling,
 };
-use psf_types::Image;
 
 use super::UsageError;
 use super::context::with_nan_setting;
@@ -154,31 +153,16 @@ impl StarArgs {
         .find_map(|(name, given)| given.then_some(name))
     }
 
-    /// Reads a frame, in which bad pixels become NaN, and builds the settings. The header of the
-    /// frame may hold the saturation level.
-    pub(crate) fn open_masked(
+    /// Reads a frame, in which bad pixels become NaN, and its header, and builds the settings. The
+    /// header may hold the saturation level.
+    pub(crate) fn open(
         &self,
         path: &Path,
         mask: &MaskArgs,
-    ) -> anyhow::Result<(Array2<f64>, StarSampling)> {
+    ) -> anyhow::Result<(Array2<f64>, HeaderCards, StarSampling)> {
         let mut reader = ImageReader::open_hdu(path, self.extension.as_ref())?;
-        let sampling = self.sampling_of(reader.header())?;
-        Ok((mask.read(&mut reader, path)?, sampling))
-    }
-
-    /// Reads a frame without bad pixels and its header, and builds the settings.
-    pub(crate) fn open(&self, path: &Path) -> anyhow::Result<(Image<f64>, HeaderCards, StarSampling)> {
-        let read = psf_io::read_image_hdu::<f64>(path, self.extension.as_ref());
-        let (frame, header) = read
-            .map_err(|error| match error.place() {
-                Some(Place::Pixel { .. }) => anyhow::Error::new(error).context(
-                    "this frame has bad pixels: set them to a value at or above the saturation level (card SATURATE, or --saturation), so that psfield leaves out the stars there",
-                ),
-                _ => error.into(),
-            })?
-            .into_parts();
-        let sampling = self.sampling_of(&header)?;
-        Ok((frame, header, sampling))
+        let (header, sampling) = (reader.header().clone(), self.sampling_of(reader.header())?);
+        Ok((mask.read(&mut reader, path)?, header, sampling))
     }
 
     fn sampling_of(&self, header: &HeaderCards) -> anyhow::Result<StarSampling> {

@@ -29,9 +29,9 @@ pub mod plot;
 pub mod preview;
 pub mod report;
 mod round_trip;
+mod star_comparison;
 
 pub use error::LabError;
 pub use memory::{available_memory_bytes, peak_memory_bytes};
-pub use round_trip::{
-    Agreement, Distribution, ROUND_TRIP_COLUMNS, RoundTrip, RoundTripOptions, RoundTripReport, RoundTripRow,
-};
+pub use round_trip::{ROUND_TRIP_COLUMNS, RoundTrip, RoundTripOptions, RoundTripReport, RoundTripRow};
+pub use star_comparison::{Agreement, Distribution, StarComparison};

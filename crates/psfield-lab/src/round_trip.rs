@@ -2,9 +2,8 @@
 //! of the stars in the frame and in the simulated frames.
 
 use conv_core::StarPainter;
-use metrics::Summary;
-use ndarray::{Array2, Zip};
-use psf_stars::{StarSamples, StarSampling};
+use ndarray::{Array2, ArrayView2, Zip};
+use psf_stars::{Source, StarSamples, StarSampling};
 use psf_types::{Anchor, FrameShape, Image, NoProgress, PointSource, Position, PsfModel, PsfModelRecord};
 use psfield::{FitOptions, MeasureOptions, Measurement, PsfieldError, fit, model_of};
 use rand::SeedableRng;
@@ -13,6 +12,7 @@ use rand_distr::{Distribution as _, Poisson, StandardNormal};
 use serde::Serialize;
 
 use crate::LabError;
+use crate::star_comparison::{Agreement, Distribution, LightComparison, StarComparison, aperture_px};
 
 /// The round trip of the method's paper (section 3.1).
 ///
@@ -24,15 +24,18 @@ use crate::LabError;
 /// 3. FWHM and eccentricity of the stars that became samples are measured in the same way in the
 ///    frame and in the simulated frames. An elliptical Gaussian and a constant background are
 ///    fitted in a small window around the same pixel.
+/// 4. The light of isolated stars is compared: the flux in an aperture, and the residuals as a
+///    reduced chi-square ([`StarComparison`]). The drawn stars have no noise here.
 ///
 /// Noise widens the distribution of measured values. Each simulated frame therefore gets the noise
 /// of the frame: the measured background noise, and the photon noise of the stars if the gain is
 /// known. The noise of one frame is a single random draw, so the distributions combine the stars of
 /// several simulated frames ([`realisations`](RoundTripOptions::realisations)).
 ///
-/// The compared stars are also the stars from which the model was made. The comparison therefore
-/// judges the whole chain, but not the PSF between the stars. The leave-one-out errors of the fit
-/// measure the PSF between the stars.
+/// These stars made the model, so that the comparison judges the whole chain, but not the PSF
+/// between the stars. Steps 2 to 4 are therefore repeated with stars that are left out
+/// ([`RoundTripReport::left_out`]). The stars are divided into five groups. Each group is drawn by
+/// a model made from the stars of the other four groups alone.
 #[derive(Debug, Clone)]
 #[non_exhaustive]
 pub struct RoundTrip {
@@ -96,21 +99,137 @@ impl Default for RoundTripOptions {
 }
 
 impl RoundTrip {
-    /// Runs the round trip on a frame.
+    /// Runs the round trip on a frame `[y, x]`. NaN stands for a masked pixel
+    /// ([`StarSampling::run_masked`]). The comparison replaces it by the drawn value.
     ///
     /// # Errors
     /// [`ErrorKind::Stars`](psfield::ErrorKind::Stars) when the frame gives no samples,
     /// [`LabError::NothingMeasured`] when no star can be measured in both the frame and its
     /// simulation, and the errors of fitting and drawing.
-    pub fn run(frame: &Image<f64>, options: &RoundTripOptions) -> Result<Self, LabError> {
-        let stars = options.sampling.run(frame)?;
+    pub fn run(mut frame: Array2<f64>, options: &RoundTripOptions) -> Result<Self, LabError> {
+        let shape = FrameShape::new(frame.ncols(), frame.nrows())?;
+        let sampling = options.sampling.with_cross_validation();
+        let stars = sampling.run_masked(frame.clone())?;
         let fitted = fit(stars.samples.clone(), &options.fit)?;
         let (record, singular_values) = (fitted.record().clone(), fitted.singular_values().to_vec());
         let model = model_of(record.clone())?;
-
         let sources = drawn_sources(&stars)?;
-        let light = drawn(&model, &sources, frame.shape())?;
+        let light = drawn(&model, &sources, shape)?;
+        Zip::from(&mut frame)
+            .and(&light)
+            .and(stars.background.level())
+            .for_each(|value, light, level| {
+                if value.is_nan() {
+                    *value = light + level;
+                }
+            });
+        let comparing = Comparing::new(frame.view(), &stars, options)?;
+        let all = comparing.with(&light)?;
+        let left_out = match light_of_left_out(&model, &stars, &options.fit, shape)? {
+            Some(light) => Some(comparing.with(&light)?),
+            None => None,
+        };
 
+        let residual = &frame - &all.simulated;
+        let deviations = residual
+            .iter()
+            .zip(stars.background.rms())
+            .map(|(r, s)| (r / s).powi(2));
+        let report = RoundTripReport {
+            stars: stars.samples.len(),
+            drawn: sources.len(),
+            window_px: comparing.window,
+            aperture_px: comparing.aperture_px,
+            realisations: comparing.realisations,
+            noise: options.noise,
+            photon_noise: options.gain.is_some(),
+            rank: record.basis().rank(),
+            residual_over_noise: (deviations.sum::<f64>() / residual.len() as f64).sqrt(),
+            all: all.comparison,
+            left_out: left_out.as_ref().map(|c| c.comparison.clone()),
+        };
+        let rows = rows(
+            &stars,
+            &comparing.in_frame,
+            &all.stars,
+            left_out.as_ref().map(|c| c.stars.as_slice()),
+        );
+        Ok(Self {
+            model: record,
+            singular_values,
+            simulated: Image::new(all.simulated)?,
+            residual: Image::new(residual)?,
+            rows,
+            simulated_fwhm_px: all.fwhm_px,
+            simulated_eccentricity: all.eccentricity,
+            report,
+            stars,
+        })
+    }
+}
+
+/// Draws the light of the frame `[y, x]` with every sample star drawn by the model of the fold that
+/// leaves it out. `model` draws the other sources. None if there are no folds, or if the stars of a
+/// fold are too few for the fit.
+fn light_of_left_out(
+    model: &PsfModel,
+    stars: &StarSamples,
+    options: &FitOptions,
+    frame: FrameShape,
+) -> Result<Option<Array2<f64>>, LabError> {
+    if stars.folds.is_empty() {
+        return Ok(None);
+    }
+    let others = stars.sources.iter().filter(|s| s.sample.is_none());
+    let mut light = drawn(model, &point_sources(others, Some(frame))?, frame)?;
+    for fold in &stars.folds {
+        let Ok(fitted) = fit(fold.samples.clone(), options) else {
+            return Ok(None);
+        };
+        let sources = point_sources(fold.left_out.iter(), Some(frame))?;
+        light += &drawn(&model_of(fitted.record().clone())?, &sources, frame)?;
+    }
+    Ok(Some(light))
+}
+
+/// Compares the stars of a frame with drawn stars.
+struct Comparing<'a> {
+    stars: &'a StarSamples,
+    options: &'a RoundTripOptions,
+    /// The frame minus its background map `[y, x]`.
+    excess: Array2<f64>,
+    positions: Vec<Position>,
+    window: usize,
+    aperture_px: f64,
+    realisations: u32,
+    measuring: MeasureOptions,
+    in_frame: Vec<Measurement>,
+}
+
+/// The result of a comparison.
+struct Compared {
+    /// The first simulated frame `[y, x]`.
+    simulated: Array2<f64>,
+    /// The stars in the first simulated frame.
+    stars: Vec<ComparedStar>,
+    fwhm_px: Vec<f64>,
+    eccentricity: Vec<f64>,
+    comparison: StarComparison,
+}
+
+/// A star in the first simulated frame, and its flux ratio and reduced chi-square if it is
+/// isolated.
+struct ComparedStar {
+    measurement: Measurement,
+    light: Option<(f64, f64)>,
+}
+
+impl<'a> Comparing<'a> {
+    fn new(
+        frame: ArrayView2<'_, f64>,
+        stars: &'a StarSamples,
+        options: &'a RoundTripOptions,
+    ) -> Result<Self, LabError> {
         let samples = stars.sources.iter().filter(|s| s.sample.is_some());
         let positions = samples
             .map(|s| Position::new(s.x, s.y))
@@ -120,66 +239,81 @@ impl RoundTrip {
             window: Some(window),
             background: true,
         };
-        let in_frame = measuring.image(frame.pixels(), &positions);
+        Ok(Self {
+            stars,
+            options,
+            excess: &frame - &stars.background.level(),
+            window,
+            aperture_px: aperture_px(stars.fwhm_px),
+            realisations: if options.noise {
+                options.realisations.max(1)
+            } else {
+                1
+            },
+            in_frame: measuring.image(frame, &positions),
+            measuring,
+            positions,
+        })
+    }
 
-        let with_noise = options.realisations.max(1);
-        let count = if options.noise { with_noise } else { 1 };
+    /// Compares with drawn `light` `[y, x]`, which has no background and no noise.
+    fn with(&self, light: &Array2<f64>) -> Result<Compared, LabError> {
         let mut first = None;
-        let (mut simulated_fwhm_px, mut simulated_eccentricity) = (Vec::new(), Vec::new());
-        for realisation in 0..count {
-            let simulated = simulated_frame(&light, &stars, options, realisation);
-            let measured = measuring.image(simulated.view(), &positions);
+        let (mut fwhm_px, mut eccentricity) = (Vec::new(), Vec::new());
+        for realisation in 0..self.realisations {
+            let simulated = simulated_frame(light, self.stars, self.options, realisation);
+            let measured = self.measuring.image(simulated.view(), &self.positions);
             // A simulated star counts only if the star can also be measured in the frame.
-            for (a, b) in in_frame.iter().zip(&measured) {
-                if let (Some(_), Some((fwhm, eccentricity))) = (shape(a), shape(b)) {
-                    simulated_fwhm_px.push(fwhm);
-                    simulated_eccentricity.push(eccentricity);
+            for (a, b) in self.in_frame.iter().zip(&measured) {
+                if let (Some(_), Some(found)) = (shape(a), shape(b)) {
+                    fwhm_px.push(found.0);
+                    eccentricity.push(found.1);
                 }
             }
             first.get_or_insert((simulated, measured));
         }
-        let (simulated, in_simulated) = first.expect("at least one realisation");
-
-        let rows = rows(&stars, &in_frame, &in_simulated);
-        let pairs: Vec<_> = in_frame
-            .iter()
-            .zip(&in_simulated)
-            .filter_map(|(a, b)| shape(a).zip(shape(b)))
-            .collect();
+        let (simulated, measured) = first.expect("at least one realisation");
+        let pairs = self.in_frame.iter().zip(&measured);
+        let pairs: Vec<_> = pairs.filter_map(|(a, b)| shape(a).zip(shape(b))).collect();
         let agreement = |of: fn((f64, f64)) -> f64, simulated: &[f64]| {
             let pairs: Vec<_> = pairs.iter().map(|&(a, b)| (of(a), of(b))).collect();
             Agreement::of(&pairs, simulated).ok_or(LabError::NothingMeasured {
-                stars: positions.len(),
-                window,
+                stars: self.positions.len(),
+                window: self.window,
             })
         };
-        let residual = &frame.pixels() - &simulated;
-        let deviations = residual
-            .iter()
-            .zip(stars.background.rms())
-            .map(|(r, s)| (r / s).powi(2));
-        let report = RoundTripReport {
-            stars: stars.samples.len(),
-            measured: pairs.len(),
-            drawn: sources.len(),
-            window_px: window,
-            realisations: count,
-            noise: options.noise,
-            rank: record.basis().rank(),
-            fwhm_px: agreement(|s| s.0, &simulated_fwhm_px)?,
-            eccentricity: agreement(|s| s.1, &simulated_eccentricity)?,
-            residual_over_noise: (deviations.sum::<f64>() / residual.len() as f64).sqrt(),
+        let samples = self.stars.sources.iter().filter(|s| s.sample.is_some());
+        let compared = LightComparison {
+            frame: self.excess.view(),
+            drawn: light.view(),
+            rms: self.stars.background.rms(),
+            gain: self.options.gain,
+            window: self.window,
+            aperture_px: self.aperture_px,
         };
-        Ok(Self {
+        let lights = samples.map(|star| compared.of(star));
+        let stars: Vec<ComparedStar> = measured
+            .into_iter()
+            .zip(lights)
+            .map(|(measurement, light)| ComparedStar { measurement, light })
+            .collect();
+        let of_lights = |of: fn((f64, f64)) -> f64| {
+            let values: Vec<f64> = stars.iter().filter_map(|s| s.light.map(of)).collect();
+            Distribution::of(&values)
+        };
+        let comparison = StarComparison {
+            measured: pairs.len(),
+            fwhm_px: agreement(|s| s.0, &fwhm_px)?,
+            eccentricity: agreement(|s| s.1, &eccentricity)?,
+            flux_ratio: of_lights(|s| s.0),
+            reduced_chi_square: of_lights(|s| s.1),
+        };
+        Ok(Compared {
+            simulated,
             stars,
-            model: record,
-            singular_values,
-            simulated: Image::new(simulated)?,
-            residual: Image::new(residual)?,
-            rows,
-            simulated_fwhm_px,
-            simulated_eccentricity,
-            report,
+            fwhm_px,
+            eccentricity,
+            comparison,
         })
     }
 }
@@ -190,30 +324,48 @@ fn shape(measurement: &Measurement) -> Option<(f64, f64)> {
 }
 
 /// The rows of the stars that became samples, in the order of the sources.
-fn rows(stars: &StarSamples, in_frame: &[Measurement], in_simulated: &[Measurement]) -> Vec<RoundTripRow> {
+fn rows(
+    stars: &StarSamples,
+    in_frame: &[Measurement],
+    drawn: &[ComparedStar],
+    left_out: Option<&[ComparedStar]>,
+) -> Vec<RoundTripRow> {
     let samples = stars.sources.iter().filter(|s| s.sample.is_some());
     samples
-        .zip(in_frame.iter().zip(in_simulated))
-        .map(|(source, (a, b))| RoundTripRow {
-            x: source.x,
-            y: source.y,
-            flux: source.flux,
-            snr: source.snr,
-            fwhm_frame_px: a.fwhm_px,
-            fwhm_simulated_px: b.fwhm_px,
-            eccentricity_frame: a.eccentricity,
-            eccentricity_simulated: b.eccentricity,
-            e1_frame: a.e1,
-            e1_simulated: b.e1,
-            e2_frame: a.e2,
-            e2_simulated: b.e2,
+        .zip(in_frame.iter().zip(drawn))
+        .enumerate()
+        .map(|(k, (source, (a, star)))| {
+            let (b, left_out) = (&star.measurement, left_out.map(|stars| &stars[k]));
+            let (light, left_out_light) = (star.light, left_out.and_then(|s| s.light));
+            RoundTripRow {
+                x: source.x,
+                y: source.y,
+                flux: source.flux,
+                snr: source.snr,
+                fwhm_frame_px: a.fwhm_px,
+                fwhm_simulated_px: b.fwhm_px,
+                fwhm_left_out_px: left_out.and_then(|s| s.measurement.fwhm_px),
+                eccentricity_frame: a.eccentricity,
+                eccentricity_simulated: b.eccentricity,
+                eccentricity_left_out: left_out.and_then(|s| s.measurement.eccentricity),
+                e1_frame: a.e1,
+                e1_simulated: b.e1,
+                e2_frame: a.e2,
+                e2_simulated: b.e2,
+                flux_ratio: light.map(|l| l.0),
+                flux_ratio_left_out: left_out_light.map(|l| l.0),
+                reduced_chi_square: light.map(|l| l.1),
+                reduced_chi_square_left_out: left_out_light.map(|l| l.1),
+            }
         })
         .collect()
 }
 
 table_row! {
-    /// A star in the frame and in the first simulated frame, measured in the same way. The cells of
-    /// the table for a failed measurement are empty.
+    /// A star in the frame and in the first simulated frame, measured in the same way. `left_out`
+    /// means the star drawn by a model that was made without it. The cells of the table for a
+    /// failed measurement are empty, and so are flux ratio and reduced chi-square of a star that is
+    /// not isolated ([`StarComparison`]).
     #[derive(Debug, Clone, PartialEq, Serialize)]
     #[non_exhaustive]
     #[allow(
@@ -227,74 +379,18 @@ table_row! {
         snr: f64,
         fwhm_frame_px: Option<f64>,
         fwhm_simulated_px: Option<f64>,
+        fwhm_left_out_px: Option<f64>,
         eccentricity_frame: Option<f64>,
         eccentricity_simulated: Option<f64>,
+        eccentricity_left_out: Option<f64>,
         e1_frame: Option<f64>,
         e1_simulated: Option<f64>,
         e2_frame: Option<f64>,
         e2_simulated: Option<f64>,
-    }
-}
-
-/// A quantity measured for the stars of the frame and for the simulated stars.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-#[non_exhaustive]
-pub struct Agreement {
-    /// In the frame, one value per star.
-    pub frame: Distribution,
-    /// In all simulated frames together.
-    pub simulated: Distribution,
-    /// Median of the simulated stars divided by the median of the stars in the frame.
-    pub median_ratio: f64,
-    /// Mean absolute difference between a star in the first simulated frame and the star in the
-    /// frame. It includes the noise of both.
-    pub mean_absolute_error: f64,
-    /// Kolmogorov-Smirnov distance of the two distributions.
-    pub ks_distance: f64,
-}
-
-/// Median and quantiles.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-#[non_exhaustive]
-#[allow(missing_docs, reason = "the names say it: q10 is the 0.1 quantile")]
-pub struct Distribution {
-    pub count: usize,
-    pub q10: f64,
-    pub q25: f64,
-    pub median: f64,
-    pub q75: f64,
-    pub q90: f64,
-}
-
-impl Distribution {
-    fn of(values: &[f64]) -> Option<Self> {
-        let summary = Summary::of(values.iter().copied()).ok()?;
-        let quantile = |q| summary.quantile(q).ok();
-        Some(Self {
-            count: summary.count(),
-            q10: quantile(0.1)?,
-            q25: quantile(0.25)?,
-            median: summary.median(),
-            q75: quantile(0.75)?,
-            q90: quantile(0.9)?,
-        })
-    }
-}
-
-impl Agreement {
-    /// Compares `pairs` (a star in the frame and in the first simulated frame) and `simulated` (the
-    /// stars in all simulated frames). None if there are no values.
-    pub(crate) fn of(pairs: &[(f64, f64)], simulated: &[f64]) -> Option<Self> {
-        let frame: Vec<f64> = pairs.iter().map(|p| p.0).collect();
-        let (of_frame, of_simulated) = (Distribution::of(&frame)?, Distribution::of(simulated)?);
-        let differences = pairs.iter().map(|(a, b)| (a - b).abs()).sum::<f64>();
-        Some(Self {
-            median_ratio: of_simulated.median / of_frame.median,
-            mean_absolute_error: differences / pairs.len() as f64,
-            ks_distance: kolmogorov_smirnov(&frame, simulated)?,
-            frame: of_frame,
-            simulated: of_simulated,
-        })
+        flux_ratio: Option<f64>,
+        flux_ratio_left_out: Option<f64>,
+        reduced_chi_square: Option<f64>,
+        reduced_chi_square_left_out: Option<f64>,
     }
 }
 
@@ -304,22 +400,28 @@ impl Agreement {
 pub struct RoundTripReport {
     /// Stars that became PSF samples.
     pub stars: usize,
-    /// Stars that could be measured in the frame and in the first simulated frame.
-    pub measured: usize,
     /// Point sources drawn into each simulated frame.
     pub drawn: usize,
     /// Pixels along each side of the window in which a Gaussian was fitted.
     pub window_px: usize,
+    /// Radius of the apertures in which fluxes are compared.
+    pub aperture_px: f64,
     /// Number of simulated frames.
     pub realisations: u32,
     /// True if the simulated frames have noise.
     pub noise: bool,
+    /// True if the noise in the reduced chi-square contains the photon noise of the stars, which
+    /// needs the gain.
+    pub photon_noise: bool,
     /// Components of the PSF model, the mean not counted.
     pub rank: usize,
-    /// FWHM in pixels (Gaussian fit, geometric mean of the axes).
-    pub fwhm_px: Agreement,
-    /// Eccentricity `sqrt(1 - b^2 / a^2)` of the Gaussian fit.
-    pub eccentricity: Agreement,
+    /// The stars drawn by the model that was made from all of them.
+    #[serde(flatten)]
+    pub all: StarComparison,
+    /// The stars drawn by models that were made without them (five groups, each drawn by the model
+    /// of the other four). None with fewer than ten stars, or if four fifths of the stars are too
+    /// few for the fit.
+    pub left_out: Option<StarComparison>,
     /// R.m.s. of the difference between the frame and the first simulated frame, in units of the
     /// background noise.
     pub residual_over_noise: f64,
@@ -358,23 +460,6 @@ fn simulated_frame(
     frame
 }
 
-/// The two-sample Kolmogorov-Smirnov distance: the largest difference of the two cumulative
-/// distributions. None if either is empty.
-fn kolmogorov_smirnov(a: &[f64], b: &[f64]) -> Option<f64> {
-    if a.is_empty() || b.is_empty() {
-        return None;
-    }
-    let sorted = |values: &[f64]| {
-        let mut sorted = values.to_vec();
-        sorted.sort_unstable_by(f64::total_cmp);
-        sorted
-    };
-    let (a, b) = (sorted(a), sorted(b));
-    let below = |values: &[f64], v: f64| values.partition_point(|x| *x <= v) as f64 / values.len() as f64;
-    let distances = a.iter().chain(&b).map(|&v| (below(&a, v) - below(&b, v)).abs());
-    Some(distances.fold(0.0, f64::max))
-}
-
 /// Side of the measuring window in FWHM. It is at least [`LEAST_WINDOW`] pixels.
 const WINDOW_FWHM: f64 = 4.0;
 const LEAST_WINDOW: usize = 7;
@@ -399,28 +484,135 @@ pub(crate) fn drawn(
 /// Returns every source on the frame with a positive flux, including sources that did not become
 /// samples.
 pub(crate) fn drawn_sources(stars: &StarSamples) -> Result<Vec<PointSource>, PsfieldError> {
-    let field = stars.samples.positions().field();
-    let mut sources = Vec::with_capacity(stars.sources.len());
-    for source in &stars.sources {
+    point_sources(stars.sources.iter(), stars.samples.positions().field())
+}
+
+/// Returns the sources on `field` with a positive flux.
+fn point_sources<'a>(
+    sources: impl Iterator<Item = &'a Source>,
+    field: Option<FrameShape>,
+) -> Result<Vec<PointSource>, PsfieldError> {
+    let mut drawn = Vec::new();
+    for source in sources {
         let position = Position::new(source.x, source.y)?;
         if source.flux > 0.0 && field.is_none_or(|field| field.contains(position)) {
-            sources.push(PointSource::new(position, source.flux)?);
+            drawn.push(PointSource::new(position, source.flux)?);
         }
     }
-    Ok(sources)
+    Ok(drawn)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
+    const SIDE: usize = 320;
+    const NOISE: f64 = 3.0;
+
+    /// The light of 64 stars `[y, x]`, Gaussians of this sigma integrated over pixels.
+    fn light(sigma: f64) -> Array2<f64> {
+        let mut light = Array2::zeros((SIDE, SIDE));
+        let in_pixel = |offset: f64| {
+            const STEPS: u32 = 16;
+            let at = |k: u32| (offset + (f64::from(k) + 0.5) / f64::from(STEPS) - 0.5) / sigma;
+            let sum: f64 = (0..STEPS).map(|k| (-0.5 * at(k).powi(2)).exp()).sum();
+            sum / f64::from(STEPS) / (sigma * std::f64::consts::TAU.sqrt())
+        };
+        for k in 0..64u32 {
+            let place =
+                |cell: u32, step: u32| 30.0 + 36.7 * f64::from(cell) + f64::from(k * step % 17) / 17.0;
+            let (x, y) = (place(k % 8, 5), place(k / 8, 7));
+            let flux = 2000.0 * f64::from(1 + k * 11 % 5);
+            for ((row, column), value) in light.indexed_iter_mut() {
+                let (dx, dy) = (column as f64 - x, row as f64 - y);
+                if dx.abs() < 12.0 && dy.abs() < 12.0 {
+                    *value += flux * in_pixel(dx) * in_pixel(dy);
+                }
+            }
+        }
+        light
+    }
+
+    fn frame(light: &Array2<f64>) -> Image<f64> {
+        let mut rng = ChaCha8Rng::seed_from_u64(3);
+        Image::new(light.mapv(|v| {
+            let noise: f64 = StandardNormal.sample(&mut rng);
+            200.0 + v + NOISE * noise
+        }))
+        .unwrap()
+    }
+
+    fn medians(stars: &StarComparison) -> (f64, f64) {
+        let median = |of: &Option<Distribution>| of.as_ref().unwrap().median;
+        (median(&stars.flux_ratio), median(&stars.reduced_chi_square))
+    }
+
+    /// Undersampled stars: a FWHM of 1.4 pixels without the pixel response.
+    const SIGMA: f64 = 0.6;
+    /// Error of the median flux ratio of 64 stars. The noise of a single aperture is 21, or 0.4 %
+    /// of the median flux.
+    const RATIO: f64 = 0.005;
+    /// Error of the median reduced chi-square of 64 windows of 49 pixels. It is 0.03 by chance. The
+    /// clipped noise of the background adds 0.03, and three degrees of freedom that the true light
+    /// does not use add 0.07.
+    const CHI_SQUARE: f64 = 0.2;
+    /// The PSF of the stars of a frame has errors of about 1 %, which bright stars show.
+    const CHI_SQUARE_OF_FIT: f64 = 0.5;
+
     #[test]
-    fn known_distances() {
-        let a = [1.0, 2.0, 3.0, 4.0];
-        assert_eq!(kolmogorov_smirnov(&a, &a), Some(0.0));
-        assert_eq!(kolmogorov_smirnov(&a, &[5.0, 6.0]), Some(1.0));
-        assert_eq!(kolmogorov_smirnov(&a, &[4.0, 3.0, 2.5, 1.5]), Some(0.25));
-        assert_eq!(kolmogorov_smirnov(&[3.0, 1.0], &[2.0]), Some(0.5));
-        assert_eq!(kolmogorov_smirnov(&a, &[]), None);
+    fn the_true_light_has_a_ratio_and_a_chi_square_of_1_and_wrong_light_does_not() {
+        let truth = light(SIGMA);
+        let frame = frame(&truth);
+        let stars = StarSampling::default().run(&frame).unwrap();
+        let options = RoundTripOptions {
+            realisations: 1,
+            ..RoundTripOptions::default()
+        };
+        let comparing = Comparing::new(frame.pixels(), &stars, &options).unwrap();
+        let with = |light: &Array2<f64>| medians(&comparing.with(light).unwrap().comparison);
+
+        let (ratio, chi_square) = with(&truth);
+        println!("the truth: {ratio}, {chi_square}");
+        assert!((ratio - 1.0).abs() < RATIO && (chi_square - 1.0).abs() < CHI_SQUARE);
+        let (ratio, chi_square) = with(&(0.91 * &truth));
+        println!("9 % of the light missing: {ratio}, {chi_square}");
+        assert!((ratio - 0.91).abs() < RATIO && chi_square > 2.0);
+        let (ratio, chi_square) = with(&light(1.15 * SIGMA));
+        println!("too wide by 15 %: {ratio}, {chi_square}");
+        assert!((ratio - 1.0).abs() < RATIO && chi_square > 10.0);
+    }
+
+    #[test]
+    fn stars_drawn_by_a_model_made_without_them_agree_with_the_frame() {
+        let frame = frame(&light(SIGMA));
+        let trip = RoundTrip::run(frame.pixels().to_owned(), &RoundTripOptions::default()).unwrap();
+        assert!(trip.stars.samples.len() >= 60);
+        for stars in [&trip.report.all, trip.report.left_out.as_ref().unwrap()] {
+            let (ratio, chi_square) = medians(stars);
+            println!("{ratio}, {chi_square}");
+            assert!((ratio - 1.0).abs() < RATIO && (chi_square - 1.0).abs() < CHI_SQUARE_OF_FIT);
+        }
+    }
+
+    /// A star whose own pixels are its PSF agrees with itself, noise included.
+    #[test]
+    fn stars_left_out_are_not_compared_with_themselves() {
+        let frame = frame(&light(1.2));
+        let fit = FitOptions {
+            rank: psfield::psf_basis::RankSelection::Full,
+            ..FitOptions::default()
+        };
+        let options = RoundTripOptions {
+            fit,
+            realisations: 1,
+            ..RoundTripOptions::default()
+        };
+        let report = RoundTrip::run(frame.pixels().to_owned(), &options)
+            .unwrap()
+            .report;
+        let (_, itself) = medians(&report.all);
+        let (_, left_out) = medians(&report.left_out.unwrap());
+        println!("reduced chi-square: {itself} with the star, {left_out} without");
+        assert!(itself < 0.5 && left_out > 1.0);
     }
 }

@@ -107,6 +107,10 @@ pub struct FitReport {
 
 /// Leave-one-out errors of stamps, relative to each sample's own norm. They include the truncation
 /// error.
+///
+/// They say how well a sample is interpolated from the others. If the samples come from one smooth
+/// model, such as an oversampled PSF of a frame, they say nothing about that model: the
+/// round trip of `psfield-lab` leaves out the stars themselves.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct LeaveOneOutReport {

@@ -5,7 +5,7 @@ use psf_io::HeaderCards;
 use psf_stars::SOURCE_COLUMNS;
 use psf_types::Image;
 use psfield_lab::plot::{Axis, Curve, Curves, Figure, PlotError, curve_panels};
-use psfield_lab::{ROUND_TRIP_COLUMNS, RoundTrip, RoundTripOptions};
+use psfield_lab::{Agreement, Distribution, ROUND_TRIP_COLUMNS, RoundTrip, RoundTripOptions, StarComparison};
 
 use super::ValidateArgs;
 use crate::context::{Context, object, signature, with_window_hint, write_samples};
@@ -44,7 +44,7 @@ impl RoundTripArgs {
     pub(super) fn run(&self, asked: &ValidateArgs, context: &Context) -> anyhow::Result<()> {
         asked.folder.check(&FILES)?;
         let spinner = context.spinner("round trip");
-        let (frame, header, sampling) = asked.stars.open(&asked.input)?;
+        let (frame, header, sampling) = asked.stars.open(&asked.input, &asked.mask)?;
         let options = RoundTripOptions {
             sampling,
             fit: asked.psf.fit.options(),
@@ -54,7 +54,7 @@ impl RoundTripArgs {
             realisations: self.realisations,
             seed: self.seed,
         };
-        let trip = RoundTrip::run(&frame, &options)
+        let trip = RoundTrip::run(frame, &options)
             .map_err(with_window_hint)
             .with_context(|| format!("in {}", asked.input.display()))?;
         let report = object! {
@@ -76,26 +76,26 @@ impl RoundTripArgs {
         warn_of(&trip.stars, context);
         context.report(&report, || {
             let figures = report.figures;
-            let line = |name: &str, agreement: &psfield_lab::Agreement| {
-                format!(
-                    "{name}  median {:.3} in the frame, {:.3} simulated (simulated / frame {:.3}), mean absolute difference per star {:.3}, KS distance {:.3}",
-                    agreement.frame.median,
-                    agreement.simulated.median,
-                    agreement.median_ratio,
-                    agreement.mean_absolute_error,
-                    agreement.ks_distance
-                )
-            };
+            let left_out = figures.left_out.as_ref().map_or_else(
+                || "too few stars to leave some out".to_owned(),
+                |stars| format!("each star drawn by a model made without it:\n{}", lines(stars)),
+            );
             format!(
-                "{}: {} stars ({} registration), {} measured in both, {} sources drawn, {} simulated frame(s)\n{}\n{}",
+                "{}: {} stars ({} registration), {} measured in both, {} sources drawn, {} simulated frame(s)\n{}\n{left_out}\n\
+                 flux ratio: simulated / frame within {:.1} pixels. The reduced chi-square counts {}",
                 report.folder.display(),
                 figures.stars,
                 report.registration.method,
-                figures.measured,
+                figures.all.measured,
                 figures.drawn,
                 figures.realisations,
-                line("FWHM (px):   ", &figures.fwhm_px),
-                line("eccentricity:", &figures.eccentricity),
+                lines(&figures.all),
+                figures.aperture_px,
+                if figures.photon_noise {
+                    "the noise of background and photons"
+                } else {
+                    "the noise of the background, but not of photons (no --gain)"
+                }
             )
         })
     }
@@ -127,6 +127,34 @@ fn write(trip: &RoundTrip, header: &HeaderCards, summary: &str, folder: &ReportF
     let text = |name: &str, content: &str| psf_io::write_text(at(name), content, overwrite);
     text("distributions.svg", distributions(trip)?.svg())?;
     Ok(text("summary.json", summary)?)
+}
+
+/// Compares drawn stars with the frame in four lines of text.
+fn lines(stars: &StarComparison) -> String {
+    let shape = |name: &str, agreement: &Agreement| {
+        format!(
+            "{name} median {:.3} in the frame, {:.3} simulated (simulated / frame {:.3}), mean absolute difference per star {:.3}, KS distance {:.3}",
+            agreement.frame.median,
+            agreement.simulated.median,
+            agreement.median_ratio,
+            agreement.mean_absolute_error,
+            agreement.ks_distance
+        )
+    };
+    let light = |name: &str, of: Option<&Distribution>| match of {
+        Some(of) => format!(
+            "{name} median {:.3}, quartiles {:.3} and {:.3}, scatter {:.3} ({} isolated stars)",
+            of.median, of.q25, of.q75, of.scatter, of.count
+        ),
+        None => format!("{name} no star is isolated"),
+    };
+    [
+        shape("FWHM (px):         ", &stars.fwhm_px),
+        shape("eccentricity:      ", &stars.eccentricity),
+        light("flux ratio:        ", stars.flux_ratio.as_ref()),
+        light("reduced chi-square:", stars.reduced_chi_square.as_ref()),
+    ]
+    .join("\n")
 }
 
 /// Draws the cumulative distributions of FWHM and eccentricity, for the stars of the frame and for

@@ -8,6 +8,9 @@ use crate::desk::{Desk, assert_keys};
 const SIDE: usize = 192;
 /// Error of a centroid at a signal-to-noise ratio of 100 and more.
 const PLACE_PX: f64 = 0.05;
+/// Error of the median flux ratio of 25 stars. The noise of a single aperture is 50, or 0.4 % of
+/// the median flux, and the positions of the stars have errors.
+const FLUX_RATIO: f64 = 0.01;
 
 /// Stars with a FWHM of 2.8 pixels at known positions on a noisy background, bright enough to be
 /// measured well.
@@ -96,6 +99,22 @@ fn a_round_trip_reports_and_protects_its_files() {
     assert_eq!(report["realisations"], 2);
     let ratio = report["fwhm_px"]["median_ratio"].as_f64().unwrap();
     assert!((ratio - 1.0).abs() < 0.02, "{ratio}");
+    for stars in [&report, &report["left_out"]] {
+        let flux = &stars["flux_ratio"];
+        assert_eq!(flux["count"], 25);
+        assert!(
+            (flux["median"].as_f64().unwrap() - 1.0).abs() < FLUX_RATIO,
+            "{flux}"
+        );
+        assert!(stars["reduced_chi_square"]["median"].as_f64().unwrap() > 0.0);
+    }
+    assert_eq!(report["photon_noise"], false);
+    let told = desk.run("roundtrip frame.fits --report told --realisations 1 --gain 2");
+    assert!(
+        told.stdout.contains("each star drawn by a model made without it"),
+        "{told:?}"
+    );
+    assert!(told.stdout.contains("background and photons"), "{told:?}");
     for name in report["files"].as_array().unwrap() {
         assert!(!desk.bytes(&format!("trip/{}", name.as_str().unwrap())).is_empty());
     }
@@ -248,7 +267,7 @@ fn pixels_without_a_value_are_told_of() {
     put_nan(&desk, &[(0, 0)]);
     for (command, option) in [
         ("sample nan.fits -o out.fits", "--nan-is-masked, or --mask"),
-        ("validate nan.fits --report out", "--saturation"),
+        ("validate nan.fits --report out", "--nan-is-masked, or --mask"),
     ] {
         desk.refused(command, 1, &["nan.fits", "NaN", option]);
     }
@@ -294,6 +313,13 @@ fn masked_pixels_are_left_out() {
         .done(&format!("{validate} --mask mask.fits --json -q"))
         .json();
     assert_eq!(report["objects"]["summary"]["objects"], 23, "{report}");
+    // A round trip: the residual of pixels without a value is the noise of the simulation.
+    let trip = desk
+        .done("validate nan.fits --report trip --mask mask.fits --json -q")
+        .json();
+    assert_eq!(trip["stars"], 23, "{trip}");
+    let residual = desk.image("trip/residual.fits")[[core(6).1, core(6).0]];
+    assert!(residual.abs() < 5.0 * 4.0, "{residual}");
     desk.refused(
         "validate samples.fits --reference samples.fits --report other --nan-is-masked",
         2,
