@@ -212,6 +212,6 @@ fn the_number_of_threads_does_not_matter() {
 #[test]
 fn holding_stars_out_does_not_choose_another_method() {
     let held_out = StarSampling::default().with_hold_out(135, 1);
-    let error = held_out.run(&frame().0).unwrap_err().to_string();
+    let error = held_out.run(&frame(psf).0).unwrap_err().to_string();
     assert!(error.contains("method epsf"), "{error}");
 }
