@@ -98,7 +98,7 @@ pub enum ConvError {
     Gpu(#[from] GpuError),
     /// An image, a frame or a position is not valid. The source says why.
     #[error("{}", match .0 {
-        DataError::NonFinite { .. } => "the result is not a valid image: are fluxes beyond the range of the precision?",
+        DataError::NonFinite { .. } => "the result is not a valid image: are fluxes beyond the range of f32 or f64?",
         _ => "the data are not valid",
     })]
     Result(#[source] DataError),

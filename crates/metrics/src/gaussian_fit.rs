@@ -288,7 +288,7 @@ fn check_width(covariance: Covariance, cutout: &Cutout) -> Result<(), MetricsErr
 struct Units {
     offset: f64,
     scale: f64,
-    /// The value of largest magnitude before.
+    /// The value of largest magnitude before the normalisation, with its sign.
     extreme: f64,
 }
 

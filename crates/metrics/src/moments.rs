@@ -402,7 +402,8 @@ impl AdaptiveMomentFinder {
         })
     }
 
-    /// Checks the sigmas of a weight. The larger one may be `slack` times as large as a result's.
+    /// Checks the sigmas of a weight. The larger sigma may be at most `slack * largest_px`, where
+    /// `largest_px` is the limit for a result.
     fn check_width(m: Covariance, slack: f64, largest_px: f64) -> Result<(), MetricsError> {
         if m.sigma_minor_px() < SMALLEST_SIGMA_PX {
             return Err(MetricsError::WeightCollapsed {

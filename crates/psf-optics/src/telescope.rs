@@ -264,7 +264,7 @@ impl PsfSource for Telescope {
         })
     }
 }
-/// A number for messages, without rows of zeros.
+/// Formats a number for messages. Very small and very large numbers get an exponent.
 fn shown(number: f64) -> String {
     if number == 0.0 || (1e-6..1e6).contains(&number.abs()) {
         number.to_string()

@@ -94,7 +94,8 @@ impl AdaptiveSampling {
     }
 
     /// Sets the cap on the number of samples. If the criterion needs more, sampling ends with
-    /// [`SampleError::CapReached`].
+    /// [`SampleError::CapReached`]. If the starting grid has more, sampling ends with
+    /// [`SampleError::Setting`].
     #[must_use]
     pub fn with_max_samples(self, max_samples: usize) -> Self {
         Self { max_samples, ..self }

@@ -32,7 +32,7 @@ fn draw(source: &dyn PsfSource, position: Position, shift: (f64, f64)) -> Result
 }
 
 /// Draws the PSFs at `positions` in parallel. If several fail, returns the error of the first
-/// position, whatever the number of threads.
+/// position that failed, whatever the number of threads.
 fn draw_all(
     source: &dyn PsfSource,
     positions: &[Position],
@@ -146,7 +146,7 @@ impl UniformSampling {
     /// [`SampleError::Setting`] when `nx` or `ny` is 0.
     pub fn new(nx: usize, ny: usize) -> Result<Self, SampleError> {
         for n in [nx, ny] {
-            SampleError::check(n > 0, "samples along an axis", "at least 1", n)?;
+            SampleError::check(n > 0, "the number of samples along an axis", "at least 1", n)?;
         }
         Ok(Self {
             nx,
@@ -168,15 +168,15 @@ impl UniformSampling {
     /// of one pixel has several samples.
     pub fn positions(&self, field: FrameShape) -> Result<Vec<Position>, SampleError> {
         let axis = |name, samples: usize, pixels: usize| {
-            let allowed = "1 for an axis of one pixel, at least 2 otherwise";
+            let allowed = "1 for an axis of one pixel, and at least 2 otherwise";
             let got = format_args!("{samples} for {pixels} pixels");
             SampleError::check((samples == 1) == (pixels == 1), name, allowed, got)?;
             let last = (samples - 1).max(1) as f64;
             // Multiplying before dividing makes the last value exactly `pixels - 1`.
             Ok::<_, SampleError>((0..samples).map(move |i| (pixels - 1) as f64 * i as f64 / last))
         };
-        let xs = axis("samples along x", self.nx, field.nx())?;
-        let ys = axis("samples along y", self.ny, field.ny())?;
+        let xs = axis("the number of samples along x", self.nx, field.nx())?;
+        let ys = axis("the number of samples along y", self.ny, field.ny())?;
         let grid = ys.flat_map(|y| xs.clone().map(move |x| Position::new(x, y)));
         Ok(grid.collect::<Result<_, _>>()?)
     }
@@ -226,7 +226,8 @@ const HOLD_OUT_DISTANCE: f64 = 0.1;
 /// Number of tries per held-out PSF, after which the field counts as too small.
 const HOLD_OUT_TRIES: usize = 100;
 
-/// Draws `count` PSFs that are not samples, to check a model of the samples between its samples.
+/// Draws `count` PSFs that are not samples, to check how well a model predicts the PSF between the
+/// samples.
 ///
 /// The positions are random and uniform over the field, but keep a distance from every sample: a
 /// tenth of the samples' mean distance, which is the square root of the field's area per sample.
@@ -243,8 +244,10 @@ const HOLD_OUT_TRIES: usize = 100;
 /// ```
 ///
 /// # Errors
-/// [`SampleError::Setting`] if `count` is 0 or the field has no room. [`SampleError::Draw`],
-/// [`SampleError::Stamp`] or [`SampleError::NoLight`] when a drawn stamp is not a valid PSF.
+/// [`SampleError::Setting`] if `count` is 0 or the field has no room between the samples.
+/// [`SampleError::Draw`] when the source cannot draw. [`SampleError::Stamp`] or
+/// [`SampleError::NoLight`] when a drawn stamp is not a valid PSF. [`SampleError::Cancelled`] if
+/// `progress` cancels the work.
 pub fn hold_out(
     source: &dyn PsfSource,
     samples: &SamplePositions,
@@ -264,7 +267,7 @@ pub fn hold_out(
         .take(count)
         .collect::<Result<Vec<_>, _>>()?;
     let enough = count > 0 && positions.len() == count;
-    let allowed = "at least 1, on a field with room between its samples";
+    let allowed = "at least 1 (and the field must have room between its samples)";
     SampleError::check(enough, "the number of held-out PSFs", allowed, count)?;
     progress.start(count as u64);
     let stamps = draw_all(source, &positions, progress)?;
@@ -329,6 +332,7 @@ impl ShiftAugmentation {
     /// # Errors
     /// [`SampleError::Draw`] when the source cannot draw, or cannot shift. [`SampleError::Stamp`]
     /// or [`SampleError::NoLight`] when a drawn stamp is not a valid PSF.
+    /// [`SampleError::Cancelled`] if `progress` cancels the work.
     pub fn draw(
         &self,
         source: &dyn PsfSource,

@@ -24,13 +24,13 @@
 //! between its ends. Neighbouring cells therefore differ by at most one halving along their common
 //! edge.
 //!
-//! The sampling ends in one of three ways, and reports which one occurred:
+//! Unless there is another error, the sampling ends in one of three ways:
 //!
 //! * The criterion holds everywhere ([`SamplingOutcome::Met`]).
-//! * Some cells reached the smallest size because the PSF jumps there
-//!   ([`SamplingOutcome::CellSizeReached`]). The report contains their number.
-//! * The number of samples reached its cap ([`SampleError::CapReached`]). This error carries the
-//!   samples drawn so far.
+//! * The criterion fails only in cells of the smallest size, usually because the PSF jumps there
+//!   ([`SamplingOutcome::CellSizeReached`]). The report contains the number of these cells.
+//! * The next refinement would exceed the cap on the number of samples
+//!   ([`SampleError::CapReached`]). This error carries the samples drawn so far.
 //!
 //! All PSFs are drawn in parallel on the current rayon pool, each position once. Results, order and
 //! errors do not depend on the number of threads.

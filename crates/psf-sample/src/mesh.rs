@@ -62,7 +62,8 @@ impl Axis {
     fn new(pixels: usize, samples: usize, min_cell_px: f64) -> Self {
         let last_px = (pixels - 1) as f64;
         if pixels == 1 {
-            // One lattice point: the cells have no extent along this axis and are never halved.
+            // One lattice point: the cells have no extent along this axis and are never halved
+            // along it.
             return Self {
                 last_px,
                 cells: 1,

@@ -21,14 +21,14 @@ pub enum Criterion {
 psf_types::named!(
     Criterion,
     SampleError,
-    |text| SampleError::refused("criterion", "interpolation or neighbours", text),
+    |text| SampleError::refused("the criterion", "interpolation or neighbours", text),
     "interpolation" => Interpolation,
     "neighbours" => Neighbours
 );
 psf_types::named!(
     DifferenceMeasure,
     SampleError,
-    |text| SampleError::refused("measure", "l1 or l2", text),
+    |text| SampleError::refused("the measure", "l1 or l2", text),
     "l1" => L1,
     "l2" => L2
 );

@@ -112,7 +112,7 @@ pub enum SampleError {
     },
     /// A criterion returned a negative value, NaN or infinity.
     #[error(
-        "the refinement criterion returned {value} for the cell around {position}: it must be finite and 0 or above"
+        "the refinement criterion returned {value} for the cell around {position}: the value must be finite and 0 or above"
     )]
     Criterion {
         /// Centre of the cell.
@@ -127,7 +127,7 @@ pub enum SampleError {
     /// The progress object cancelled the work ([`Progress::cancelled`]).
     #[error(transparent)]
     Cancelled(#[from] Cancelled),
-    /// Data that is not valid.
+    /// Positions or stamps that the types of `psf_types` refuse.
     #[error(transparent)]
     Data(#[from] DataError),
     /// An error of a sampling method implemented elsewhere.

@@ -67,8 +67,9 @@ impl BackgroundMesh {
         Ok(Self { filter, ..self })
     }
 
-    /// Estimates the background of `pixels` `[y, x]`. NaN pixels are ignored. A cell of which less
-    /// than half is not NaN gets the median of the cells around it, unless all cells are like it.
+    /// Estimates the background of `pixels` `[y, x]`. NaN pixels are ignored. A cell in which more
+    /// than half of the pixels are NaN gets the median of the cells around it. If this is true of
+    /// all cells, each cell is estimated from its remaining pixels.
     ///
     /// # Errors
     /// [`StarError::NoNoise`] when more than half of the cells have no noise after the median
@@ -181,7 +182,8 @@ pub(crate) fn median(values: &mut [f64]) -> f64 {
     }
 }
 
-/// A cell with a smaller share of pixels that are not NaN does not count (SExtractor's value).
+/// A cell in which a smaller fraction of the pixels is not NaN gets the median of the cells around
+/// it (SExtractor's value).
 const LEAST_GOOD: f64 = 0.5;
 /// Values farther from the median than this number of standard deviations are clipped.
 const CLIP: f64 = 3.0;
@@ -232,8 +234,8 @@ fn moments(sorted: &[f64]) -> (f64, f64, f64) {
     (median + shift, median, variance.sqrt())
 }
 
-/// Replaces NaN by the median of the values around it, again and again until none is left. A map
-/// without any value stays as it is.
+/// Replaces NaN by the median of the values around it, and repeats this until no NaN is left. A map
+/// in which all values are NaN stays as it is.
 fn filled(mut map: Array2<f64>) -> Array2<f64> {
     while map.iter().any(|v| v.is_nan()) && !map.iter().all(|v| v.is_nan()) {
         let around = median_filtered(&map, 3);
@@ -297,7 +299,7 @@ impl Spline {
         }
     }
 
-    /// The value at column `x` and row `y`, clamped to the array.
+    /// The value at column `x` and row `y`. A position off the array is moved to the array's edge.
     pub(crate) fn at(&self, x: f64, y: f64) -> f64 {
         let (rows, columns) = self.coefficients.dim();
         let near = |t: f64, n: usize| {

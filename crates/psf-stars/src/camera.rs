@@ -11,10 +11,10 @@ use crate::error::{at_least, checked_setters};
 /// With a gain `g` (electrons per unit of the frame) the signal-to-noise ratio of a star follows
 /// the CCD equation (Howell 1989, PASP 101, 616):
 /// `SNR = N / sqrt(N + n_pix (N_sky + N_dark + N_read^2))`. Here `N = g F`, where `F` is the flux
-/// over the background in an aperture of `n_pix` pixels. The bracket is the variance of the
-/// background as measured in the frame, `(g sigma)^2`, which contains sky, dark current and read
-/// noise. A given read noise is the lower limit of `g sigma`. Without a gain the photon noise of
-/// the star itself is not known, and `SNR = F / (sigma sqrt(n_pix))`.
+/// above the background in an aperture of `n_pix` pixels. The bracket is `(g sigma)^2`, where
+/// `sigma` is the noise of the background in one pixel, measured in the frame. This noise contains
+/// sky, dark current and read noise. A given read noise is the lower limit of `g sigma`. Without a
+/// gain the photon noise of the star itself is not known, and `SNR = F / (sigma sqrt(n_pix))`.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Camera {
     gain: Option<f64>,

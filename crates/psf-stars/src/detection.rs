@@ -12,7 +12,7 @@ use crate::{Background, StarError};
 /// The significance of a point source at a pixel is `S = sum k d / (sigma sqrt(sum k^2))`. Here `d`
 /// is the frame minus its background, `sigma` the noise of the background, and `k` a Gaussian
 /// kernel. This is the likelihood ratio test for a source of that shape (Stetson 1987, PASP 99,
-/// 191), without the subtraction of a local mean. The background mesh replaces this subtraction.
+/// 191), without the subtraction of a local mean, because the background is already subtracted.
 ///
 /// Pixels with `S >= threshold` are joined to their eight neighbours from the brightest down. Where
 /// two peaks meet at a saddle, the lower one is a separate source if it rises far enough above the
@@ -29,7 +29,7 @@ pub struct Detection {
 impl Detection {
     /// Default threshold in sigma.
     pub const DEFAULT_THRESHOLD: f64 = 5.0;
-    /// Default width of the kernel in pixels.
+    /// Default FWHM of the kernel in pixels.
     pub const DEFAULT_KERNEL_FWHM_PX: f64 = 2.0;
     const DEFAULT_PROMINENCE: f64 = 3.0;
 
@@ -70,7 +70,7 @@ impl Detection {
         self.threshold
     }
 
-    /// The kernel's width in pixels.
+    /// The FWHM of the kernel in pixels.
     pub fn kernel_fwhm_px(&self) -> f64 {
         self.kernel_fwhm_px
     }

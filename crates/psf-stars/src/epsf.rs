@@ -12,7 +12,9 @@ use crate::frame::Star;
 use crate::registration::FineGrid;
 use crate::selection::FieldTerms;
 
-/// An oversampled PSF, `E(u; x) = sum_j P_j(x) E_j(u)`, and the stars to which it was fitted.
+/// An oversampled PSF and the stars to which it was fitted. The PSF at the offset `u` from a star
+/// at the position `x` is `E(u; x) = sum_j P_j(x) E_j(u)`, where `P_j` are polynomials over the
+/// field.
 #[derive(Debug)]
 pub(crate) struct Epsf {
     /// The stars that agree with the PSF.
@@ -23,7 +25,8 @@ pub(crate) struct Epsf {
     psf: FieldPsf,
 }
 
-/// The planes `E_j` of an oversampled PSF, and the terms `P_j` that multiply them.
+/// The planes `E_j` of an oversampled PSF, as spline coefficients, and the terms `P_j` that
+/// multiply them.
 #[derive(Debug)]
 struct FieldPsf {
     terms: FieldTerms,
@@ -34,7 +37,8 @@ struct FieldPsf {
 
 /// Number of rounds. Each fits the stars' positions and fluxes, and then the PSF.
 const ROUNDS: usize = 6;
-/// After this number of rounds the degree is chosen. From then on mismatched stars are excluded.
+/// After this number of rounds the degree of the polynomial over the field is chosen. From then on
+/// mismatched stars are excluded.
 const ROUNDS_BEFORE_REJECTION: usize = 2;
 const HIGHEST_DEGREE: usize = 4;
 /// Stars that each term of the polynomial needs.
@@ -51,12 +55,13 @@ const HUBER: f64 = 3.0;
 const MISMATCH_SIGMA: f64 = 5.0;
 /// The second limit is this multiple of the median chi.
 const MISMATCH_RATIO: f64 = 3.0;
-/// A star may move from the position of its Gaussian fit by at most this distance, in pixels.
+/// A star may move from the position of its Gaussian fit by at most this distance along each axis,
+/// in pixels.
 const SHIFT: f64 = 0.5;
 
 impl Epsf {
-    /// Fits the PSF to stars. `degree` is that of the polynomial over the field. None: the degree
-    /// that best predicts stars which are left out.
+    /// Fits the PSF to stars. `degree` is the degree of the polynomial over the field. If it is
+    /// `None`, the fit chooses the degree that best predicts stars left out of a trial fit.
     pub(crate) fn fit(
         mut stars: Vec<Star>,
         grid: FineGrid,
@@ -75,8 +80,8 @@ impl Epsf {
         };
         let mut mismatched = Vec::new();
         for round in 0..ROUNDS {
-            // The stars' positions are fitted first, since the PSF already is a Gaussian in the
-            // first round.
+            // Each round fits the stars' positions before the PSF. In the first round, the PSF for
+            // this fit is a Gaussian.
             let chi = psf.refine(&mut stars);
             if round >= ROUNDS_BEFORE_REJECTION {
                 let limit = mismatch_limit(&chi);
@@ -163,8 +168,8 @@ impl FieldPsf {
         }
     }
 
-    /// Fits flux and position of every star under the current PSF. Returns the root of
-    /// each star's reduced chi squared, or infinity for a star that cannot be fitted.
+    /// Fits flux and position of every star with the current PSF. Returns the root of each star's
+    /// reduced chi squared, or infinity for a star that cannot be fitted.
     ///
     /// A shift of the PSF is equivalent to an opposite shift of all stars, so the mean shift of the
     /// stars is removed.
@@ -276,7 +281,7 @@ impl FieldPsf {
         used.filter_map(|pixel| {
             let place = surface.place(pixel.x - star.x, pixel.y - star.y)?;
             let psf = surface.value(&coefficients, &place);
-            // The weights do not depend on the PSF that is evaluated.
+            // All degrees get the same weights, so that their errors can be compared.
             let w = weight(star, surface.value(&prior.mean, &place), pixel.rms, &self.camera);
             let off = (pixel.value - star.offset) / star.flux - psf;
             Some(pixel.trust * w * off * off)

@@ -54,7 +54,7 @@ impl SurfaceGrid {
         let (tx, ty) = (middle + scale * dx, middle + scale * dy);
         let last = 2.0 * middle;
         ((0.0..=last).contains(&tx) && (0.0..=last).contains(&ty)).then(|| {
-            // The node before the one at or below `t`.
+            // The coefficient before the one of the node at or below `t`.
             let first = |t: f64| t.floor() as usize + TAPS_BEFORE - 1;
             let within = [tx - tx.floor(), ty - ty.floor()];
             Place {
@@ -138,7 +138,7 @@ pub(crate) fn weight(star: &Star, model: f64, rms: f64, camera: &Camera) -> f64 
     star.flux * star.flux / variance
 }
 
-/// Returns `sum_j P_j E_j`.
+/// Returns the sum of the planes `E_j`, each multiplied by its term `P_j`.
 pub(crate) fn combined(planes: &[Vec<f64>], terms: &[f64]) -> Vec<f64> {
     let mut sum = vec![0.0; planes[0].len()];
     for (plane, term) in planes.iter().zip(terms) {
@@ -170,8 +170,8 @@ pub(crate) struct Prior {
 const OWN_PART: f64 = 0.5;
 /// The second part of the standard deviation is this fraction of the peak, which allows for wings.
 const PEAK_PART: f64 = 0.004;
-/// The expected variation of the PSF over the field, relative to the PSF's expected difference from
-/// a Gaussian.
+/// The standard deviations of the terms that vary over the field, relative to those of the constant
+/// term.
 const FIELD_PART: f64 = 0.5;
 
 /// For a star's own PSF, this fraction replaces [`OWN_PART`]. It allows for the star's colour and
@@ -258,7 +258,8 @@ const PIECE: usize = 32;
 
 /// Fits the planes `E_j` to the stars' pixels, with the stars' positions and fluxes fixed.
 /// Minimises `sum w (d / F - E)^2 + |(E - prior) / spread|^2` by conjugate gradients. Here `d` are
-/// the values of the pixels above the background, and `F` is the flux of their star.
+/// the values of the pixels above the background around their star, `F` is the star's flux, and `w`
+/// are the weights of the pixels.
 pub(crate) fn solve(
     stars: &[Star],
     prior: &Prior,

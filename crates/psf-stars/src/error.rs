@@ -17,18 +17,18 @@ pub enum StarError {
         /// The value that was given.
         got: f64,
     },
-    /// Most of the background has no noise, so that a threshold in sigma has no meaning.
+    /// Most of the background has no noise, so that a threshold in sigma has no meaning. This
+    /// error also occurs if all pixels are NaN.
     #[error(
         "most of the background has no noise (r.m.s. 0): sources are found by their excess over the noise, so add noise to a noise-free image, or cut off blank areas"
     )]
     NoNoise,
-    /// A frame that gives no samples with these settings. The frame may be too small, no source may
-    /// be bright enough or suitable as a sample, or the stars may be too few for an oversampled PSF
-    /// that was requested explicitly. Another reason is a requested distance from the edge that is
-    /// less than half a stamp.
+    /// A frame that gives no samples with these settings. The text says why. For example, the frame
+    /// is too small, no source is suitable, or the stars are too few for the requested method or
+    /// for the requested number of held-out stars.
     #[error("{0}")]
     NoSamples(String),
-    /// Data that break an invariant.
+    /// Positions or stamps that the types of `psf_types` refuse.
     #[error(transparent)]
     Data(#[from] DataError),
 }

@@ -9,16 +9,17 @@ use crate::registration::FineGrid;
 use crate::source::Gaussian;
 use crate::{Background, Camera, Detection, Peak, Rejection, Rejections, Saturation, Source, StarError};
 
-/// The radius of the aperture in FWHM.
+/// The radius of the aperture for the signal-to-noise ratio, in FWHM.
 const APERTURE_FWHM: f64 = 1.25;
-/// The smallest radius of the aperture in pixels.
+/// The smallest radius of this aperture in pixels.
 const APERTURE_PX: f64 = 2.0;
-/// The radius of the pixels used by a Gaussian fit, in FWHM.
+/// A Gaussian fit uses the pixels within this distance of the peak along each axis, in FWHM.
 const FIT_FWHM: f64 = 1.5;
 /// The outer radius of the ring around a star in which the background is measured, in units of the
 /// inner radius, which is half a stamp.
 const RING: f64 = 2.0;
-/// With fewer free pixels in the ring, the background map is better than their median.
+/// If fewer pixels of the ring are free of other sources, the background map is better than their
+/// median.
 const LEAST_RING: usize = 40;
 /// Two fits count as fits of one source if they are closer than this distance in pixels.
 const SAME_SOURCE_PX: f64 = 1.0;
@@ -78,8 +79,8 @@ impl FrameView {
         Ok(peaks)
     }
 
-    /// Measures the sources of the peaks, except their background and neighbours, which
-    /// [`Self::complete`] fills in.
+    /// Measures the source of each peak. [`Self::complete`] fills in the background and the
+    /// distance to the nearest other source.
     pub(crate) fn measured(&self, peaks: &[Peak], fwhm_px: f64) -> Vec<Source> {
         let mut sources: Vec<Source> = peaks.par_iter().map(|p| self.measure(p, fwhm_px)).collect();
         // A fit that moved to a brighter neighbour does not measure the peak's own source.
@@ -207,11 +208,12 @@ impl FrameView {
         }
     }
 
-    /// The background around a star above the background map: the median of the pixels in a ring
-    /// outside its stamp that are free of other sources. 0 if there are too few such pixels.
+    /// The background around a star minus the background map. It is the median over a ring outside
+    /// the star's stamp, from pixels that are free of other sources. It is 0 if there are too few
+    /// such pixels.
     ///
     /// Pixels of the stamp cannot give this level. They hold the wings of the star, and a level
-    /// fitted to them takes the wings from the PSF.
+    /// fitted to them would remove the wings from the PSF.
     fn level_around(&self, index: usize, source: &Source, ownership: &Ownership, grid: FineGrid) -> f64 {
         let (x, y, inner) = (source.x, source.y, grid.reach as f64);
         let free = |&(column, row): &(usize, usize)| {
@@ -238,8 +240,8 @@ pub(crate) struct StarPixel {
     pub(crate) value: f64,
     /// The noise of the background.
     pub(crate) rms: f64,
-    /// The factor on its weight: 0 if it is masked, saturated or belongs to a neighbour, below 1 for
-    /// outliers.
+    /// The factor on the pixel's weight: 0 if the pixel is masked, saturated or belongs to a
+    /// neighbour, below 1 for outliers, else 1.
     pub(crate) trust: f64,
 }
 
@@ -253,7 +255,7 @@ pub(crate) struct Star {
     pub(crate) x: f64,
     pub(crate) y: f64,
     pub(crate) flux: f64,
-    /// The error of the background map near it.
+    /// The background around it minus the background map.
     pub(crate) offset: f64,
     pub(crate) pixels: Vec<StarPixel>,
 }

@@ -70,9 +70,9 @@ impl Registration {
     /// The default distance from a stamp's centre to its edge, in FWHM.
     const REACH_FWHM: f64 = 3.0;
     const LEAST_REACH: usize = 5;
-    /// With at least this number of stars, well-sampled stamps keep the frame's own pixels. With
-    /// fewer stars, a fit cannot separate their noise from their own shapes, and a finer grid
-    /// preserves the shapes better.
+    /// With at least this number of well-sampled stars, stamps have one pixel per pixel of the
+    /// frame. With fewer stars, a fit cannot separate the stars' noise from their shapes, and a
+    /// finer grid preserves the shapes better.
     const MIN_STARS_FOR_FRAME_PIXELS: usize = 64;
 
     /// Sets the method.
@@ -81,9 +81,9 @@ impl Registration {
         Self { method, ..self }
     }
 
-    /// Sets the stamp size to about this many pixels of the frame along each side (the next odd
-    /// number). The default is 3 FWHM in each direction from the centre, at least 11 pixels in
-    /// total.
+    /// Sets the stamp size in pixels of the frame along each side. An even number is increased by
+    /// 1. By default, a stamp reaches 3 FWHM from its centre in each direction, and has at least 11
+    /// pixels along each side.
     ///
     /// # Errors
     /// [`StarError::Setting`] unless it is from 5 to 512.
@@ -120,7 +120,7 @@ impl Registration {
     }
 
     /// Sets whether the oversampled PSF is adapted to each star's own pixels (colour, local
-    /// distortion). The default is `false`, because the pixels also bring their noise.
+    /// distortion). The default is `false`, because the pixels also add their noise.
     #[must_use]
     pub fn with_own_shapes(self, own_shapes: bool) -> Self {
         Self { own_shapes, ..self }
@@ -170,7 +170,7 @@ impl Registration {
         let need = Self::needed_for_epsf(scale);
         match self.method {
             RegistrationMethod::Epsf if stars < need => Err(StarError::NoSamples(format!(
-                "an oversampled PSF (method epsf) with an oversampling of {scale} needs at least {need} stars, but only {stars} were accepted: use the method stamps, reduce the oversampling, or relax the cuts"
+                "an oversampled PSF (method epsf) with an oversampling of {scale} needs at least {need} stars, but the cuts accepted only {stars}: use the method stamps, reduce the oversampling, or relax the cuts"
             ))),
             RegistrationMethod::Auto if fwhm_px < Self::UNDERSAMPLED_PX && stars >= need => {
                 Ok(RegistrationMethod::Epsf)
@@ -231,8 +231,8 @@ const MARGIN: usize = 3;
 /// Returns the star's stamp, interpolated at the nodes of the grid and scaled to unit flux, and the
 /// star's flux. Returns `None` if the flux is not positive.
 ///
-/// Pixels that are masked, belong to a neighbour or lie off the frame are replaced by the pixels on
-/// the opposite side of the star, or by 0 if these cannot be used either. The median along the
+/// A pixel that is masked, belongs to a neighbour or lies off the frame is replaced by the pixel on
+/// the opposite side of the star, or by 0 if that cannot be used either. The median along the
 /// stamp's edge estimates the error of the background map and is subtracted. The spline passes
 /// exactly through the pixels' values.
 pub(crate) fn own_stamp(

@@ -239,13 +239,13 @@ const MOST_SCATTER: f64 = 0.08;
 const ISOLATION_FWHM: f64 = 2.5;
 const MOST_ROUNDS: usize = 20;
 
-/// Returns the most frequent width, if there is any. `widths` lists the sources' widths, the
-/// brightest source first.
+/// Returns the most frequent width, or `None` if `widths` is empty. `widths` lists the sources'
+/// widths, the brightest source first.
 ///
 /// The search is among the brightest quarter of the sources, but at least [`BRIGHT`] of them. It
-/// finds the width with the most other widths within 10 %, and returns the median of these widths. Bright stars share one width,
-/// whereas galaxies and noisy fits have any width. Of two widths with equal counts the narrower is
-/// chosen.
+/// finds the width that has the most other widths within 10 % of it, and returns the median of all
+/// these widths. Of two widths with equally many others, the narrower is chosen. The search finds
+/// the stars, because bright stars share one width, whereas galaxies and noisy fits have any width.
 pub(crate) fn most_frequent_width(mut widths: Vec<f64>) -> Option<f64> {
     widths.truncate((widths.len() / 4).max(BRIGHT));
     let company = |width: f64| widths.iter().filter(|w| (*w / width).ln().abs() <= EQUAL).count();
@@ -264,7 +264,7 @@ pub(crate) fn most_frequent_width(mut widths: Vec<f64>) -> Option<f64> {
 /// The most frequent width is searched among at least this many of the brightest sources, or among
 /// all if there are fewer.
 const BRIGHT: usize = 10;
-/// Widths count as equal within this distance in ln FWHM.
+/// Widths count as equal if their values of ln FWHM differ by at most this.
 const EQUAL: f64 = 0.1;
 
 /// The terms of a polynomial over the field, in coordinates that run from -1 to 1 over the frame.

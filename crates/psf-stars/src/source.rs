@@ -10,23 +10,23 @@ use serde::{Serialize, Serializer};
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Rejection {
-    /// A pixel of its core is at the saturation level.
+    /// A pixel of its core is at or above the saturation level.
     Saturated,
-    /// Its centre is too close to the frame's edge. By default, its stamp would extend beyond the
-    /// frame.
+    /// Its centre is too close to the frame's edge: by default, so close that its stamp would
+    /// extend beyond the frame.
     Edge,
     /// Its signal-to-noise ratio does not exceed the limit, or its flux from the registration is
     /// not positive.
     LowSnr,
     /// Another source is too close and too bright.
     Neighbour,
-    /// No Gaussian fits it.
+    /// No Gaussian fits it, or the fit found a brighter source near it.
     NoFit,
     /// It is narrower than the stars near it: a hot pixel or a cosmic ray.
     TooSharp,
     /// It is broader than the stars near it: a galaxy or a blend.
     TooBroad,
-    /// Its elongation differs from the stars near it: a blend, a trail or a galaxy.
+    /// Its elongation differs from that of the stars near it: a blend, a trail or a galaxy.
     Elongated,
     /// It does not agree with the oversampled PSF fitted to all stars.
     PsfMismatch,
@@ -71,8 +71,8 @@ impl Rejection {
     }
 }
 
-/// A set of reasons, which is empty for a source that serves as a sample. Its text is the names
-/// joined by `+`.
+/// The reasons why a source was rejected. The set is empty for a source that serves as a sample.
+/// The text form is the names of the reasons, joined by `+`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Rejections(u16);
 
@@ -140,23 +140,23 @@ pub const SOURCE_COLUMNS: [&str; 15] = [
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct Source {
-    /// Column coordinate of the centre, 0-based pixels of the frame. It comes from the fit of the
-    /// PSF if there is one, else from the Gaussian fit, else from the centre of the brightness
-    /// around the peak.
+    /// Column coordinate of the centre, 0-based pixels of the frame. For a sample of an oversampled
+    /// PSF, it comes from the fit of this PSF. Otherwise it comes from the Gaussian fit. If no
+    /// Gaussian fits, it is the centre of the light around the peak.
     pub x: f64,
     /// Row coordinate of the centre.
     pub y: f64,
-    /// Flux in units of the frame: all light of a PSF that has unit flux over its stamp, so that
-    /// this PSF multiplied by the flux is the star. For a sample, it results from the registration,
-    /// above the background near the star. For other sources, it results from a fit of the
-    /// nearest sample's PSF, which ignores masked and saturated pixels.
+    /// Flux in units of the frame. A PSF stamp of unit flux, multiplied by this flux, gives the
+    /// star. For a sample, the flux results from the registration, which subtracts the background
+    /// near the star. For other sources, the flux results from a fit of the nearest sample's PSF.
+    /// This fit ignores masked and saturated pixels.
     pub flux: f64,
-    /// Signal-to-noise ratio in an aperture of radius 1.25 FWHM, at least 2 pixels
-    /// ([`Camera`](crate::Camera)).
+    /// Signal-to-noise ratio ([`Camera::snr`](crate::Camera::snr)). The radius of the aperture is
+    /// 1.25 times the FWHM of the frame's stars, at least 2 pixels.
     pub snr: f64,
     /// Height of the matched-filtered peak in sigma of the background noise.
     pub significance: f64,
-    /// The brightest pixel of its core, background included.
+    /// The value of the brightest pixel of its core, background included.
     pub peak: f64,
     /// The background at its centre.
     pub background: f64,
@@ -205,12 +205,14 @@ const MAX_CENTRE_SHIFT_PX: f64 = 2.0;
 const SMALLEST_FWHM: f64 = 0.3;
 
 impl Gaussian {
-    /// Fits `A exp(-|L^T r|^2 / 2)`, `L = [[exp a, 0], [b, exp c]]`, by least squares
-    /// (Levenberg-Marquardt). The data are the frame without its background within `reach` pixels
-    /// of a peak. Returns `None` if the fit does not converge near the peak.
+    /// Fits `A exp(-|L^T r|^2 / 2)` with `L = [[exp a, 0], [b, exp c]]` by least squares
+    /// (Levenberg-Marquardt). Here `r` is the offset from the centre. The data are the frame minus
+    /// its background, within `reach` pixels of a peak along each axis. Returns `None` if the fit
+    /// does not converge near the peak to a plausible width.
     ///
     /// The fit is fast enough for thousands of peaks: it starts from the stars' width and stops at
-    /// 1e-6 pixels. The fit of `psf-metrics` searches for its start and iterates to rounding.
+    /// 1e-6 pixels. The fit of `psf-metrics` is slower: it searches for its start and iterates
+    /// until only rounding errors remain.
     pub(crate) fn fit(
         excess: ArrayView2<'_, f64>,
         (column, row): (usize, usize),

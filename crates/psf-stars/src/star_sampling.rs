@@ -64,7 +64,7 @@ const LEAST_FOR_FOLDS: usize = 2 * FOLDS;
 /// A stamp of unit flux, and the star's flux.
 type StampAndFlux = (Array2<f64>, f64);
 
-/// The smallest size of a frame along each axis.
+/// The smallest size of a frame along each axis, in pixels.
 const LEAST_PIXELS: usize = 24;
 /// If stars are wider than the kernel by this factor, the detection is repeated with a wider
 /// kernel.
@@ -103,8 +103,8 @@ impl StarSampling {
 
     /// Holds `count` of the accepted stars out of the samples, to check a model of the samples.
     /// `seed` chooses the stars. [`StarSamples::held_out`] has their stamps, which are made from
-    /// each star's own pixels. A star whose pixels have no flux has no stamp
-    /// ([`Rejection::LowSnr`]).
+    /// each star's own pixels. A chosen star whose flux is not positive gives no stamp, and is also
+    /// rejected as [`Rejection::LowSnr`].
     #[must_use]
     pub fn with_hold_out(self, count: usize, seed: u64) -> Self {
         Self {
@@ -128,9 +128,9 @@ impl StarSampling {
     ///
     /// # Errors
     /// [`StarError`] when the frame is too small or without noise, when no source is found or
-    /// suitable, when the requested distance from the edge is less than half a stamp, when there are
-    /// too few stars for an oversampled PSF that was requested explicitly, or when stars cannot be
-    /// held out because there are too few or the method is [`Epsf`](RegistrationMethod::Epsf).
+    /// suitable, when the requested distance from the edge is less than half a stamp, when there
+    /// are too few stars for an oversampled PSF that was requested explicitly, or when stars cannot
+    /// be held out because there are too few or the method is [`Epsf`](RegistrationMethod::Epsf).
     pub fn run<T: Real>(&self, frame: &Image<T>) -> Result<StarSamples, StarError> {
         self.run_masked(frame.pixels().mapv(T::as_f64))
     }
@@ -180,7 +180,7 @@ impl StarSampling {
         let reach = self.registration.reach(fwhm_px);
         self.selection.check_edge(reach)?;
         self.selection.apply(&mut sources, view.shape(), reach, fwhm_px);
-        // Grid and method are those of all stars, also if some are held out.
+        // Stars that are held out also count for the choice of the grid and the method.
         let accepted = sources.iter().filter(|s| s.rejected.is_empty()).count();
         self.hold_out(&mut sources)?;
         let grid = self.registration.grid(fwhm_px, accepted);
@@ -190,8 +190,8 @@ impl StarSampling {
         view.collected(sources, registered, folds, fwhm_px)
     }
 
-    /// Makes the samples of every fold. A star belongs to the fold of its index modulo the number
-    /// of folds. Samples are ordered by significance, so that every fold has bright and faint stars.
+    /// Makes the samples of every fold. A sample with index `k` belongs to fold `k % FOLDS`.
+    /// Samples are ordered by significance, so that every fold has bright and faint stars.
     fn folds(&self, view: &FrameView, registered: &Registered, fwhm_px: f64) -> Vec<RegisteredFold> {
         let all = &registered.samples;
         if !self.cross_validation || all.len() < LEAST_FOR_FOLDS {
@@ -210,7 +210,8 @@ impl StarSampling {
                 };
             }
             let others = part(false).map(|(_, (star, ..))| star.clone()).collect();
-            // The degree was chosen by leaving stars out, and choosing it takes most of the time.
+            // The degree of the fit to all stars is used again, because its choice takes most of
+            // the time. That choice already tested predictions of stars left out.
             let degree = registered.report.field_degree;
             let (grid, frame) = (registered.grid, view.shape());
             let epsf = Epsf::fit(others, grid, fwhm_px, frame, &self.camera, degree);
@@ -239,7 +240,7 @@ impl StarSampling {
         let mut chosen: Vec<usize> = accepted.collect();
         if !chosen.is_empty() && count >= chosen.len() {
             return Err(StarError::NoSamples(format!(
-                "{count} stars cannot be held out, because only {} can serve as PSF samples: hold out fewer",
+                "the number of stars to hold out is {count}, but must be below {}, the number of stars that can serve as PSF samples",
                 chosen.len()
             )));
         }
@@ -280,7 +281,7 @@ impl StarSampling {
             .collect();
         if self.hold_out.0 > 0 && method == RegistrationMethod::Epsf {
             return Err(StarError::NoSamples(
-                "stars cannot be held out with the method epsf, because the pixels of a single star do not give its oversampled PSF: compare the model with the stars of another frame, or use the method stamps"
+                "stars cannot be held out with the method epsf (which auto uses for undersampled stars), because the pixels of a single star do not give its oversampled PSF: compare the model with the stars of another frame, or use the method stamps"
                     .to_owned(),
             ));
         }
@@ -339,14 +340,15 @@ impl StarSampling {
     }
 }
 
-/// The samples of all stars but one group, and the stars of the group: index of the sample,
-/// position, flux.
+/// The samples made without one group of stars. `left_out` has the stars of this group: index of
+/// the sample, x, y, flux.
 struct RegisteredFold {
     samples: Vec<(Star, Array2<f64>, f64)>,
     left_out: Vec<(usize, f64, f64, f64)>,
 }
 
-/// Stars with their samples `[y, x]` of unit flux and their fluxes.
+/// The result of the registration. Each sample is a star, its stamp `[y, x]` of unit flux, and its
+/// flux.
 struct Registered {
     samples: Vec<(Star, Array2<f64>, f64)>,
     /// Positions and stamps of the stars that are held out.
@@ -480,10 +482,11 @@ impl FrameView {
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct Fold {
-    /// The samples of the other stars, of unit flux. The stars left out had no part in them.
+    /// The samples of all stars that are not left out, of unit flux. The stars left out had no part
+    /// in them.
     pub samples: PsfSamples,
-    /// The stars left out. With an oversampled PSF, the PSF of the other stars is fitted to the
-    /// position and the flux of each. Otherwise they come from the star's own pixels.
+    /// The stars left out. With an oversampled PSF, the position and the flux of each star come
+    /// from a fit of the other stars' PSF to it. Otherwise they come from the star's own pixels.
     pub left_out: Vec<Source>,
 }
 
@@ -494,10 +497,10 @@ pub struct StarSamples {
     /// The samples, of unit flux, in the order of their sources.
     pub samples: PsfSamples,
     /// The stamps of the stars that were held out ([`StarSampling::with_hold_out`]), of unit flux,
-    /// with the noise of the stars. None if no star was held out.
+    /// with the noise of the stars. `None` if there are no such stamps.
     pub held_out: Option<PsfSamples>,
-    /// The parts of the cross-validation. Empty unless
-    /// [`StarSampling::with_cross_validation`] asked for it.
+    /// The parts of the cross-validation. Empty unless [`StarSampling::with_cross_validation`]
+    /// asked for it and there are at least ten samples.
     pub folds: Vec<Fold>,
     /// Every source found, the most significant first. Rejected sources are included with their
     /// reasons.

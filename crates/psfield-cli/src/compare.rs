@@ -12,17 +12,19 @@ use super::context::{Context, object};
 
 /// Compare an image (or a cube) with a reference
 ///
-/// Prints the mean absolute error (MAE), the mean squared error (MSE), relative L2 = |F - T| / |T|,
-/// the largest difference, the largest difference divided by the peak of the reference, MAE divided
-/// by the mean of the reference, and the signal-to-noise ratio (dB).
+/// Prints measures of the difference between the result F and the reference T: mean absolute error
+/// (MAE), mean squared error (MSE), relative L2 = |F - T| / |T|, largest difference, largest
+/// difference / peak of T, MAE / mean of T, and signal-to-noise ratio (SNR in dB: T is the signal,
+/// F - T is the noise).
 ///
 /// For cubes, prints the median of each measure over the planes, and its value in the worst plane.
+/// If a measure is not defined, for example because T is 0, prints "-" (null in JSON).
 #[derive(Debug, clap::Args)]
 pub(crate) struct CompareArgs {
-    /// Result F
+    /// Image or cube to compare (the result F)
     #[arg(value_name = "RESULT.fits")]
     result: PathBuf,
-    /// Reference T
+    /// Image or cube to compare it with (the reference T)
     #[arg(value_name = "REFERENCE.fits")]
     reference: PathBuf,
     /// HDU of the result: its number (0: primary), NAME or NAME,VERSION [default: the primary
@@ -49,7 +51,8 @@ const MEASURES: [Measure; 7] = [
     (SNR, "SNR (dB)", false, |c| c.snr_db().ok()),
 ];
 
-/// The [`MEASURES`] of one image. A measure that does not exist (for a reference of zeros) is null.
+/// The values of [`MEASURES`] for one image, or a statistic of each over the planes of a cube. None
+/// (null in JSON) if the measure is not defined, for example for a reference of zeros.
 #[derive(Debug)]
 struct Measures([Option<f64>; 7]);
 
@@ -93,8 +96,8 @@ impl CompareArgs {
     }
 }
 
-/// Reads a cube, or an image as a cube of one plane. Returns whether it is a cube. `setting` is the
-/// setting that chooses the HDU, for errors.
+/// Reads a cube, or an image as a cube of one plane. Also returns whether the file holds a cube.
+/// `setting`: the setting that errors name if another HDU must be chosen.
 fn read(
     path: &Path,
     extension: Option<&HduChoice>,
@@ -131,7 +134,8 @@ impl Measures {
     }
 
     /// Reduces the values of each measure in the planes to one value: by `of_snr` for the
-    /// signal-to-noise ratio, by `of_errors` for the others. A measure that a plane lacks is None.
+    /// signal-to-noise ratio, by `of_errors` for the others. A measure that is not defined in every
+    /// plane is None.
     fn over(
         planes: &[Comparison],
         of_errors: fn(&Summary) -> f64,

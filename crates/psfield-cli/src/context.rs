@@ -1,4 +1,5 @@
-//! Parts shared by all commands: messages, progress bars, and the signature of files.
+//! Parts shared by all commands: messages, progress bars, and the header cards that say which
+//! command wrote a file.
 
 use std::io::Write;
 use std::path::Path;
@@ -33,7 +34,8 @@ macro_rules! object {
 }
 pub(crate) use object;
 
-/// The message of an error with its causes, in one line, and the option that avoids the error.
+/// The message of an error with its causes, in one line, and the option that avoids the error, if
+/// there is one.
 pub(crate) fn message_of(error: &anyhow::Error) -> String {
     let setting = error.chain().find_map(|cause| {
         let of_pipeline = || cause.downcast_ref().and_then(PsfieldError::setting);
@@ -50,12 +52,13 @@ pub(crate) fn with_option(text: impl std::fmt::Display, setting: Option<&str>) -
     }
 }
 
-/// The text of an error without the option that it advises, for files that have no such option.
+/// Keeps only the text of an error, so that [`message_of`] appends no option to it. For errors of
+/// files to which the options of the command do not apply.
 pub(crate) fn without_option(error: impl std::error::Error + 'static) -> anyhow::Error {
     anyhow::anyhow!(psfield::error_text(&error))
 }
 
-/// Names the setting that accepts NaN in an error about a pixel.
+/// If an error concerns a pixel, adds to it the setting that accepts NaN.
 pub(crate) fn with_nan_setting(error: IoError, setting: &'static str) -> IoError {
     match error.place() {
         Some(Place::Pixel { .. }) => error.with_setting(setting),
@@ -170,8 +173,9 @@ impl Context {
     }
 }
 
-/// Header cards with the program's version and the command line. Some options that do not change
-/// the result are left out ([`matters`]): runs that differ only in them write equal bytes.
+/// Header cards with the program's version and the command line. They leave out some options that
+/// do not change the result ([`matters`]): runs that differ only in these options write equal
+/// bytes.
 pub(crate) fn signature() -> Vec<Card> {
     signature_of(&given_arguments())
 }
@@ -195,7 +199,7 @@ fn given_arguments() -> Vec<String> {
         .collect()
 }
 
-/// Header cards like those of [`signature`], for any command line.
+/// Header cards like those of [`signature`], for the given arguments instead of the program's own.
 pub(crate) fn signature_of(arguments: &[String]) -> Vec<Card> {
     let command: Vec<String> = matters(arguments).map(quoted).collect();
     psfield::provenance_cards(&format!("psfield {}", command.join(" ")))
@@ -225,7 +229,8 @@ fn quoted(arg: impl AsRef<str>) -> String {
     }
 }
 
-/// A bar or spinner on standard error, if that is a terminal. Dropping it removes it.
+/// A progress bar or spinner on standard error. It is drawn only on a terminal, and disappears when
+/// this value is dropped.
 #[derive(Debug)]
 pub(crate) struct Bar(ProgressBar);
 

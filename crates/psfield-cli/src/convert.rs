@@ -16,7 +16,8 @@ use crate::table_args::TableArgs;
 
 /// Convert a PSF file to another format
 ///
-/// Reads PSF samples and models, PSFEx, STPSF, STDPSF, ScopeSim PSFs and plain stamps.
+/// Reads psfield's own PSF samples and models, PSF files of PSFEx, STPSF, STDPSF and ScopeSim, and
+/// plain stamps (an image or a cube).
 ///
 /// Examples:
 ///
@@ -34,10 +35,10 @@ pub(crate) struct ConvertArgs {
     /// Format: psf-samples, psf-model, psfex=DEGREE or gridded [default: psfex if OUTPUT ends in
     /// .psf, else required]
     ///
-    /// psf-samples and psf-model are psfield's own FITS files. psfex=DEGREE is a polynomial in x
-    /// and y of degree 0 to 10. psfex without DEGREE keeps the degree of a PSF that is a
-    /// polynomial, and is refused for others. gridded is a FITS library of PSFs that photutils
-    /// reads.
+    /// psf-samples and psf-model are psfield's own FITS files. psfex=DEGREE is a PSFEx file, a
+    /// polynomial in x and y of degree 0 to 10. psfex without DEGREE keeps the degree of a model
+    /// that is a polynomial, and is an error for other PSFs. gridded is a FITS library of PSFs on a
+    /// regular grid of positions, which photutils reads.
     #[arg(long, value_name = "FORMAT")]
     to: Option<Target>,
     /// Replace the output if it exists
@@ -46,13 +47,14 @@ pub(crate) struct ConvertArgs {
     /// For psf-samples and gridded: evaluate on NX x NY positions over the field [default: the
     /// PSF's own positions]
     ///
-    /// Default for gridded, unless the PSF is interpolated (bilinear or bicubic) between positions
-    /// on a regular grid: a square grid of at least 11 x 11 positions.
+    /// For gridded, a PSF keeps its own positions only if it is interpolated between them on a
+    /// regular grid (bilinear or bicubic). For other PSFs, the default is a square grid of at least
+    /// 11 x 11 positions.
     #[arg(long, value_name = "NX,NY", conflicts_with = "at")]
     grid: Option<Pair>,
     /// For psf-samples and gridded: evaluate at the positions of this table
     ///
-    /// CSV or FITS table with columns x, y (0-based pixels).
+    /// CSV or FITS table with columns x, y (0-based pixels). gridded needs a regular grid.
     #[arg(long, value_name = "POSITIONS.csv")]
     at: Option<PathBuf>,
     #[command(flatten)]
@@ -69,7 +71,7 @@ pub(crate) struct ConvertArgs {
 enum Target {
     PsfSamples,
     PsfModel,
-    /// A polynomial of this total degree. `None`: the degree of the PSF.
+    /// A polynomial of this total degree. `None`: the degree of the PSF's own polynomial.
     Psfex(Option<usize>),
     Gridded,
 }
@@ -101,7 +103,7 @@ impl Target {
         }
     }
 
-    /// The name of the planes of the written file, for messages.
+    /// The kind of planes that the written file holds, for messages.
     fn planes(self) -> &'static str {
         match self {
             Self::PsfSamples | Self::Gridded => "stamps",
@@ -174,7 +176,7 @@ impl ConvertArgs {
         };
         context.report(&report, || {
             let error = match max_error {
-                Some(error) => format!("\nlargest error:  {error:.2e} (relative L2)"),
+                Some(error) => format!("\nlargest error:  {error:.2e} (relative L2, against the input)"),
                 None => String::new(),
             };
             format!(
@@ -206,7 +208,7 @@ impl ConvertArgs {
         let what = if !takes_positions && (self.grid.is_some() || self.at.is_some()) {
             "--grid and --at apply only to psf-samples and gridded: models hold no PSFs at positions"
         } else if target != Target::PsfSamples && self.precision.is_some() {
-            "--precision applies only to psf-samples: models and libraries are written in f64, PSFEx models in f32"
+            "--precision applies only to psf-samples: psf-model and gridded are written in f64, psfex in f32"
         } else {
             return Ok(());
         };
@@ -230,7 +232,7 @@ impl ConvertArgs {
                 "a PSFEx file cannot store --outside or --normalise: its polynomial extends outside the samples, and its readers scale the PSF to unit flux"
             }
             Target::Psfex(_) if given => {
-                "the polynomial is fitted to the samples directly: of the fit options only --normalise applies"
+                "the polynomial of a PSFEx file is fitted to the samples directly: of the fit options only --normalise applies"
             }
             _ => return Ok(()),
         };

@@ -11,10 +11,11 @@ use crate::values::bytes;
 #[cfg(feature = "gpu")]
 use crate::values::text_of_bytes;
 
-/// List the GPUs, and software devices, on which images can be convolved
+/// List the devices that can convolve images: GPUs, and software devices that emulate a GPU
 ///
-/// simulate --device gpu takes the first device. --gpu-adapter chooses another, by a part of its
-/// name or backend. If there is no device, the command says so, with exit status 0.
+/// simulate --device gpu takes the first device of the list. --gpu-adapter chooses another, by a
+/// part of its name or by its backend (the interface to it, such as vulkan). If there is no device,
+/// psfield devices says so and its exit status is 0.
 #[derive(Debug, clap::Args)]
 pub(crate) struct DevicesArgs {}
 
@@ -87,8 +88,8 @@ fn adapters() -> Vec<AdapterRow> {
 fn auto(adapters: &[AdapterRow]) -> &'static str {
     match adapters.first() {
         None => "takes the CPU",
-        Some(first) if first.software => "takes the CPU, because a software device is not a GPU",
-        Some(_) => "takes the first if a plan is predicted to be faster there than on the CPU",
+        Some(first) if first.software => "takes the CPU, because there are only software devices",
+        Some(_) => "takes the first if it is predicted to be faster than the CPU",
     }
 }
 
@@ -123,9 +124,9 @@ impl Report {
         }
         let _ = writeln!(
             text,
-            "buffer: largest buffer, binding: largest part of it that a shader can use, shared: memory of a workgroup, threads: largest \
-             workgroup, clock: yes if kernels can be timed\n\
-             --device gpu takes the first (*), --device auto {}",
+            "buffer: largest buffer, binding: largest part of it that a shader can use, shared: memory of a workgroup, threads: most \
+             threads of a workgroup, clock: yes if shaders can be timed\n\
+             simulate --device gpu takes the first (*), --device auto {}",
             self.auto
         );
         text
@@ -165,15 +166,17 @@ fn size(bytes: u64) -> String {
 pub(crate) struct DeviceArgs {
     /// Device that convolves images
     ///
-    /// auto: a GPU if it is predicted to be faster, else the CPU. gpu: the first device of psfield
-    /// devices, which may be a software device. If there is no device, gpu is an error.
+    /// auto: a GPU if it is predicted to be faster, else the CPU. gpu: the first device that
+    /// psfield devices lists, which may be a software device. If there is no device, gpu is an
+    /// error.
     ///
-    /// Only the methods auto and lowrank use a GPU. A GPU computes only in f32, and its results
-    /// differ from those of the CPU by rounding. With --precision f64, --device auto uses the CPU.
-    /// The CPU always draws the stars.
+    /// Only --method auto and lowrank use a GPU. A GPU computes only in f32, and its results differ
+    /// from those of the CPU by rounding. With --precision f64, --device auto uses the CPU. The CPU
+    /// always draws the stars.
     #[arg(long, default_value_t, value_parser = device_parser(["auto", "cpu", "gpu"]))]
     device: Device,
-    /// GPU to use: a part of its name or backend [default: the first of psfield devices]
+    /// GPU to use: a part of its name, or its backend [default: the first that psfield devices
+    /// lists]
     #[arg(long, value_name = "NAME", hide_short_help = true)]
     gpu_adapter: Option<String>,
     #[arg(long, value_name = "SIZE", value_parser = bytes, help = gpu_memory_help(), hide_short_help = true)]
@@ -186,7 +189,7 @@ pub(crate) fn device_parser<const N: usize>(
     PossibleValuesParser::new(names).try_map(|name| name.parse::<Device>())
 }
 
-const GPU_MEMORY: &str = "Memory for the plan on the GPU (bytes, or with K, M or G)";
+const GPU_MEMORY: &str = "Most GPU memory for prepared PSF data (bytes, or with K, M or G)";
 
 #[cfg(feature = "gpu")]
 fn gpu_memory_help() -> String {

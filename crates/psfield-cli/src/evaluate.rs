@@ -48,7 +48,7 @@ pub(crate) struct EvaluateArgs {
 enum Grid {
     /// The model's own sampling
     Model,
-    /// The frame's pixels, integrated over their area
+    /// The frame's pixels, with the PSF integrated over the area of each
     Native,
 }
 

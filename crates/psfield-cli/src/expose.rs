@@ -46,9 +46,10 @@ pub(crate) struct ExposeArgs {
     overwrite: bool,
     /// Detector file (TOML)
     ///
-    /// The options below name its keys in square brackets. More keys: response_rms (relative),
-    /// sky_gradient_e_per_px = { x, y } (change of the sky from one pixel to the next, in electrons
-    /// per pixel), pattern_seed, and the table bad_pixels with dead_fraction, hot_fraction,
+    /// The options below name its keys in square brackets. More keys: response_rms (r.m.s. of the
+    /// pixel response, relative to its mean), sky_gradient_e_per_px = { x, y } (change of the sky
+    /// from one pixel to the next, in electrons per pixel), pattern_seed (seed of the pixel
+    /// response and the bad pixels), and the table bad_pixels with dead_fraction, hot_fraction,
     /// hot_dark_e_per_s, bad_column_fraction.
     ///
     /// An example, one key per line in the file: photon_noise = true, exposure_s = 100.0, sky_e =
@@ -64,7 +65,8 @@ pub(crate) struct ExposeArgs {
     /// Seed of the noise
     #[arg(long, value_name = "N", default_value_t = 0)]
     seed: u64,
-    /// Precision in which the image is read, and the exposure written if it is not digitised
+    /// Precision in which the image is read, and in which an exposure without digitisation is
+    /// written
     #[arg(long, default_value_t, value_enum, hide_short_help = true)]
     precision: Precision,
     /// Add photon noise and nothing else
@@ -91,7 +93,7 @@ struct Settings {
     /// Exposure time (s), for the dark current [exposure_s]
     #[arg(long, value_name = "S", value_parser = at_least_zero)]
     exposure: Option<f64>,
-    /// Dark current (electrons per pixel and second), needs --exposure [dark_e_per_s]
+    /// Dark current (electrons per pixel and second), needs an exposure time [dark_e_per_s]
     #[arg(long, value_name = "E_PER_S", value_parser = at_least_zero)]
     dark: Option<f64>,
     /// Full well: the largest charge of a pixel (electrons) [full_well_e]
@@ -118,8 +120,8 @@ const OPTIONS: [(&str, &str); 3] = [
     ("exposure_s", "--exposure"),
 ];
 
-/// Refuses the detector of a `file` (or of options) without any effect, if it is `alone` (without a
-/// mask). Warns if there is no photon noise.
+/// Refuses a detector that adds nothing to an image, if it is `alone` (without a mask of bad
+/// pixels). Warns if there is no photon noise. `file`: the detector file, for the message.
 pub(crate) fn check_detector(
     detector: &Detector,
     file: Option<&Path>,
@@ -185,7 +187,7 @@ impl ExposeArgs {
             shape: [nx, ny],
             precision: T::NAME,
             unit: detector.unit(),
-            // The value of saturated pixels, in this unit.
+            // The value of saturated pixels, in `unit`.
             saturation: detector.saturation(),
             detector: params,
             #[serde(flatten)]
@@ -205,7 +207,7 @@ impl ExposeArgs {
             };
             format!(
                 "{}: {nx} x {ny} pixels in {}, seed {}\nsky {} e, dark {} e, {noise}\n\
-                 pixels: {} saturated, {} bad, {} below 0 before noise{negative}, {} clipped at 0 by the converter\n\
+                 pixels: {} saturated, {} bad, {} below 0 before noise{negative}, {} clipped at 0 by the digitisation\n\
                  seconds: read {read:.3}, expose {expose:.3}, write {write:.3}",
                 files.raw.display(),
                 report.unit,
@@ -220,7 +222,7 @@ impl ExposeArgs {
         })
     }
 
-    /// Returns the detector of the file, overridden by the options.
+    /// Returns the detector of the file. Options override its keys.
     fn detector(&self) -> anyhow::Result<Detector> {
         let mut params = match &self.detector {
             Some(path) => Detector::from_toml_file(path)?.params().clone(),

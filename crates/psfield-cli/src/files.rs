@@ -44,8 +44,8 @@ impl Deref for OutputFile {
 }
 
 impl OutputFile {
-    /// The default name of a further FITS file of this output, next to it: `a/b.fits` and the
-    /// ending `truth` give `a/b_truth.fits`.
+    /// The default name of another FITS file, which is written next to this output: `a/b.fits` and
+    /// the ending `truth` give `a/b_truth.fits`.
     pub(crate) fn beside(&self, ending: &str) -> PathBuf {
         let stem = self.file_stem().unwrap_or_default().to_string_lossy();
         self.with_file_name(format!("{stem}_{ending}.fits"))
@@ -185,8 +185,8 @@ impl FileUses {
 /// Identifies a file. All paths of a file and all links to it give equal values.
 #[derive(Debug, PartialEq, Eq, Hash)]
 enum FileId {
-    /// A file that exists: the number of its device, and its number there. Hard links have equal
-    /// numbers.
+    /// A file that exists: the number of its disk (device), and its number there (inode). Hard
+    /// links to a file have equal numbers.
     #[cfg(unix)]
     Number(u64, u64),
     Path(PathBuf),
@@ -203,7 +203,7 @@ impl FileId {
     }
 }
 
-/// Returns an absolute path of a file, without links. The file need not exist.
+/// Returns an absolute path of a file, with symbolic links resolved. The file need not exist.
 fn resolved(path: &Path) -> PathBuf {
     if let Ok(place) = path.canonicalize() {
         return place;

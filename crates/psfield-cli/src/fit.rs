@@ -18,8 +18,8 @@ use crate::values::at_least_zero;
 pub(crate) struct FitCommandArgs {
     /// PSF samples, or another PSF file with stamps at positions
     ///
-    /// PSF samples are a FITS file with a cube and a table POSITIONS. STPSF, STDPSF and plain cubes
-    /// also hold stamps at positions.
+    /// PSF samples are a FITS file with a cube and a table POSITIONS. Files of STPSF and STDPSF
+    /// also hold stamps at positions. For a plain cube, --psf-positions gives the positions.
     #[arg(value_name = "SAMPLES.fits")]
     samples: PathBuf,
     /// Model to write
@@ -50,7 +50,7 @@ fn for_fit(arg: clap::Arg) -> clap::Arg {
     }
 }
 
-/// The error of a sample above which a model without components is suspicious.
+/// The relative L2 error of a sample above which a model without components is suspicious.
 const WORTH_A_COMPONENT: f64 = 1e-6;
 
 impl FitCommandArgs {

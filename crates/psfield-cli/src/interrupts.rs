@@ -14,10 +14,10 @@ use signal_hook::low_level::signal_name;
 /// The exit status after a signal is this number plus the number of the signal, as in shells.
 const SIGNALLED: i32 = 128;
 
-/// Ends the process on SIGINT, SIGTERM or SIGHUP with status 130, 143 or 129, after removing the
-/// temporary files. Further signals in the meantime have no effect, because `timeout` and others
-/// send two at once. On Linux, signals that the parent process has set to be ignored (`nohup`,
-/// background jobs of a script) stay ignored.
+/// Installs handlers for SIGINT, SIGTERM and SIGHUP. They remove the temporary files and end the
+/// process with status 130, 143 or 129. Further signals in the meantime have no effect: programs
+/// such as `timeout` send two signals at once. On Linux, signals that the parent process has set to
+/// be ignored (`nohup`, background jobs of a script) stay ignored.
 ///
 /// A file that exceeds the size limit (`ulimit -f`) gives an error, as a full disk does. Temporary
 /// files are then removed, too.

@@ -1,5 +1,5 @@
-//! The command line `psfield`: reads arguments, writes files and reports. All computation is in the
-//! libraries `psfield` and `psfield_lab`.
+//! The command line `psfield`: reads arguments, writes files and reports. The other crates of the
+//! workspace do the computation.
 
 mod batch;
 mod bench;
@@ -38,8 +38,8 @@ use files::NamedFiles;
 
 /// Astronomical images with a point spread function that varies over the field
 ///
-/// Positions are 0-based pixels: an integer is the centre of a pixel. Existing files are kept
-/// unless --overwrite is given.
+/// Positions are 0-based pixels: an integer is the centre of a pixel. A command refuses to replace
+/// an existing file unless --overwrite is given.
 ///
 /// Exit status: 0 done, 1 failed, 2 bad usage, 128 + N stopped by signal N (130 after Ctrl-C). A
 /// stopped run leaves each output complete or as it was before.
@@ -78,7 +78,7 @@ struct GlobalArgs {
     threads: Option<u16>,
 }
 
-/// The commands, in the order of the help (`help::GROUPS`).
+/// The commands. `help::GROUPS` gives their order in the help.
 #[derive(Debug, Subcommand)]
 enum Command {
     Sample(Box<sample::SampleArgs>),
@@ -155,7 +155,8 @@ fn quieten_drivers() {
     }
 }
 
-/// Ends the program with a message of the parser of arguments.
+/// Ends the program with clap's message about the arguments, or with the help or version that the
+/// arguments ask for.
 fn refuse(error: &clap::Error) -> ! {
     if error.kind() != clap::error::ErrorKind::ValueValidation {
         error.exit();
@@ -185,7 +186,7 @@ fn main() -> ExitCode {
             .error(clap::error::ErrorKind::ArgumentConflict, usage)
             .exit();
     }
-    // It is no failure if the reader of the output closes it early (`| head`).
+    // If the reader of standard output closes it early (`| head`), the command has not failed.
     if error
         .downcast_ref::<std::io::Error>()
         .is_some_and(|e| e.kind() == std::io::ErrorKind::BrokenPipe)

@@ -13,15 +13,15 @@ use super::table_args::TableArgs;
 
 /// Measure size, shape and flux of PSFs
 ///
-/// Writes CSV. From an elliptical Gaussian fit: flux, x_centroid, y_centroid, fwhm_px,
-/// fwhm_major_px, fwhm_minor_px, angle_rad, eccentricity = sqrt(1 - b^2/a^2). From adaptive
-/// moments: e1, e2 (distortion), g1, g2 (reduced shear), sigma_px, ellipticity = sqrt(e1^2 + e2^2).
-/// Also x, y and note.
+/// Writes CSV. Columns from the fit of an elliptical Gaussian with semi-axes a >= b: flux,
+/// x_centroid, y_centroid, fwhm_px, fwhm_major_px, fwhm_minor_px, angle_rad,
+/// eccentricity = sqrt(1 - b^2/a^2). Columns from adaptive moments: e1, e2 (distortion), g1, g2
+/// (reduced shear), sigma_px, ellipticity = sqrt(e1^2 + e2^2). The columns x and y hold the given
+/// position. If a measurement fails, its columns are empty and the column note says why.
 ///
-/// Lengths and fluxes of PSF samples are those on the frame, for any oversampling. The oversampling
-/// of a cube or an image is unknown, so its lengths are in its own pixels. In samples and cubes,
-/// centroids are 0-based pixels of the stamp. The cell of a failed measurement is empty, and the
-/// note says why.
+/// Widths and fluxes of PSF samples are in frame pixels, for any oversampling. The oversampling of
+/// a cube or an image is unknown, so its widths are in its own pixels. Centroids are 0-based pixels
+/// of the image with --at, and of the stamp otherwise.
 #[derive(Debug, clap::Args)]
 pub(crate) struct MeasureArgs {
     /// PSF samples, cube of stamps, image with --at, or image that is a single stamp
@@ -39,7 +39,8 @@ pub(crate) struct MeasureArgs {
     /// Fit the Gaussian to the N x N stamp pixels around the centre [default: the whole stamp; with
     /// --at: 15]
     ///
-    /// With --at, the adaptive moments use these pixels, too. Otherwise they use the whole stamp.
+    /// With --at, the adaptive moments also use only these pixels. Otherwise they use the whole
+    /// stamp.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     window: Option<u16>,
     /// Fit a constant background too
@@ -64,7 +65,7 @@ impl MeasureArgs {
         let report = object! {
             output: self.output,
             measured: rows.len(),
-            // Rows with a note, in which at least one measurement failed.
+            // Rows with a note. In each, at least one measurement failed.
             with_notes,
         };
         context.report(&report, || {
@@ -100,7 +101,7 @@ impl MeasureArgs {
                 path.display()
             ),
             FileKind::PsfSamples if self.extension.is_some() => {
-                let text = "--extension does not apply to PSF samples: they have one cube of stamps";
+                let text = "PSF samples have only one cube of stamps: omit --extension";
                 return Err(UsageError(text.to_owned()).into());
             }
             FileKind::PsfSamples => options.samples(&psf_io::read_samples(path)?),

@@ -19,12 +19,12 @@ pub(crate) fn note(old: &str, new: &str) -> String {
     format!("{old} is now called {new}: the next release removes the old name")
 }
 
-/// Replaces old names among the arguments of the program, the first of which is its own name.
-/// Returns the arguments, and a note for each name that was replaced.
+/// Replaces old names in the arguments of the program. (The first argument is the program's own
+/// name.) Returns the arguments, and a note for each name that was replaced.
 pub(crate) fn replaced(arguments: impl IntoIterator<Item = OsString>) -> (Vec<OsString>, Vec<String>) {
     let mut arguments: Vec<OsString> = arguments.into_iter().collect();
     let mut notes = Vec::new();
-    // Options for all commands may stand before the command, --threads with a number.
+    // The common options may stand before the command. The number is the value of --threads.
     let is_command = |text: &&str| !text.starts_with('-') && text.parse::<u16>().is_err();
     let mut texts = arguments.iter().enumerate().skip(1);
     let command = texts.find_map(|(at, text)| Some((at, text.to_str().filter(is_command)?.to_owned())));

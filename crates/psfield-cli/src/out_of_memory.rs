@@ -17,7 +17,7 @@ pub(crate) fn name(inputs: &[PathBuf]) {
     }
 }
 
-/// The system's allocator, except that a request it cannot meet ends the program.
+/// The system's allocator, except that the program ends if a request for memory fails.
 struct Checked;
 
 #[global_allocator]
@@ -46,15 +46,15 @@ unsafe impl GlobalAlloc for Checked {
     }
 }
 
-/// Returns the memory, or ends the program if there is none. Temporary files of this run stay. The
-/// next run that writes in their folder removes them.
+/// Returns the memory, or ends the program if the allocator returned none. Temporary files of this
+/// run stay. On Unix, the next run that writes in their folder removes them.
 fn checked(memory: *mut u8, bytes: usize) -> *mut u8 {
     if memory.is_null() {
         let megabytes = bytes.div_ceil(1 << 20);
         // Formatting numbers takes no memory.
         let _ = writeln!(
             std::io::stderr(),
-            "psfield: error: not enough memory{}: {megabytes} MiB more are needed, but the system or a limit (ulimit -v) refuses them",
+            "psfield: error: not enough memory{}: the system or a limit (ulimit -v) refuses {megabytes} MiB more",
             INPUTS.get().map_or("", String::as_str)
         );
         end();

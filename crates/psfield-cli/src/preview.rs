@@ -19,8 +19,8 @@ use super::files::OutputFile;
 /// Shows any image that psfield reads, or one plane of a cube, plain or compressed (.gz, .fz). y
 /// points upwards as in ds9: row 0 is at the bottom.
 ///
-/// Images larger than --max-size are binned by means, and the black and white levels are computed
-/// from the binned image. A bin is the mean of its pixels that have a value. Pixels without a value
+/// Images larger than --max-size are binned: a bin is the mean of those of its pixels that have a
+/// value. The black and white levels are computed from the binned image. Pixels without a value
 /// (NaN, infinite, BLANK) are magenta with the colour maps grey, viridis and cividis, and cyan with
 /// the others.
 #[derive(Debug, clap::Args)]
@@ -41,7 +41,7 @@ pub(crate) struct PreviewArgs {
     /// Plane of a cube, counted from 0
     #[arg(long, value_name = "N")]
     plane: Option<usize>,
-    /// Brightness scale between the black and white levels, as in astropy
+    /// Stretch (brightness scale) between the black and white levels, as in astropy
     #[arg(long, default_value = "asinh", value_parser = PossibleValuesParser::new(Stretch::ALL.map(Stretch::name))
         .try_map(|name| name.parse::<Stretch>()))]
     stretch: Stretch,

@@ -1,4 +1,4 @@
-//! Options of PSF files: reading them, and fitting a model to samples.
+//! Options for reading PSF files, and for fitting a model to samples.
 
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
@@ -49,7 +49,8 @@ pub(crate) struct FitArgs {
     /// PSF outside the samples: nearest, extend or error [default: nearest]
     ///
     /// nearest: the PSF at the nearest point of the area that the samples cover. extend: continue
-    /// linearly (a polynomial continues as it is). error: stop with an error.
+    /// the interpolation linearly (idw, polynomial and nearest continue by their own formulas).
+    /// error: stop with an error.
     ///
     /// Default for models: as stored in the file. Default for PSFEx: extend.
     #[arg(long, value_name = "POLICY", hide_short_help = true)]
@@ -100,7 +101,8 @@ impl PsfArgs {
     }
 }
 
-/// The notes on how a PSF was read, each with the option that could change it.
+/// The notes on how a PSF was read. A note that reports a choice ends with the option that changes
+/// it, if there is one.
 pub(crate) fn notes_of(psf: &Psf) -> Vec<String> {
     let notes = psf.notes().iter();
     notes.map(|note| with_option(note, note.setting())).collect()
@@ -118,20 +120,20 @@ fn as_usage(error: PsfieldError) -> anyhow::Error {
 #[derive(Debug, Clone, Default, PartialEq, clap::Args)]
 #[command(next_help_heading = "PSF file options")]
 pub(crate) struct PsfFileArgs {
-    /// HDU of the PSF: its number (0: primary, 1: first extension) or EXTNAME (required if there
-    /// are several)
+    /// HDU of the PSF: its number (0: primary, 1: first extension) or EXTNAME (required if
+    /// several HDUs hold PSFs)
     ///
     /// PSFEx: one of several models. STPSF, STDPSF and plain stamps: one of several images.
     #[arg(long, value_name = "N|NAME", hide_short_help = true)]
     pub(crate) psf_extension: Option<HduChoice>,
-    /// STDPSF: number of the detector (required if there are several)
+    /// STDPSF: number of the detector, from 1 (required if the file has several detectors)
     #[arg(long, value_name = "N", value_parser = detector, hide_short_help = true)]
     psf_detector: Option<usize>,
     /// STPSF: order of the planes [default: auto]
     ///
-    /// cards: planes lie where their header cards say.
-    /// sorted: planes are sorted by y, then x, as written since 2023-12-11.
-    /// auto: by the version or the date of the file.
+    /// cards: each plane is at the position in its header card (DET_YXn).
+    /// sorted: planes are sorted by y, then x, as STPSF writes them since 2023-12-11.
+    /// auto: cards or sorted, as the header says (PLANEORD, else VERSION, else DATE).
     #[arg(
         long,
         value_name = "auto|cards|sorted",
@@ -139,8 +141,8 @@ pub(crate) struct PsfFileArgs {
         verbatim_doc_comment
     )]
     psf_order: Option<PlaneOrder>,
-    /// ScopeSim: use the PSFs nearest to this wavelength (micrometres, required if there are
-    /// several)
+    /// ScopeSim: use the PSFs nearest to this wavelength (micrometres, required if the file has
+    /// several wavelengths)
     #[arg(long, value_name = "UM", value_parser = above_zero, hide_short_help = true)]
     psf_wavelength: Option<f64>,
     /// ScopeSim: size of a frame pixel (arcsec, required)
@@ -163,10 +165,10 @@ pub(crate) struct PsfFileArgs {
     /// Default: CENX, CENY of the header, else NX / 2, NY / 2 rounded down.
     #[arg(long, value_name = "X,Y", allow_hyphen_values = true, hide_short_help = true)]
     psf_centre: Option<Point>,
-    /// Integration over the area of a frame pixel: included in the stamps or missing [default: by
-    /// header or format]
+    /// Integration over the area of a frame pixel: included in the stamps, or missing from them
+    /// [default: as the header or the format says]
     ///
-    /// If it is missing, psfield adds it.
+    /// If it is missing, psfield integrates the PSF over each pixel.
     #[arg(long, value_name = "included|missing", value_enum, hide_short_help = true)]
     pixel_response: Option<PixelResponse>,
 }
@@ -177,7 +179,7 @@ enum PixelResponse {
     Missing,
 }
 
-/// `X,Y`, finite.
+/// A position `X,Y` of finite numbers.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Point(Position);
 

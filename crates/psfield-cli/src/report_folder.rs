@@ -33,7 +33,8 @@ impl ReportFolder {
     /// folder is made later, when there is something to write.
     pub(crate) fn check(&self, files: &[&str]) -> anyhow::Result<()> {
         check(&self.report, files, self.overwrite)?;
-        // Not all names are known yet. Without `--overwrite`, the folder must therefore be empty.
+        // The names of some files are not known yet. Without `--overwrite`, the folder must
+        // therefore be empty.
         let held = match std::fs::read_dir(&*self.report) {
             Ok(mut found) => found.next().is_some(),
             Err(_) => false,
@@ -51,8 +52,8 @@ impl ReportFolder {
         make(&self.report)
     }
 
-    /// Writes all files, the page last, so that a page exists only with all its files. Then ends
-    /// the bar and prints the report. `notes`: how the PSF was read.
+    /// Writes all files. The HTML page is the last, so that a page exists only with all its files.
+    /// Then removes the progress bar and prints the report. `notes`: how the PSF was read.
     pub(crate) fn publish(
         &self,
         document: &Document,
@@ -102,8 +103,8 @@ impl ReportFolder {
     }
 }
 
-/// Refuses a folder that cannot be made, or that has one of these files if they may not be
-/// replaced. Leaves no new folders behind.
+/// Refuses a folder that cannot be made, or that has one of `files` although it may not be replaced
+/// (`overwrite`). Leaves no new folders behind.
 fn check(folder: &Path, files: &[&str], overwrite: bool) -> anyhow::Result<()> {
     if folder.is_dir() {
         for name in files {
@@ -117,7 +118,7 @@ fn check(folder: &Path, files: &[&str], overwrite: bool) -> anyhow::Result<()> {
         .collect();
     make(folder)?;
     for part in missing {
-        // A folder that another process uses by now is kept.
+        // This fails, and keeps the folder, if another process has written in it by now.
         let _ = std::fs::remove_dir(part);
     }
     Ok(())

@@ -8,15 +8,16 @@ use super::context::{Context, command_text};
 use super::report_folder::{self, ReportFolder};
 use super::values::Pair;
 
-/// Remake every figure and table of the method's paper
+/// Remake every figure and table of the paper that describes psfield's method
 ///
 /// The paper is Bai, Jia et al. 2025, AJ, "An Ultrafast Image Simulation Technique with Spatially
 /// Variable Point-spread Functions" (doi:10.3847/1538-3881/ad9b2e).
 ///
-/// Uses the built-in survey telescope and no data. Shows singular values, sampling, FWHM and
-/// eccentricity (the paper's ellipticity) of simulated and true objects, errors over the field and
-/// at several tolerances, an extended galaxy convolved by psfield and by patches of constant PSF,
-/// and Table 1. Takes some 10 minutes on two cores, with --quick less than 3.
+/// Uses the built-in survey telescope and no data. The report shows singular values, the sampling,
+/// FWHM and eccentricity (the paper's ellipticity) of simulated and true objects, and errors over
+/// the field and at several tolerances. It compares psfield with patches of constant PSF: for an
+/// extended galaxy, and in run time and error (Table 1). Takes some 10 minutes on two cores, with
+/// --quick less than 3.
 #[derive(Debug, clap::Args)]
 pub(crate) struct ReproduceArgs {
     #[command(flatten)]
@@ -33,19 +34,20 @@ pub(crate) struct ReproduceArgs {
     /// Objects along each axis [default: 54, with --quick 18]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=500), hide_short_help = true)]
     objects: Option<u16>,
-    /// Measure Table 1 on one image of N x N pixels [default: two, of 512 and 1024]
+    /// Measure Table 1 (run times and errors) on one image of N x N pixels [default: on two, with N
+    /// = 512 and 1024]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(32..=4096), hide_short_help = true)]
     image_side: Option<u16>,
     /// Side of the image of the large galaxy (pixels) [default: 512, with --quick 256]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(32..=2048), hide_short_help = true)]
     galaxy_side: Option<u16>,
-    /// Threshold of the non-uniform sampling, which is shown next to the uniform sampling (relative
-    /// L2) [default: 1e-3, with --quick 4e-3]
+    /// Largest interpolation error (relative L2) of the non-uniform sampling, which the report
+    /// shows next to the uniform sampling [default: 1e-3, with --quick 4e-3]
     #[arg(long, value_name = "X", value_parser = super::values::above_zero, hide_short_help = true)]
     adaptive_threshold: Option<f64>,
 }
 
-/// The largest side of the frame. A larger number is a typing error.
+/// The largest side of the frame. A larger number is probably a typing error.
 const MAX_SIDE: usize = 1 << 15;
 
 impl ReproduceArgs {
@@ -102,7 +104,7 @@ impl ReproduceArgs {
     }
 }
 
-/// A line of text per target.
+/// Text with a line per target.
 pub(super) fn targets_text(targets: &[Target]) -> String {
     let line = |target: &Target| {
         let measured = target.measured;

@@ -24,7 +24,8 @@ use crate::values::{Pair, above_zero};
 /// Sample the PSF of a telescope over its field, or of the stars in a real frame
 ///
 /// A telescope file (TOML) is sampled non-uniformly by default: the grid is refined where the PSF
-/// varies, until the criterion holds everywhere. Corners and edges are always covered.
+/// varies, until the quantity of --criterion is at most --threshold everywhere. The samples always
+/// cover the corners and edges of the frame.
 ///
 /// A frame (FITS) is sampled at its own stars: psfield subtracts the background, detects and
 /// selects stars, and registers them to sub-pixel precision. The content of the file decides
@@ -53,7 +54,8 @@ pub(crate) struct SampleArgs {
     /// Also write N PSFs that are not samples to SAMPLES_holdout.fits, for psfield validate
     ///
     /// Telescope: PSFs at random positions between the samples. Frame: N of the stars, with their
-    /// noise. These stars are left out of the samples.
+    /// noise. These stars are left out of the samples. The method epsf of --registration cannot
+    /// hold out stars.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     hold_out: Option<u16>,
     /// Seed that chooses the PSFs of --hold-out
@@ -97,7 +99,7 @@ impl SampleArgs {
         self.hold_out.map(|_| self.output.beside("holdout"))
     }
 
-    /// Writes the samples, and the PSFs that are not samples.
+    /// Writes the samples, and the PSFs of --hold-out if there are any.
     fn write(&self, samples: &PsfSamples, held_out: Option<&PsfSamples>) -> anyhow::Result<()> {
         psf_io::write_together(|| -> anyhow::Result<()> {
             write_samples(&self.output, samples, self.overwrite)?;
@@ -108,7 +110,7 @@ impl SampleArgs {
         })
     }
 
-    /// A line of text about the PSFs that are not samples.
+    /// A line of text about the PSFs of --hold-out. Empty if there are none.
     fn held_out_text(&self, held_out: Option<&PsfSamples>) -> String {
         self.hold_out_file()
             .zip(held_out)
@@ -122,8 +124,9 @@ impl SampleArgs {
     }
 }
 
-/// Returns whether a file is a frame with stars rather than a telescope file. Without a `chosen`
-/// HDU, other kinds of FITS files are an error. With it, every FITS file counts as a frame.
+/// Returns whether a file is a frame with stars rather than a telescope file. If the user has
+/// `chosen` an HDU, every FITS file counts as a frame. Otherwise, FITS files of other kinds are an
+/// error.
 fn is_frame(path: &Path, chosen: bool) -> anyhow::Result<bool> {
     match psf_io::detect(path) {
         Ok(FileKind::Image) => Ok(true),
@@ -137,7 +140,8 @@ fn is_frame(path: &Path, chosen: bool) -> anyhow::Result<bool> {
     }
 }
 
-/// An error in a telescope file. A file of another ending may have been meant as a frame.
+/// The error of reading a telescope file. If the file's name does not end in `.toml`, the user may
+/// have meant a frame, so the message names both kinds.
 fn not_a_telescope(path: &Path, error: OpticsError) -> anyhow::Error {
     match error {
         OpticsError::InFile { source, .. } if path.extension().is_none_or(|ending| ending != "toml") => {
@@ -196,7 +200,7 @@ struct TelescopeArgs {
     #[arg(
         long,
         value_parser = criterion(),
-        help = format!("Quantity that must stay below the threshold [default: {}]", defaults().criterion)
+        help = format!("Quantity that must not exceed --threshold [default: {}]", defaults().criterion)
     )]
     criterion: Option<Criterion>,
     #[arg(
@@ -221,7 +225,7 @@ struct TelescopeArgs {
         help = format!("Stop with an error if more samples are needed [default: {}]", defaults().max_samples)
     )]
     max_samples: Option<usize>,
-    /// If --max-samples is reached, write the samples drawn so far, with a warning
+    /// If more than --max-samples are needed, write the samples drawn so far, with a warning
     #[arg(long, hide_short_help = true)]
     accept_cap: bool,
     /// Sample a regular grid of NX x NY positions, without --criterion and --threshold
@@ -293,7 +297,7 @@ impl TelescopeArgs {
             samples: sampling.samples.len(),
             hold_out: asked.hold_out_file(),
             held_out: held_out.map(PsfSamples::len),
-            // PSFs drawn: the samples, and the points used only by the criterion.
+            // PSFs drawn: the samples, and PSFs at points that only the criterion uses.
             draws: found.draws,
             cells: found.cells,
             unmet_cells: found.unmet_cells,
@@ -375,7 +379,7 @@ impl TelescopeArgs {
 #[derive(Debug, clap::Args)]
 #[command(next_help_heading = "Only for a frame")]
 struct FrameArgs {
-    /// Also write a table of all sources found, with the reasons for rejecting them
+    /// Also write a table of all sources found, with the reasons why some were rejected
     #[arg(long, value_name = "SOURCES.csv")]
     sources: Option<OutputFile>,
     /// Also write a coverage map of the field
@@ -415,7 +419,7 @@ impl FrameArgs {
         let (held_out, wanted) = (found.held_out.as_ref().map_or(0, PsfSamples::len), asked.hold_out);
         if let Some(wanted) = wanted.filter(|&wanted| held_out < usize::from(wanted)) {
             context.warn(&format!(
-                "{held_out} stars are written to the file of --hold-out, not {wanted}: the pixels of the others have no flux"
+                "of the {wanted} stars to hold out, only {held_out} could be written to the file of --hold-out: the pixels of the others have no flux"
             ));
         }
         // Number of rejected sources for each reason. A source may be rejected for several reasons.
@@ -496,8 +500,8 @@ pub(crate) fn warn_of(found: &StarSamples, context: &Context) {
     }
 }
 
-/// Writes a coverage map with three planes: samples per cell, distance to the nearest sample, and 1
-/// inside the convex hull or 0 outside.
+/// Writes a coverage map with three planes: number of samples in each cell, distance to the nearest
+/// sample, and 1 inside the convex hull of the samples or 0 outside.
 pub(crate) fn write_coverage(path: &Path, map: &CoverageMap, overwrite: bool) -> anyhow::Result<()> {
     let cube = stack(Axis(0), &[map.counts(), map.distances_px(), map.inside_hull()])?;
     let (width, height) = map.cell_px();

@@ -27,8 +27,9 @@ pub(crate) struct StarArgs {
     snr: Option<f64>,
     /// Value at and above which pixels are saturated [default: the SATURATE card]
     ///
-    /// A card that is not above the background is ignored. Without a level, the largest value of
-    /// the frame counts as saturated if at least two pixels have it.
+    /// A SATURATE card that is not above the background is ignored. If neither the option nor the
+    /// card gives a level, the frame's largest value counts as saturated, provided that at least
+    /// two pixels have it.
     #[arg(long, value_name = "LEVEL")]
     saturation: Option<f64>,
     /// Gain (electrons per unit of the frame)
@@ -57,7 +58,7 @@ pub(crate) struct StarArgs {
     /// From 5 to 512. An even number is raised to the next odd number.
     #[arg(long, value_name = "N")]
     stamp_size: Option<usize>,
-    /// Stamp pixels per frame pixel
+    /// Stamp pixels per frame pixel, 1 to 8
     ///
     /// Default: 1 for at least 64 stars and a FWHM of at least 2 pixels, unless --registration epsf
     /// is given. Otherwise enough for 3 stamp pixels per FWHM, at most 8.
@@ -82,11 +83,11 @@ pub(crate) struct StarArgs {
 pub(crate) struct MaskArgs {
     /// Mask of the frame: an image of its shape, in which pixels other than 0 are bad
     ///
-    /// The background and its noise ignore bad pixels. Stars with bad pixels near their core are
-    /// rejected (masked).
+    /// The estimates of the background and its noise ignore bad pixels. Stars with bad pixels near
+    /// their core are rejected (reason: masked).
     #[arg(long, value_name = "MASK.fits")]
     mask: Option<PathBuf>,
-    /// NaN and infinite pixels of the frame are bad pixels [default: they are an error]
+    /// Treat NaN and infinite pixels of the frame as bad pixels [default: they are an error]
     #[arg(long)]
     nan_is_masked: bool,
 }
@@ -153,8 +154,8 @@ impl StarArgs {
         .find_map(|(name, given)| given.then_some(name))
     }
 
-    /// Reads a frame, in which bad pixels become NaN, and its header, and builds the settings. The
-    /// header may hold the saturation level.
+    /// Reads a frame and its header, and builds the settings. Bad pixels of the frame become NaN.
+    /// The settings include the saturation level, which the header may hold.
     pub(crate) fn open(
         &self,
         path: &Path,

@@ -15,7 +15,7 @@ pub(crate) struct TableArgs {
     /// a catalogue, ra and dec may replace x and y.
     #[arg(long, value_name = "ROLE=COLUMN,...")]
     columns: Option<CatalogColumns>,
-    /// Positions count from 1, as in SExtractor and FITS
+    /// Positions of the table count from 1, as in SExtractor and FITS
     #[arg(long)]
     one_based: bool,
     /// HDU of the table: its number (0: primary) or EXTNAME [default: the only table with the

@@ -26,7 +26,7 @@ impl From<Precision> for psf_io::Precision {
     }
 }
 
-/// `NX,NY`, both above 0.
+/// Two sizes or counts `NX,NY`, both above 0.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Pair(pub(crate) usize, pub(crate) usize);
 
@@ -40,7 +40,7 @@ impl FromStr for Pair {
     }
 }
 
-/// `X0,Y0,NX,NY`, the last two above 0.
+/// A region `X0,Y0,NX,NY`: its first column and row, and its size. `NX` and `NY` are above 0.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Frame(pub(crate) PixelRegion);
 

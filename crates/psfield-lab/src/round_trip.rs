@@ -18,9 +18,9 @@ use crate::star_comparison::{Agreement, Distribution, LightComparison, StarCompa
 ///
 /// 1. PSF samples are made from the stars of the frame ([`StarSampling`]), and a model is fitted to
 ///    them.
-/// 2. Frames are simulated. Every source found is drawn by the model as a point source, at its
-///    measured position and with its measured flux, on the measured background. If the
-///    saturation level is known, values above it are set to that level.
+/// 2. Frames are simulated. The model draws every source found (if its flux is positive) as a point
+///    source, at its measured position and with its measured flux, on the measured background. If
+///    the saturation level is known, values above it are set to that level.
 /// 3. FWHM and eccentricity of the stars that became samples are measured in the same way in the
 ///    frame and in the simulated frames. An elliptical Gaussian and a constant background are
 ///    fitted in a small window around the same pixel.
@@ -32,10 +32,10 @@ use crate::star_comparison::{Agreement, Distribution, LightComparison, StarCompa
 /// known. The noise of one frame is a single random draw, so the distributions combine the stars of
 /// several simulated frames ([`realisations`](RoundTripOptions::realisations)).
 ///
-/// These stars made the model, so that the comparison judges the whole chain, but not the PSF
-/// between the stars. Steps 2 to 4 are therefore repeated with stars that are left out
-/// ([`RoundTripReport::left_out`]). The stars are divided into five groups. Each group is drawn by
-/// a model made from the stars of the other four groups alone.
+/// The compared stars are those from which the model was made. The comparison therefore judges the
+/// whole chain, but not the PSF between the stars. To judge this PSF too, steps 2 to 4 are repeated
+/// with models that leave stars out ([`RoundTripReport::left_out`]). The stars are divided into
+/// five groups. Each group is drawn by a model made from the stars of the other four groups alone.
 #[derive(Debug, Clone)]
 #[non_exhaustive]
 pub struct RoundTrip {
@@ -51,9 +51,10 @@ pub struct RoundTrip {
     pub residual: Image<f64>,
     /// One row per star that became a sample.
     pub rows: Vec<RoundTripRow>,
-    /// FWHM of the stars in all simulated frames.
+    /// FWHM in all simulated frames, of the stars that can also be measured in the frame.
     pub simulated_fwhm_px: Vec<f64>,
-    /// Eccentricity `sqrt(1 - b^2 / a^2)` of the stars in all simulated frames.
+    /// Eccentricity `sqrt(1 - b^2 / a^2)` in all simulated frames, of the stars that can also be
+    /// measured in the frame.
     pub simulated_eccentricity: Vec<f64>,
     /// The results in numbers.
     pub report: RoundTripReport,
@@ -62,9 +63,9 @@ pub struct RoundTrip {
 /// The settings of a round trip.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RoundTripOptions {
-    /// Finds and selects stars.
+    /// Settings for finding and selecting stars.
     pub sampling: StarSampling,
-    /// Fits the model to the samples.
+    /// Settings for fitting the model to the samples.
     pub fit: FitOptions,
     /// Pixels along each side of the measuring window. None: four FWHM, at least 7.
     pub window: Option<usize>,
@@ -100,9 +101,11 @@ impl Default for RoundTripOptions {
 
 impl RoundTrip {
     /// Runs the round trip on a frame `[y, x]`. NaN stands for a masked pixel
-    /// ([`StarSampling::run_masked`]). The comparison replaces it by the drawn value.
+    /// ([`StarSampling::run_masked`]). The comparison replaces it by the drawn value plus the
+    /// background.
     ///
     /// # Errors
+    /// [`ErrorKind::Data`](psfield::ErrorKind::Data) for a frame without pixels,
     /// [`ErrorKind::Stars`](psfield::ErrorKind::Stars) when the frame gives no samples,
     /// [`LabError::NothingMeasured`] when no star can be measured in both the frame and its
     /// simulation, and the errors of fitting and drawing.
@@ -168,9 +171,10 @@ impl RoundTrip {
     }
 }
 
-/// Draws the light of the frame `[y, x]` with every sample star drawn by the model of the fold that
-/// leaves it out. `model` draws the other sources. None if there are no folds, or if the stars of a
-/// fold are too few for the fit.
+/// Draws the light of the frame `[y, x]`. A fold is a group of stars that became samples. A model
+/// fitted to the stars outside a fold draws the stars of the fold, and `model` draws the sources
+/// that are not samples. None if there are no folds, or if the stars outside a fold are too few for
+/// the fit.
 fn light_of_left_out(
     model: &PsfModel,
     stars: &StarSamples,
@@ -362,10 +366,10 @@ fn rows(
 }
 
 table_row! {
-    /// A star in the frame and in the first simulated frame, measured in the same way. `left_out`
-    /// means the star drawn by a model that was made without it. The cells of the table for a
-    /// failed measurement are empty, and so are flux ratio and reduced chi-square of a star that is
-    /// not isolated ([`StarComparison`]).
+    /// A star in the frame and in the first simulated frame, measured in the same way. Columns with
+    /// `left_out` in the name hold the values of the star drawn by a model that was made without
+    /// it. The cells of the table for a failed measurement are empty, and so are flux ratio and
+    /// reduced chi-square of a star that is not isolated ([`StarComparison`]).
     #[derive(Debug, Clone, PartialEq, Serialize)]
     #[non_exhaustive]
     #[allow(

@@ -9,9 +9,10 @@ use serde::Serialize;
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct Agreement {
-    /// In the frame, one value per star.
+    /// The values in the frame, one for each star that was measured there and in the first
+    /// simulated frame.
     pub frame: Distribution,
-    /// In all simulated frames together.
+    /// The values in all simulated frames together.
     pub simulated: Distribution,
     /// Median of the simulated stars divided by the median of the stars in the frame.
     pub median_ratio: f64,
@@ -75,8 +76,8 @@ impl Agreement {
 
 /// The stars of the frame compared with drawn stars.
 ///
-/// Flux ratio and reduced chi-square are those of isolated stars: stars that became samples and
-/// have no other source within 2.5 radii of the aperture. The radius
+/// Only isolated stars have a flux ratio and a reduced chi-square. These are stars that became
+/// samples and have no other source within 2.5 aperture radii. The aperture radius
 /// ([`aperture_px`](crate::RoundTripReport::aperture_px)) is 2.5 FWHM, at least 4 pixels.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[non_exhaustive]
@@ -88,14 +89,14 @@ pub struct StarComparison {
     /// Eccentricity `sqrt(1 - b^2 / a^2)` of the Gaussian fit.
     pub eccentricity: Agreement,
     /// The flux in the aperture as drawn, without noise, divided by the flux in the frame. The
-    /// background of both is the median of a ring from 1.5 to 2.5 radii of the aperture. None if no
-    /// star is isolated.
-    pub flux_ratio: Option<Distribution>,
-    /// The mean over the pixels of a star's window of `(frame - drawn)^2 / noise^2`, with three
-    /// degrees of freedom less for position and flux. It is near 1 if noise explains the
-    /// differences. The noise is that of the background, and with a known gain also the photon
-    /// noise of the drawn light. Without the gain, bright stars have higher values. None if no star
+    /// background of both is the median of a ring from 1.5 to 2.5 aperture radii. None if no star
     /// is isolated.
+    pub flux_ratio: Option<Distribution>,
+    /// The sum of `(frame - drawn)^2 / noise^2` over the pixels of a star's window, divided by the
+    /// number of pixels minus 3, because x, y and flux of the star are fitted. It is near 1 if
+    /// noise explains the differences. The noise is that of the background, and with a known gain
+    /// also the photon noise of the drawn light. Without the gain, bright stars have higher values.
+    /// None if no star is isolated.
     pub reduced_chi_square: Option<Distribution>,
 }
 
@@ -109,15 +110,17 @@ pub(crate) struct LightComparison<'a> {
     pub(crate) rms: ArrayView2<'a, f64>,
     /// Electrons per unit of the frame, for the photon noise.
     pub(crate) gain: Option<f64>,
-    /// Pixels along each side of the windows for the reduced chi-square.
+    /// Pixels along each side of the windows for the reduced chi-square. An even number counts as
+    /// the next odd number.
     pub(crate) window: usize,
     /// Radius of the apertures.
     pub(crate) aperture_px: f64,
 }
 
 impl LightComparison<'_> {
-    /// Returns the flux ratio drawn / frame and the reduced chi-square of a star. None if it is not
-    /// isolated, or if its flux in the frame is not positive.
+    /// Returns the flux ratio drawn / frame and the reduced chi-square of a star. None if the star
+    /// is not isolated, if its flux in the frame is not positive, or if its ring for the background
+    /// has no pixels on the frame.
     pub(crate) fn of(&self, star: &Source) -> Option<(f64, f64)> {
         let isolation_px = RING.1 * self.aperture_px;
         if star.nearest_px.is_some_and(|distance| distance <= isolation_px) {

@@ -203,7 +203,7 @@ impl From<ConvError> for PsfieldError {
     }
 }
 
-/// Words of Rust's own errors about numbers and types, and plain words for them.
+/// Words of Rust's own errors about numbers and types, each with the plain words that replace them.
 const PLAIN: [(&str, &str); 13] = [
     ("invalid digit found in string", "a whole number is needed"),
     (

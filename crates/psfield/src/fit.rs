@@ -108,9 +108,9 @@ pub struct FitReport {
 /// Leave-one-out errors of stamps, relative to each sample's own norm. They include the truncation
 /// error.
 ///
-/// They say how well a sample is interpolated from the others. If the samples come from one smooth
-/// model, such as an oversampled PSF of a frame, they say nothing about that model: the
-/// round trip of `psfield-lab` leaves out the stars themselves.
+/// These errors show how well the model interpolates a sample from the other samples. If all
+/// samples come from one smooth PSF, such as an oversampled PSF of a frame, the errors do not test
+/// that PSF. The round trip of `psfield-lab` tests it, because it leaves out the stars themselves.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct LeaveOneOutReport {

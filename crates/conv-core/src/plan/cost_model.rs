@@ -84,8 +84,8 @@ impl CostModel {
             + self.width * (READ_OR_ADD_PIXEL * pixels + ADD * plane)
     }
 
-    /// Drawing one lit pixel. If light is gathered, every pixel that it reaches has its own
-    /// coefficients.
+    /// Drawing one lit pixel. This costs more if light is gathered, because every pixel that the
+    /// light reaches then has its own coefficients.
     pub(crate) fn draw(self, direction: Direction, stamp: (usize, usize), kernels: usize) -> f64 {
         let scattered = self.width * DRAW * (stamp.0 * stamp.1) as f64 * (kernels as f64 + 1.5);
         match direction {

@@ -32,8 +32,8 @@ pub struct PlanSummary {
     pub blocks: usize,
     /// The number of blocks that have 0, 1, 2 ... modes, the reference included.
     pub blocks_by_modes: Vec<usize>,
-    /// Tiles with at most this many lit pixels are drawn stamp by stamp. The number is for a
-    /// convolution and a block with the mean number of modes.
+    /// Tiles with at most this many lit pixels are drawn stamp by stamp. The number applies to a
+    /// convolution (not its adjoint) and to a block with the mean number of modes.
     pub drawn_up_to: usize,
     /// True if the processor convolves fully lit tiles by the direct sum. A GPU always uses
     /// transforms for them.

@@ -102,9 +102,9 @@ const TILES_AT_ONCE: usize = 64;
 const MIN_STARS_PER_TASK: usize = 1 << 10;
 
 impl<T: ConvReal> StarPlan<T> {
-    /// Plans stars through a model. If `size` is given, a star is drawn on `size` columns and rows.
-    /// The pixel that the star lies on has index `size / 2` in both. Otherwise the star is drawn as
-    /// far as its stamp reaches. Light beyond these pixels is lost.
+    /// Plans the drawing of stars with the PSFs of a model. If `size` is given, a star is drawn on
+    /// `size` columns and rows. The pixel that the star lies on has index `size / 2` in both.
+    /// Otherwise the star is drawn as far as its stamp reaches. Light beyond these pixels is lost.
     ///
     /// # Errors
     /// [`ConvError::PixelResponse`] if the stamps do not include the pixel response,

@@ -226,7 +226,8 @@ impl Hdu {
         self.header_error(keyword, format!("must be {expected}, got {got}"))
     }
 
-    /// Returns a function for `map_err` that reports a keyword whose value breaks a rule.
+    /// Returns a function for `map_err`. It turns a [`DataError`] into an error that names this
+    /// keyword as its place.
     pub(crate) fn invalid_keyword(&self, keyword: &str) -> impl Fn(DataError) -> IoError + use<'_> {
         let (hdu, keyword) = (self.index, keyword.to_owned());
         let place = Place::Keyword { hdu, keyword };

@@ -315,7 +315,7 @@ impl ImageReader {
         Self { nan_as, ..self }
     }
 
-    /// The value that replaces NaN ([`with_nan_as`](Self::with_nan_as)).
+    /// The value that replaces NaN and `BLANK` pixels ([`with_nan_as`](Self::with_nan_as)).
     pub fn nan_as(&self) -> Option<f64> {
         self.nan_as
     }
@@ -391,9 +391,9 @@ impl ImageReader {
         }
     }
 
-    /// The error of [`read_rows`](Self::read_rows) about the whole image if only some undefined
-    /// pixels are bad: those for which `is_bad([y, x])` is true. It has the place of the first bad
-    /// pixel.
+    /// Makes an error about undefined pixels of the whole image, for callers that allow some of
+    /// them. Only pixels for which `is_bad([y, x])` is true count, and at least one must exist. The
+    /// error has the place of the first of these pixels, and states their number.
     pub fn undefined_error(&mut self, is_bad: impl Fn([usize; 2]) -> bool) -> IoError {
         let nx = self.shape.nx();
         let bad = |at: usize, _| is_bad([at / nx, at % nx]);
@@ -492,8 +492,9 @@ impl Pixels {
         Ok(pixels.chunks(CHUNK).all(clean))
     }
 
-    /// The error for pixels that are not all finite in the requested type. `is_bad` takes the index
-    /// of a pixel that is not finite, counted from `first`, and its value.
+    /// The error for pixels that are not all finite in the requested type. Only pixels for which
+    /// `is_bad` is true count. It takes the index of a pixel that is not finite, counted from
+    /// `first`, and the pixel's value.
     fn defect(&mut self, first: usize, count: usize, is_bad: impl Fn(usize, f64) -> bool) -> IoError {
         match self.non_finite(first, count, is_bad) {
             Ok(Some((flat, value, count))) => {
@@ -509,8 +510,8 @@ impl Pixels {
         }
     }
 
-    /// The first bad pixel that is not finite in double precision, its value, and the number of
-    /// such pixels.
+    /// Searches for pixels that are not finite in double precision and for which `is_bad` is true.
+    /// Returns the index of the first one, its value, and their number.
     fn non_finite(
         &mut self,
         first: usize,

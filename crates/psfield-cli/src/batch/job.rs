@@ -15,7 +15,7 @@ use crate::files::{FileUses, NamedFiles, OutputFile};
 use crate::simulate::{JobMark, SimulateArgs};
 use crate::values::plain_text;
 
-/// The option of the scene, which has no long name on the command line.
+/// The name of the scene in a jobs file. On the command line, the scene has no option name.
 const SCENE: &str = "scene";
 /// Options that do not change the results.
 const WITHOUT_EFFECT_ON_RESULTS: [&str; 1] = ["stream"];
@@ -25,7 +25,7 @@ const WITHOUT_EFFECT_ON_RESULTS: [&str; 1] = ["stream"];
 pub(super) struct Job {
     /// The number of the job, counted from 1.
     pub(super) number: usize,
-    /// The name that was given, or else the output.
+    /// The `name` that the job sets, or else its `output`.
     pub(super) name: String,
     pub(super) output: PathBuf,
     /// All files that the job writes.
@@ -34,18 +34,22 @@ pub(super) struct Job {
     pub(super) digest: String,
     inputs: Vec<PathBuf>,
     args: SimulateArgs,
-    /// The equivalent command line.
+    /// The arguments of `simulate` that run the job.
     arguments: Vec<OsString>,
 }
 
 impl Job {
-    /// Parses all jobs of a file, and checks all that can be checked before the work. The defaults
-    /// `stronger` override the defaults of the file.
+    /// Parses all jobs of a file, and checks all that can be checked before the first job runs. The
+    /// defaults `stronger` (from `--set`) override the defaults of the file.
     ///
     /// # Errors
-    /// [`UsageError`] that names the job and the option: for options and values that `simulate`
-    /// does not accept, for files that two jobs write, and for outputs that would replace the jobs
-    /// file, the log, or an input of this job or of an earlier one.
+    /// [`UsageError`] that names the job:
+    /// - for an option or a value that `simulate` does not accept, and for the option `overwrite`
+    /// - for an output that is also the jobs file, an output of another job, or an input of this
+    ///   job or of an earlier one
+    ///
+    /// [`UsageError`] for a `name` among the defaults, and for a log that is also the jobs file, or
+    /// an input or an output of a job.
     pub(super) fn all(
         file: JobsFile,
         stronger: &Settings,
@@ -59,7 +63,7 @@ impl Job {
         for (place, settings) in named {
             if settings.get("name").is_some() {
                 return Err(UsageError(format!(
-                    "{place}: name belongs in a job, not in the defaults"
+                    "{place}: name cannot be set for all jobs at once: give each job its own name"
                 )));
             }
         }
@@ -119,7 +123,8 @@ impl Job {
         OutputLock::acquire(&self.output)
     }
 
-    /// Records the files of the job. `place`: the place of the job in the jobs file.
+    /// Adds the files of the job to `uses`. Returns an error message if an output is in use
+    /// already. `place` names the job in messages, as in `job 2 (line 3)`.
     fn record(&self, uses: &mut FileUses, place: &str) -> Result<(), String> {
         for input in &self.inputs {
             uses.read(input, &format!("an input of {place}"));
@@ -128,7 +133,8 @@ impl Job {
         outputs.try_for_each(|file| uses.write(file, &format!("an output of {place}")))
     }
 
-    /// Returns the arguments that run the job. Its files will carry its mark.
+    /// Returns the parsed arguments that run the job and write its mark in the headers of its
+    /// files.
     pub(super) fn marked(&self, overwrite: bool) -> SimulateArgs {
         let arguments = self
             .arguments
@@ -154,14 +160,13 @@ fn is_output(arg: &clap::Arg) -> bool {
     arg.get_value_parser().type_id() == TypeId::of::<OutputFile>()
 }
 
-/// Returns the option of this name.
 fn option<'a>(command: &'a Command, name: &str) -> Option<&'a clap::Arg> {
     command
         .get_arguments()
         .find(|arg| arg.get_long() == Some(name) || (name == SCENE && arg.get_id() == SCENE))
 }
 
-/// Returns whether a flag is set.
+/// Parses the value of a flag: `true` or `false`.
 fn flag(name: &str, setting: &Setting) -> Result<bool, String> {
     match setting.value.as_str() {
         "true" => Ok(true),
@@ -201,9 +206,9 @@ fn arguments(settings: &Settings, command: &Command) -> Result<Vec<OsString>, St
     Ok(arguments)
 }
 
-/// Returns the digest of the options on which the results depend. Paths enter as they are written,
-/// so that a batch can be moved. The digest is FNV-1a of 64 bits, which never changes between
-/// machines or releases.
+/// Returns the digest of the options on which the results depend. Relative paths enter without the
+/// folder of the jobs file, so that a batch can be moved to another folder. The digest is FNV-1a of
+/// 64 bits, which never changes between machines or releases.
 fn digest(settings: &Settings, command: &Command) -> String {
     let mut hasher = fnv::FnvHasher::default();
     for (name, setting) in settings.iter() {
@@ -214,7 +219,7 @@ fn digest(settings: &Settings, command: &Command) -> String {
         }
         for text in [name, &setting.value] {
             hasher.write(text.as_bytes());
-            // A mark after each string keeps ("ab", "c") apart from ("a", "bc").
+            // A separator after each string keeps ("ab", "c") apart from ("a", "bc").
             hasher.write(&[0xff]);
         }
     }
@@ -243,14 +248,15 @@ pub(super) enum JobState {
     /// Some of the files exist, and this job made them.
     Partial,
     Done,
-    /// A file failed its spot check, or was not made by this job. Holds the message.
+    /// A file failed its spot check, was not made by this job, or cannot be written. Holds the
+    /// message.
     Refused(String),
 }
 
 impl JobState {
     pub(super) fn of(job: &Job) -> Self {
         let mut there = 0;
-        // Links are not followed, because a dangling link is in the way too.
+        // `symlink_metadata` also finds a dangling link, which would be in the way of the output.
         for file in job.files.iter().filter(|file| file.symlink_metadata().is_ok()) {
             if let Err(why) = judge(file, &job.digest) {
                 return Self::Refused(why);
@@ -269,7 +275,7 @@ impl JobState {
 fn judge(file: &Path, digest: &str) -> Result<(), String> {
     let header = psf_io::read_header(file).map_err(|e| {
         format!(
-            "{} exists and is not an image of this job: --overwrite replaces it ({e})",
+            "{} exists and is not an image of this job: delete it, or run all jobs again with --overwrite ({e})",
             file.display()
         )
     })?;
@@ -279,17 +285,17 @@ fn judge(file: &Path, digest: &str) -> Result<(), String> {
     };
     match text(JOB_KEYWORD) {
         None => Err(format!(
-            "{} exists and was not made by a batch: --overwrite replaces it",
+            "{} exists and was not made by a batch: delete it, or run all jobs again with --overwrite",
             file.display()
         )),
         Some(found) if found != digest => Err(format!(
-            "{} exists and was made with other options ({JOB_KEYWORD} {found}, now {digest}): --overwrite replaces it, or choose \
-             another output",
+            "{} exists and was made with other options ({JOB_KEYWORD} {found}, now {digest}): delete it, choose another output, \
+             or run all jobs again with --overwrite",
             file.display()
         )),
         Some(_) if text(SpotCheck::VERDICT_KEYWORD).as_deref() == Some(SpotCheck::FAILED) => Err(format!(
             "{} exists but failed its spot check when it was made: it differs from the direct sum by more than the method promises. \
-             Choose another method for this job, then --overwrite replaces the file",
+             Choose another method for this job, and delete its files or run all jobs again with --overwrite",
             file.display()
         )),
         Some(_) => Ok(()),

@@ -1,4 +1,4 @@
-//! Jobs files, and the options of their jobs before they are parsed.
+//! Reads jobs files. The options of the jobs are not parsed here.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -108,7 +108,7 @@ impl JobsFile {
                     len,
                 } => {
                     format!(
-                        "line {}: {len} fields, but the first line has {expected_len}",
+                        "line {}: {len} fields, but the line of option names has {expected_len}",
                         line_of(bytes, at)
                     )
                 }
@@ -132,7 +132,8 @@ impl JobsFile {
     }
 }
 
-/// Returns the line of a record. `position` is where the blank lines and comments before it begin.
+/// Returns the line number of a record. `position` is the start of the record, or of the blank
+/// lines and comments before the record.
 fn line_of(bytes: &[u8], position: &csv::Position) -> u64 {
     let rest = &bytes[position.byte() as usize..];
     let skipped = rest
@@ -178,7 +179,7 @@ fn text(name: &str, value: &Value) -> Result<String, String> {
     }
 }
 
-/// `OPTION=VALUE`. A flag needs no value.
+/// A value of `--set`: `OPTION=VALUE`, or the name of a flag alone.
 #[derive(Debug, Clone)]
 pub(super) struct Assignment {
     option: String,

@@ -19,18 +19,19 @@ use crate::simulate::{Report, Simulators};
 
 /// Simulate many scenes, and reuse PSF models and plans between them
 ///
-/// A job is a set of options of simulate by their long names, with `scene` for the scene itself and
-/// optionally a `name`. Relative paths in the jobs file refer to its folder. All jobs are checked
-/// before the first one runs. A job that fails does not stop the others, and the exit status is
-/// then 1.
+/// A job is a set of options of psfield simulate, by their long names. `scene` gives the file of
+/// the scene (SCENE.fits). `name` is optional and names the job in the report. Relative paths in
+/// the jobs file refer to the folder of this file. All jobs are checked before the first one runs.
+/// A job that fails does not stop the others, and the exit status is then 1.
 ///
 /// For each job, one line of JSON is printed on standard output. With --quiet, only the lines of
 /// failed jobs are printed. With --quiet --json, the lines of all jobs are printed.
 ///
 /// A batch that is run again continues where it was interrupted: a job whose files exist is
-/// skipped. A job on which another batch works is skipped, too. Images carry a digest of the
-/// options of their job (PSFJOB). A job whose options have changed since then fails unless
-/// --overwrite is given. Changes in the content of input files are not detected.
+/// skipped. A job on which another batch works is skipped, too. The header of each image holds a
+/// digest of the options of its job (PSFJOB). If the options of a job have changed since its image
+/// was written, the job fails unless --overwrite is given. Changes in the content of input files
+/// are not detected.
 #[derive(Debug, clap::Args)]
 #[command(after_long_help = SAMPLE)]
 pub(crate) struct BatchArgs {
@@ -42,8 +43,9 @@ pub(crate) struct BatchArgs {
     jobs: PathBuf,
     /// Set an option for all jobs that do not set it themselves (repeatable)
     ///
-    /// This overrides `[defaults]`. Relative paths refer to the working directory. Flags are set by
-    /// --set one-based or --set one-based=true, and in a jobs file by one-based = true.
+    /// This overrides `[defaults]`. Relative paths refer to the working directory. A flag such as
+    /// --one-based is set by --set one-based or --set one-based=true, and in a jobs file by the
+    /// value true.
     #[arg(long, value_name = "OPTION=VALUE")]
     set: Vec<Assignment>,
     /// Run all jobs, and replace outputs that exist
@@ -53,9 +55,10 @@ pub(crate) struct BatchArgs {
     // Not an `OutputFile`, because a log may exist already.
     #[arg(long, value_name = "LOG.jsonl")]
     log: Option<PathBuf>,
-    /// Number of PSF models with their plans that are kept in memory for later jobs
+    /// Number of PSF models that are kept in memory for later jobs, with their plans
     ///
-    /// Each takes the memory of its PSF and of its plan (--memory).
+    /// A plan is the PSF data prepared for one image shape and one set of options. The option
+    /// --memory of psfield simulate limits the memory of each plan.
     #[arg(long, value_name = "N", default_value_t = 4, value_parser = clap::value_parser!(u16).range(1..=1000))]
     keep: u16,
 }
@@ -137,7 +140,8 @@ impl BatchArgs {
 /// The largest number of failed jobs that are named at the end.
 const MOST_NAMED: usize = 10;
 
-/// Runs a job unless its files exist, and returns its report.
+/// Runs a job and returns its report. Skips the job if another batch works on it or, without
+/// `overwrite`, if its files exist.
 fn report_of<'a>(
     job: &'a Job,
     overwrite: bool,
@@ -156,9 +160,9 @@ fn report_of<'a>(
         seconds: 0.0,
         report: None,
     };
-    // A finished job needs no lock, which might be impossible in its folder.
+    // A finished job is not locked, because its folder may be read-only.
     let is_done = !overwrite && matches!(JobState::of(job), JobState::Done);
-    // Held until the files of the job are written.
+    // The lock is held until the files of the job are written.
     let lock = if is_done { Ok(None) } else { job.lock() };
     let state = match &lock {
         _ if is_done => JobState::Done,
@@ -243,7 +247,7 @@ impl LineWriter {
         })
     }
 
-    /// Writes the line of a job at once.
+    /// Writes the line of a job without delay.
     fn write(&mut self, report: &JobReport<'_>) -> anyhow::Result<()> {
         let line = serde_json::to_string(report)? + "\n";
         if let Some((log, path)) = &mut self.log {
@@ -262,7 +266,8 @@ impl LineWriter {
     }
 }
 
-/// Opens a log. If its last line is incomplete, because the process was killed, ends that line.
+/// Opens a log. If its last line is incomplete, because an earlier batch was killed, ends that
+/// line.
 fn open(path: &Path) -> std::io::Result<File> {
     let log = File::options().create(true).append(true).open(path)?;
     // Pipes and devices have no last line. A log that cannot be read counts as complete.
@@ -286,7 +291,7 @@ fn append(mut log: &File, line: &str) -> std::io::Result<()> {
     let before = log.metadata()?;
     log.write_all(line.as_bytes()).inspect_err(|_| {
         if before.is_file() {
-            // The first error is the one to report.
+            // The caller needs the error of the write, not an error of this truncation.
             let _ = log.set_len(before.len());
         }
     })

@@ -28,22 +28,22 @@ use crate::values::{Precision, number, tolerance};
 
 pub(crate) use crate::bench::settings::JsonTo;
 
-/// Measure run time and error of all methods in one run
+/// Measure run time and error of all convolution methods in one run
 ///
 /// Each method is planned once and then runs in turn with all others (A B C, A B C, ...). Planning
 /// and running are timed separately. Errors are relative L2 differences from the direct sum in
 /// double precision, at the same random pixels for all methods.
 ///
-/// By default, the PSF of a preset telescope is sampled on grids and stretched to the frame, so
-/// that it varies by the same amount over a frame of any size. In the default scene every pixel has
-/// light.
+/// By default, the PSF of a preset telescope is sampled at grids of positions (--grids). The field
+/// of the telescope is stretched to the frame, so that the PSF varies by the same amount over a
+/// frame of any size. In the default scene every pixel has light.
 ///
-/// All run times are also given as ratios to `single`, which always runs. `single` convolves the
-/// frame with one PSF: the PSF at the middle of the frame. It is the fastest convolution with one
-/// PSF in psfield.
+/// All run times are also given as ratios to the run time of `single`, which always runs. `single`
+/// convolves the scene with one PSF: the PSF at the middle of the frame. It is the fastest
+/// convolution with one PSF in psfield.
 #[derive(Debug, clap::Args)]
 pub(crate) struct BenchArgs {
-    /// Sides of the frames (pixels) [default: 512,1024,2048]
+    /// Sides of the square frames (pixels) [default: 512,1024,2048]
     #[arg(long, value_name = "N,...", value_delimiter = ',', conflicts_with = "scene", value_parser = side, help_heading = CASES)]
     sizes: Option<Vec<NonZeroUsize>>,
     /// Numbers of PSF samples along each side of the field [default: 9,33]
@@ -55,7 +55,7 @@ pub(crate) struct BenchArgs {
     /// Scene: a FITS image [default: noise on a smooth background]
     #[arg(long, value_name = "SCENE.fits", help_heading = CASES)]
     scene: Option<PathBuf>,
-    /// Stretch the positions of --psf to the frame
+    /// Stretch the positions of the samples of --psf to the frame
     #[arg(long, requires = "psf", help_heading = CASES, hide_short_help = true)]
     stretch: bool,
     /// Telescope whose PSF is sampled
@@ -68,7 +68,7 @@ pub(crate) struct BenchArgs {
         hide_short_help = true
     )]
     preset: Preset,
-    /// Components of the model (fewer if the samples have fewer) [default: 100]
+    /// Number of components of the PSF model (fewer if the samples give fewer) [default: 100]
     ///
     /// Default for --psf with a model: all its components.
     #[arg(long, value_name = "K", help_heading = CASES, hide_short_help = true)]
@@ -138,8 +138,8 @@ pub(crate) struct BenchArgs {
         hide_short_help = true
     )]
     seed: u64,
-    /// Use smaller defaults: frame 256 x 256, 5 x 5 samples, patch 64, rank 10, tolerances 1e-2 and
-    /// 1e-4, 1 timed turn, 100 pixels
+    /// Use smaller defaults: --sizes 256, --grids 5, --patches 64, --ranks 10, --tolerances
+    /// 1e-2,1e-4, --repeat 1, --pixels 100
     #[arg(long, help_heading = MEASUREMENT)]
     quick: bool,
     /// Write all numbers as JSON to FILE. Without FILE: print them instead of the table
@@ -166,9 +166,9 @@ const MEASUREMENT: &str = "Measurement";
 enum MethodName {
     /// One PSF for the whole frame, the unit of the ratios
     Single,
-    /// The fast engine with transforms for all tiles, at each of --tolerances
+    /// Fourier transforms for all tiles of the frame, at each of --tolerances
     Lowrank,
-    /// The fast engine with the cheapest computation for each tile, at each of --tolerances
+    /// The cheapest computation for each tile of the frame, at each of --tolerances
     Auto,
     /// One PSF per patch, for each of --patches
     Patch,
@@ -276,15 +276,15 @@ impl BenchArgs {
         match &self.psf {
             Some(path) if self.stretch => format!("with the PSF of {}", path.display()),
             Some(path) => format!(
-                "with the PSF of {} (--stretch fits its positions to any frame)",
+                "with the PSF of {} (--stretch adapts its field to any frame)",
                 path.display()
             ),
             None => "with the PSF of the preset".to_owned(),
         }
     }
 
-    /// Returns a model for each grid, or the model of the file. Each model is made when it is
-    /// needed.
+    /// Returns a model for each grid, or the model of the file. The iterator makes the model of a
+    /// grid when it reaches the grid.
     fn records<'a>(
         &'a self,
         settings: &'a Settings,

@@ -84,7 +84,8 @@ fn or_dash(text: Option<String>) -> String {
     text.unwrap_or_else(|| "-".to_owned())
 }
 
-/// A line with the smallest number of bytes that any hardware must move, if a GPU did the work.
+/// Returns a line with the smallest number of bytes that any GPU must move for this run. Returns an
+/// empty string if the run was on the CPU.
 fn least_bytes(row: &BenchRow) -> String {
     let Some([bus, memory]) = row.gpu_seconds.as_ref().map(|times| times.least_bytes) else {
         return String::new();
@@ -157,7 +158,7 @@ const METHODS: [(&str, Marker, usize); 6] = [
 const UNIT: &str = "single";
 
 /// The meaning of the labels next to points.
-const LABELS: &str = "numbers: tolerance (lowrank), side of a patch in pixels (patch), rank (basis)";
+const LABELS: &str = "numbers: tolerance (lowrank, auto), patch side in pixels (patch), rank (basis)";
 
 /// Draws a panel for each case. The first row of a case is the single PSF.
 pub(super) fn plot(cases: &[&[BenchRow]]) -> Result<Figure, PlotError> {

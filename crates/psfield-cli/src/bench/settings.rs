@@ -67,7 +67,8 @@ impl Settings {
         }
     }
 
-    /// Returns the contenders for a model of this rank, method by method, without duplicates.
+    /// Returns the contenders (each a method with its setting) for a model of this rank, method by
+    /// method, without duplicates.
     pub(super) fn contenders(&self, rank: usize) -> Vec<Contender> {
         let mut all = Vec::new();
         for method in &self.methods {
@@ -103,21 +104,22 @@ impl Settings {
     }
 }
 
-/// The device of the fast engine. It is never chosen automatically, because times are compared on a
-/// known device.
+/// The device of the methods lowrank and auto. It is never chosen automatically, because times are
+/// compared on a known device.
 #[derive(Debug, Clone, clap::Args)]
 #[command(next_help_heading = "Device")]
 pub(super) struct BenchDeviceArgs {
     /// Device of lowrank and auto (gpu computes in f32; the other methods run on the CPU)
     #[arg(long, default_value = "cpu", value_parser = device_parser(["cpu", "gpu"]))]
     pub(super) device: Device,
-    /// GPU to use: a part of its name or backend [default: the first of psfield devices]
+    /// GPU to use: a part of its name, or its backend [default: the first that psfield devices
+    /// lists]
     #[arg(long, value_name = "NAME", hide_short_help = true)]
     pub(super) gpu_adapter: Option<String>,
 }
 
 impl BenchDeviceArgs {
-    /// Returns an error message if options do not fit together. `single`: the precision is f32.
+    /// Returns an error message if options do not fit together. `single` is true for precision f32.
     pub(super) fn misused(&self, single: bool) -> Option<&'static str> {
         match self.device {
             Device::Cpu if self.gpu_adapter.is_some() => Some("--gpu-adapter applies only to --device gpu"),
@@ -141,7 +143,7 @@ pub(crate) enum JsonTo {
 
 impl JsonTo {
     /// Parses `--json` without a value, for which clap passes `true` or `false`.
-    #[allow(clippy::unnecessary_wraps, reason = "a parser of values")]
+    #[allow(clippy::unnecessary_wraps, reason = "clap expects a Result")]
     pub(crate) fn of_flag(text: &str) -> Result<Self, String> {
         Ok(if text == "true" {
             Self::Output

@@ -123,7 +123,7 @@ impl DemoArgs {
             let s = &report.seconds;
             let check = &report.spot_check;
             format!(
-                "sampled   {} PSFs over {frame} pixels ({} drawn in all) in {:.2} s\n\
+                "sampled   {} PSFs over {frame} pixels ({} computed in all) in {:.2} s\n\
                  fitted    {} components (elbow at {}), largest truncation error {:.1e}, in {:.2} s\n\
                  model     PSFs differ from the telescope's own by {:.1e} (median), {:.1e} (largest, relative L2)\n\
                  PSF       FWHM {:.2} to {:.2} pixels, ellipticity |e| up to {:.2}\n\
@@ -162,7 +162,7 @@ impl DemoArgs {
     }
 }
 
-/// Samples the telescope's PSF. Returns the samples, the number of PSFs drawn, and the seconds.
+/// Samples the telescope's PSF. Returns the samples, the number of PSFs computed, and the seconds.
 fn sample(telescope: &Telescope, progress: &dyn Progress) -> anyhow::Result<(PsfSamples, usize, f64)> {
     let clock = Instant::now();
     let criterion = InterpolationError::new(SAMPLING_THRESHOLD, DifferenceMeasure::L2)?;

@@ -117,7 +117,7 @@ impl Output {
         image: &Image<f32>,
         by_patches: &Image<f32>,
     ) -> anyhow::Result<()> {
-        // Both pictures have one scale, so that they can be compared.
+        // The pictures of scene and image have one scale, so that they can be compared.
         let image = image.pixels().mapv(f64::from);
         let high = Summary::of(image.iter().copied())?
             .quantile(0.9995)?

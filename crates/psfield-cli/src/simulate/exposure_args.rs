@@ -17,9 +17,9 @@ use super::super::files::OutputFile;
 pub(super) struct ExposureArgs {
     /// Write detector counts instead of flux, and the noise-free image as IMAGE_truth.fits
     ///
-    /// Sky, photon noise, dark current, read noise, gain, digitisation: psfield expose --help lists
-    /// the keys of the file. --seed is the seed of the noise. --no-truth leaves the second file
-    /// out.
+    /// The file sets sky, photon noise, dark current, read noise, gain, digitisation and more:
+    /// psfield expose --help lists its keys. --seed is the seed of the noise. --no-truth leaves the
+    /// noise-free image out.
     #[arg(long, value_name = "DETECTOR.toml")]
     pub(super) detector: Option<PathBuf>,
     /// Noise-free image to write with --detector [default: IMAGE_truth.fits next to the image]

@@ -65,11 +65,11 @@ pub(crate) struct SimulateArgs {
         )
     )]
     tolerance: Option<f64>,
-    /// Check N random pixels against the direct sum in double precision
+    /// Check N random pixels against the direct sum in double precision (0: no check)
     ///
     /// Half of them are bright pixels. If the relative r.m.s. difference is above 3 x --tolerance
     /// plus rounding, the image is still written, but the command fails. For basis and direct, the
-    /// limit allows only rounding. For patch=N, there is no limit if the scene has an image or
+    /// limit allows only rounding. For patch, there is no limit if the scene has an image or
     /// galaxies.
     #[arg(
         long,
@@ -84,8 +84,8 @@ pub(crate) struct SimulateArgs {
     seed: u64,
     /// Method of the convolution
     ///
-    /// auto: the cheapest computation for each tile, within --tolerance.
-    /// lowrank: Fourier transforms for all tiles, within --tolerance.
+    /// auto: the cheapest computation for each tile of the image, within --tolerance.
+    /// lowrank: Fourier transforms for all tiles of the image, within --tolerance.
     /// basis: one convolution of the image per component, exact.
     /// patch=N: one PSF for each N x N pixels, approximate.
     /// direct: sum over all pixels, exact and very slow.
@@ -120,11 +120,12 @@ pub(crate) struct SimulateArgs {
         hide_short_help = true
     )]
     precision: Precision,
-    /// Cut or pad the PSF stamps to N x N pixels of the image [default: the stamp's own size]
+    /// Cut or pad the PSF stamps to N x N output pixels [default: the stamp's own size]
     ///
-    /// The PSF is centred at pixel N / 2. For images and galaxies, stamps are cut or padded, then
-    /// scaled to unit flux (not with --normalise keep). For stars, stamps are cut around the star's
-    /// pixel and not scaled again, so that light outside these N x N pixels is lost.
+    /// The PSF is centred at pixel N / 2 (0-based, rounded down). For images and galaxies, stamps
+    /// are cut or padded, then scaled to unit flux (not with --normalise keep). For stars, stamps
+    /// are cut around the star's pixel and not scaled again, so that light outside these N x N
+    /// pixels is lost.
     #[arg(
         long,
         value_name = "N",
@@ -149,8 +150,9 @@ pub(crate) struct SimulateArgs {
     /// Read the scene and write the image in bands of rows
     ///
     /// psfield then never holds the whole scene or image in memory. The result does not change.
-    /// Applies only to the methods auto and lowrank, without --detector. In these cases psfield
-    /// streams by itself if scene and image would fill more than 70 % of the free memory.
+    /// Applies only to a scene that is an image, to the methods auto and lowrank, and without
+    /// --detector. In such a run psfield does this also without --stream if scene and image would
+    /// fill more than 70 % of the free memory.
     #[arg(long, help_heading = MEMORY, hide_short_help = true)]
     stream: bool,
     #[command(flatten)]
@@ -169,14 +171,14 @@ const MEMORY: &str = "Memory";
 
 fn tolerance_help() -> String {
     format!(
-        "Largest relative L2 error that the engine adds to the PSF of any pixel or star [default: {:e}]",
+        "Largest relative L2 error that the convolution adds to the PSF of any pixel or star [default: {:e}]",
         SimulateOptions::default().tolerance
     )
 }
 
 fn memory_help() -> String {
     format!(
-        "Memory for the plan (bytes, or with K, M or G) [default: {}]",
+        "Most memory for the plan, the prepared PSF data (bytes, or with K, M or G) [default: {}]",
         text_of_bytes(SimulateOptions::default().memory)
     )
 }
@@ -216,7 +218,7 @@ impl SimulateArgs {
         })
     }
 
-    /// Returns these options as a job of a batch, whose files carry its mark.
+    /// Returns these options for a job of a batch. The headers of the job's files will hold `mark`.
     pub(crate) fn for_job(&self, mark: JobMark, overwrite: bool) -> Self {
         Self {
             job: Some(mark),

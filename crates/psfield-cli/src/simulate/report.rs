@@ -21,7 +21,8 @@ pub(crate) struct Report {
     pub(super) tolerance: Option<f64>,
     /// Components of the model, the mean not counted.
     pub(super) rank: usize,
-    /// Mean number of modes per tile if there is a plan, else the number of stamps of the model.
+    /// With a plan, the mean number of modes per block of tiles (a tile needs one convolution per
+    /// mode). Otherwise the number of stamps of the model.
     pub(super) modes: f64,
     pub(super) normalise: Normalisation,
     pub(super) shape: [usize; 2],
@@ -88,7 +89,7 @@ fn plan_figures<S: Serializer>(plan: &Option<PlanSummary>, serializer: S) -> Res
     figures.serialize(serializer)
 }
 
-#[allow(clippy::ref_option, reason = "serde hands over the field")]
+#[allow(clippy::ref_option, reason = "serde passes a reference to the field")]
 fn tile_figures<S: Serializer>(counts: &Option<TileCounts>, serializer: S) -> Result<S::Ok, S::Error> {
     let figures = counts.map(|counts| {
         object! {
@@ -118,7 +119,7 @@ impl Report {
         self.spot_check
             .as_ref()
             .map_or(Ok(()), |check| verdict(check, &self.output))
-            .map_err(|error| anyhow::anyhow!("{error}: --method direct computes the direct sum"))
+            .map_err(|error| anyhow::anyhow!("{error}, but choose another --method, such as direct"))
     }
 
     pub(crate) fn text(&self) -> String {

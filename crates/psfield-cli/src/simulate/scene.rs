@@ -20,12 +20,13 @@ pub(super) struct SceneArgs {
     pub(super) scene: Option<PathBuf>,
     /// Stars and galaxies: CSV, text or FITS table with columns x, y (0-based pixels) and flux
     ///
-    /// x and y are in pixels of the image and count from the first pixel of the scene. Sources may
-    /// lie outside the scene. If the columns have other names, give these with --columns.
+    /// x and y are in pixels of the output image and count from the first pixel of the scene.
+    /// Sources may lie outside the scene. If the columns have other names, give these with
+    /// --columns.
     ///
     /// Rows with re and n are galaxies with Sersic profiles. re: half-light radius along the major
-    /// axis (pixels of the image). n: Sersic index, 0.3 to 8. q: axis ratio [default: 1]. angle:
-    /// degrees from +x towards +y [default: 0].
+    /// axis (pixels of the output image). n: Sersic index, 0.3 to 8. q: axis ratio [default: 1].
+    /// angle: degrees from +x towards +y [default: 0].
     #[arg(long, value_name = "CATALOG", help_heading = SCENE)]
     pub(super) catalog: Option<PathBuf>,
     /// Columns and rows of a scene without an image (pixels)
@@ -37,10 +38,10 @@ pub(super) struct SceneArgs {
         help_heading = SCENE
     )]
     pub(super) shape: Option<Pair>,
-    /// Scene pixels per image pixel along each axis [default: 1]
+    /// Scene pixels per pixel of the output image along each axis [default: 1]
     ///
     /// From 1 to 64. Use at least 4 for galaxies of a catalogue, or the pixels of the scene blur
-    /// them. The catalogue, --shape and --frame stay in pixels of the image.
+    /// them. The catalogue, --shape and --frame stay in pixels of the output image.
     #[arg(
         long,
         alias = "oversample",
@@ -52,7 +53,7 @@ pub(super) struct SceneArgs {
     /// Part of the scene to write: first column, first row, columns, rows (pixels)
     ///
     /// X0, Y0 and the catalogue count from the first pixel of the scene. The positions of the PSF
-    /// count from the first pixel of this part. All are in pixels of the image.
+    /// count from the first pixel of this part. All are in pixels of the output image.
     #[arg(
         long,
         value_name = "X0,Y0,NX,NY",
@@ -65,9 +66,9 @@ pub(super) struct SceneArgs {
     /// primary image, else the only one]
     #[arg(long, value_name = "N|NAME", help_heading = SCENE)]
     pub(super) extension: Option<HduChoice>,
-    /// Flux of the scene's NaN pixels [default: NaN is an error]
+    /// Flux that replaces NaN in pixels of the scene [default: NaN is an error]
     ///
-    /// The report states their number.
+    /// The report states the number of these pixels.
     #[arg(
         long,
         value_name = "FLUX",
@@ -78,8 +79,8 @@ pub(super) struct SceneArgs {
     pub(super) nan_as: Option<f64>,
     /// FITS file with the world coordinates of a scene without an image
     ///
-    /// The cards of its header are copied to the image, and catalogues may give ra and dec
-    /// (degrees).
+    /// The cards of its header are copied to the output image, and the catalogue may give ra and
+    /// dec (degrees) in place of x and y.
     #[arg(
         long,
         value_name = "FILE.fits",
@@ -111,7 +112,7 @@ pub(super) struct ReadScene<T: ConvReal> {
     pub(super) nan_pixels: usize,
 }
 
-/// Names `--nan-as` in an error about a pixel, unless it is given.
+/// Adds the option `--nan-as` to an error about a pixel, unless the user has set this option.
 pub(super) fn with_nan_as(error: IoError, reader: &ImageReader) -> IoError {
     match reader.nan_as() {
         None => with_nan_setting(error, "nan_as"),
@@ -214,7 +215,7 @@ impl SceneArgs {
         Ok(FrameShape::new(nx * s, ny * s)?)
     }
 
-    /// Reads the catalogue, in pixels of the image.
+    /// Reads the catalogue. The positions that it returns are in pixels of the output image.
     fn read_catalog(&self, path: &Path, header: &HeaderCards) -> anyhow::Result<Catalog> {
         // The header of a scene refers to pixels of the scene, but the header of --wcs to pixels of
         // the image.
@@ -231,7 +232,7 @@ impl SceneArgs {
             Err(error) => Some(error),
         };
         match (psf_io::read_catalog_with(path, &options), unusable) {
-            // An unusable header matters only now, when the catalogue needs it.
+            // An unusable header matters only if the catalogue needs its world coordinates.
             (Err(error), Some(why)) if error.setting() == Some("sky") && !header.is_empty() => {
                 let file = self.scene.as_ref().or(self.wcs.as_ref());
                 let file = file.map_or_else(String::new, |file| format!("{}: ", file.display()));
@@ -255,7 +256,7 @@ struct CatalogArgs {
     zero_point: Option<f64>,
     /// Skip invalid rows and count them [default: an invalid row is an error]
     ///
-    /// A row is invalid if position or flux is missing, or if dec, re, n, q or angle is out of
+    /// A row is invalid if position, flux or mag is missing, or if dec, re, n, q or angle is out of
     /// range.
     #[arg(long, hide_short_help = true)]
     skip_invalid: bool,

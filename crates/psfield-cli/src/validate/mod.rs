@@ -22,9 +22,9 @@ use crate::star_args::{MaskArgs, StarArgs};
 /// (MSE) at the positions of the reference, and draws the same figures as psfield reproduce.
 ///
 /// The reference should not contain the PSFs from which the model was made: psfield sample
-/// --hold-out writes PSFs for this purpose. A warning counts the PSFs of the reference that lie
-/// closer than half a pixel to a sample of the model. A PSFEx file does not contain the positions
-/// of its samples, so it gives no warning.
+/// --hold-out writes PSFs for this purpose. A warning counts the PSFs or stars of the reference
+/// that lie closer than half a pixel to a sample of the model. For a PSFEx file there is no
+/// warning, because the file does not hold the positions of its samples.
 ///
 /// If the reference is a frame, psfield selects its stars as psfield sample does. With the model,
 /// it draws each star at the measured position and with the measured flux. It compares the drawn
@@ -42,17 +42,18 @@ use crate::star_args::{MaskArgs, StarArgs};
 ///
 /// A round trip also compares the light of isolated stars: the ratio of fluxes simulated / frame
 /// within 2.5 FWHM (at least 4 pixels), and the reduced chi-square of frame minus simulation,
-/// without noise in the simulation. A star is isolated if no other source lies within 2.5 times that
-/// radius. All this is done twice: with the model made from all stars, and with stars that are left
-/// out. For the latter, the stars are divided into five groups, and each group is drawn by a model
-/// made from the other four.
+/// without noise in the simulation. A star is isolated if no other source lies within 2.5 times
+/// that radius. All comparisons are made twice. First, one model made from all stars draws them.
+/// Then the stars are divided into five groups, and each group is drawn by a model made from the
+/// other four. This second comparison is called left_out, because each model leaves out the stars
+/// that it draws.
 ///
 /// The folder of a round trip has tables, the samples, the model, the first simulated frame, the
-/// residual, and summary.json in place of a report. Its keys are, among others, stars (stars that
-/// became PSF samples), measured (stars measured in both the frame and the first simulated frame),
-/// drawn (sources drawn into each simulated frame), flux_ratio, reduced_chi_square, left_out (all
-/// figures for stars that are left out), and residual_over_noise (r.m.s. of the frame minus the
-/// first simulated frame, divided by the background noise).
+/// residual, and summary.json in place of a report. Among the keys of summary.json are stars (stars
+/// that became PSF samples), measured (stars measured in both the frame and the first simulated
+/// frame), drawn (sources drawn into each simulated frame), flux_ratio, reduced_chi_square,
+/// left_out (the figures of the second comparison), and residual_over_noise (r.m.s. of the frame
+/// minus the first simulated frame, divided by the background noise).
 ///
 /// Examples:
 ///
@@ -135,7 +136,8 @@ impl ValidateArgs {
                 ),
             },
         };
-        // The nodes of a PSFEx model are not the stars from which it was made.
+        // The sample positions of a PSFEx model are nodes of its polynomial, not the stars from
+        // which it was made.
         let measured = match psf.record() {
             Ok(record) if psf.kind() != Some(FileKind::Psfex) => {
                 measured.with_training(record.coefficients().positions().as_slice())
@@ -144,8 +146,8 @@ impl ValidateArgs {
         };
         if let Some(count @ 1..) = measured.at_samples {
             context.warn(&format!(
-                "{count} of {} objects of {} lie at positions of the samples from which {} was made: their errors do not show the error between \
-                 the samples (psfield sample --hold-out N writes PSFs that are not samples)",
+                "{count} of {} objects of {} lie at positions of the samples from which {} was made: errors at these positions do not show the error \
+                 between the samples (psfield sample --hold-out N writes PSFs that are not samples)",
                 measured.objects.summary.objects,
                 reference.display(),
                 self.input.display()

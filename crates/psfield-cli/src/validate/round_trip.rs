@@ -81,8 +81,8 @@ impl RoundTripArgs {
                 |stars| format!("each star drawn by a model made without it:\n{}", lines(stars)),
             );
             format!(
-                "{}: {} stars ({} registration), {} measured in both, {} sources drawn, {} simulated frame(s)\n{}\n{left_out}\n\
-                 flux ratio: simulated / frame within {:.1} pixels. The reduced chi-square counts {}",
+                "{}: {} stars ({} registration), {} measured in frame and simulation, {} sources drawn, {} simulated frame(s)\n{}\n{left_out}\n\
+                 flux ratio: simulated / frame within {:.1} pixels of the star. The reduced chi-square counts {}",
                 report.folder.display(),
                 figures.stars,
                 report.registration.method,

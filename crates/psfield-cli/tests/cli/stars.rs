@@ -370,7 +370,7 @@ fn stars_can_be_held_out_for_a_check() {
     desk.refused(
         "sample frame.fits -o x.fits --hold-out 25",
         1,
-        &["25 stars cannot be held out", "only 25"],
+        &["stars to hold out is 25", "below 25"],
     );
     desk.refused(
         "sample frame.fits -o x.fits --hold-out 3 --registration epsf",

@@ -31,7 +31,7 @@ pub struct Validation {
     /// Number of objects that lie on samples of the model, counted by
     /// [`with_training`](Self::with_training). None if they were not counted.
     pub at_samples: Option<usize>,
-    /// The targets for PSFs without noise. Empty for a frame.
+    /// The accuracy targets for PSFs without noise. Empty for a frame.
     pub targets: Vec<Target>,
     /// The errors of the PSFs or stars.
     pub objects: Evaluation,
@@ -54,7 +54,8 @@ impl Validation {
     ///
     /// # Errors
     /// [`ErrorKind::Field`](psfield::ErrorKind::Field) for a sample outside the model's field or if
-    /// the model has no value there, [`LabError::TruthWithoutPixels`].
+    /// the model has no value there. [`LabError::TruthWithoutPixels`] if the PSFs of the model
+    /// include the pixel response and the samples lack it.
     pub fn of_samples(model: &PsfModel, truth: &PsfSamples) -> Result<Self, LabError> {
         let grid = truth.grid();
         if model.grid().pixel_response_included() && !grid.pixel_response_included() {
@@ -105,10 +106,11 @@ impl Validation {
     /// pixel ([`StarSampling::run_masked`]). The comparison replaces it by the drawn value.
     ///
     /// # Errors
+    /// [`ErrorKind::Data`](psfield::ErrorKind::Data) for a frame without pixels,
     /// [`ErrorKind::Field`](psfield::ErrorKind::Field) if the frame is larger than the model's
-    /// field, [`ErrorKind::Stars`](psfield::ErrorKind::Stars) if the frame has no such stars,
-    /// [`LabError::NothingMeasured`] if none of them can be measured in both images, and the errors
-    /// of drawing.
+    /// field, [`ErrorKind::Stars`](psfield::ErrorKind::Stars) if no star is good enough to be a
+    /// sample, [`LabError::NothingMeasured`] if no such star can be measured both in the frame and
+    /// as drawn, and the errors of drawing.
     pub fn of_frame(
         model: &PsfModel,
         frame: Array2<f64>,
@@ -163,7 +165,8 @@ impl Validation {
     }
 }
 
-/// An object lies on a sample of the model if it is closer to it than this, in pixels of the frame.
+/// An object lies on a sample of the model if the distance between them is smaller than this, in
+/// pixels of the frame.
 const ON_SAMPLE_PX: f64 = 0.5;
 
 impl Validation {
@@ -180,7 +183,8 @@ impl Validation {
         self
     }
 
-    /// Makes the report, with all figures. `inputs` are names and values of the compared files.
+    /// Makes the report, with all figures. `inputs` lists the compared files, each with its role
+    /// (such as `PSF model`) and its path.
     ///
     /// # Errors
     /// [`PlotError`] when a figure cannot be drawn.
@@ -193,9 +197,9 @@ impl Validation {
             ValidationTruth::Samples => (
                 "PSFs",
                 "model",
-                "Each PSF of the truth is compared with the PSF of the model at its position. The same Gaussian fit measures both. If \
-                 the PSFs of the model have unit flux, both PSFs are scaled to unit flux. No image is simulated, so the \
-                 differences do not include the error of the engine, which its tolerance limits.",
+                "Each PSF of the truth is compared with the PSF of the model at its position. Both are measured by a Gaussian fit. If \
+                 the PSFs of the model have unit flux, both PSFs are scaled to unit flux. No image is simulated, so the differences do not \
+                 include the error of the convolution, which the tolerance of a simulation limits.",
             ),
             ValidationTruth::Frame => (
                 "stars",

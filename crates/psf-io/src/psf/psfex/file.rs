@@ -59,7 +59,7 @@ pub fn read_psfex(path: impl AsRef<Path>, extension: Option<&HduChoice>) -> Resu
     let values = table.read(COLUMN, values_per_row)?;
     let planes = Array3::from_shape_vec(shape, values).expect("as many values as the axes say");
     let sampling = hdu.required::<f64>("PSF_SAMP", SAMPLING)?;
-    // The inverse of a smaller number is infinite.
+    // The inverse of a smaller number above 0 may be infinite.
     if sampling < f64::MIN_POSITIVE {
         return Err(hdu.keyword_error("PSF_SAMP", SAMPLING));
     }
