@@ -63,8 +63,7 @@ impl FieldInterpolation for Bilinear {
 /// In each coordinate the knots are the lines of the grid and the fifths of each cell. At the
 /// knots, the weights are those of Lagrange's polynomial through the two lines on either side (at
 /// an edge, through the four lines next to it). Between knots, weights are linear. So values are
-/// exact at the samples and continuous. Runs of pixels with linear weights are a fifth of a cell
-/// long, and the error is at most
+/// exact at the samples and continuous. The error is at most
 ///
 /// ```text
 /// h^2 |v_xx| / 200 + 3 h^4 |v_xxxx| / 128

@@ -359,7 +359,7 @@ fn points_between(lines: &Axis, cell: usize) -> Vec<f64> {
         .map(|i| a + (b - a) * (i as f64 / PIECES as f64))
         .collect();
     let ascending = |v: &[f64]| v[0] < v[1];
-    // Cells so narrow that their knots differ only by rounding are not cut.
+    // A cell is not cut if it is so narrow that rounding makes two of its knots equal.
     let is_apart = a < points[0] && points.windows(2).all(ascending) && points[PIECES - 2] < b;
     if is_apart { points } else { Vec::new() }
 }

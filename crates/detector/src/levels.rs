@@ -1,4 +1,4 @@
-//! Three steps of the chain without random numbers: the sky, the full well and the
+//! Three steps of the detector that draw no random numbers: the sky, the full well and the
 //! analogue-to-digital converter.
 
 use psf_types::FrameShape;

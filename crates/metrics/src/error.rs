@@ -41,7 +41,9 @@ pub enum MetricsError {
         value: f64,
     },
     /// No Gaussian with a positive amplitude fits the pixels.
-    #[error("no positive peak: the largest value is {largest}, the best Gaussian's amplitude {amplitude}")]
+    #[error(
+        "no Gaussian with a positive amplitude fits: the best amplitude is {amplitude}, the largest value {largest}"
+    )]
     NoPeak {
         /// Largest value in the window.
         largest: f64,
@@ -162,7 +164,9 @@ pub enum MetricsError {
     #[error("result and reference are identical: the signal-to-noise ratio is infinite")]
     Identical,
     /// Values so large that a result, or the sum of their squares, exceeds double precision.
-    #[error("a result exceeds the range of double precision (largest given value or error: {largest})")]
+    #[error(
+        "a result exceeds the range of double precision: the largest value or difference in the input is {largest}"
+    )]
     Overflow {
         /// The window's value of largest magnitude, with its sign. For a comparison or a summary:
         /// largest absolute value or error.

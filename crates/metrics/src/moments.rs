@@ -104,8 +104,8 @@ pub struct AdaptiveMoments {
 shape_accessors!(AdaptiveMoments, "M", "adaptive second moments");
 
 impl AdaptiveMoments {
-    /// Flux of the best-fit elliptical Gaussian, `2 sum w I`, in units of the stamp (HSM's
-    /// amplitude).
+    /// Flux of the best-fit elliptical Gaussian, `2 sum w I`, in the units of the stamp's values
+    /// (HSM's amplitude). [`AdaptiveMomentFinder`] defines `w` and `I`.
     pub fn amplitude(&self) -> f64 {
         self.amplitude
     }

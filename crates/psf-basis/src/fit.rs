@@ -1,5 +1,5 @@
-//! Fits of a basis to samples, and the two methods: singular vectors of the samples, and stamps
-//! from elsewhere.
+//! Fits a basis to samples. There are two methods: [`Svd`] computes the basis from the samples, and
+//! [`GivenStamps`] uses stamps from elsewhere.
 
 use ndarray::{Array2, Array3, ArrayView1, ArrayView2, ArrayView3, Axis, concatenate};
 use psf_types::{DataError, PsfBasis, PsfSamples, SampleCoefficients, named};

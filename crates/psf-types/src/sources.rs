@@ -39,11 +39,11 @@ impl PointSource {
     }
 }
 
-/// The smallest Sersic index. Real galaxies have a larger index.
+/// The smallest Sersic index that is allowed. Real galaxies have a larger index.
 const SMALLEST_INDEX: f64 = 0.3;
-/// The largest Sersic index. Fits of real galaxies with a larger index are not meaningful.
+/// The largest Sersic index that is allowed. Fits of real galaxies with a larger index are not meaningful.
 const LARGEST_INDEX: f64 = 8.0;
-/// The smallest axis ratio. Edge-on discs have a ratio a hundred times larger. The time to
+/// The smallest axis ratio that is allowed. Edge-on discs have a ratio a hundred times larger. The time to
 /// integrate a profile over pixels grows as the inverse of the ratio. A galaxy with the smallest
 /// ratio takes a large part of a second.
 const SMALLEST_AXIS_RATIO: f64 = 1e-3;

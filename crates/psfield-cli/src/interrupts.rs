@@ -38,7 +38,8 @@ pub(crate) fn handle() -> std::io::Result<()> {
         .name("signals".to_owned())
         .spawn(move || {
             if let Some(signal) = signals.forever().next() {
-                // The outputs stay locked until the process ends.
+                // The process ends inside the closure. Until then, no other thread can start or
+                // finish an output.
                 psf_io::remove_unfinished(|outputs| {
                     tell(signal, outputs);
                     std::process::exit(SIGNALLED + signal)

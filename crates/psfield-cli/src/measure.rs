@@ -97,7 +97,7 @@ impl MeasureArgs {
         }
         Ok(match kind {
             FileKind::PsfModel => anyhow::bail!(
-                "{} is a PSF model: measure its PSFs at chosen positions (psfield evaluate writes them)",
+                "{} is a PSF model: write its PSFs at chosen positions (psfield evaluate), then measure that file",
                 path.display()
             ),
             FileKind::PsfSamples if self.extension.is_some() => {

@@ -313,7 +313,8 @@ fn simulated<T: ConvReal>(
     Ok((made, simulator.warnings(scene)))
 }
 
-/// Builds a simulator and prepares it for images.
+/// Builds a simulator, and makes its model and plan for scenes that contain an image. Those for
+/// stars are made later, when a scene needs them.
 fn planned<T: ConvReal>(
     py: Python<'_>,
     make: impl FnOnce(&Watch) -> Result<Simulator<T>, PsfieldError> + Send + 'static,

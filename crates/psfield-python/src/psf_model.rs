@@ -304,7 +304,7 @@ struct WriteSettings {
     overwrite: bool,
 }
 
-/// The program that the HISTORY of files names.
+/// The name of the program in the HISTORY card of files that are written.
 const COMMAND: &str = "psfield for Python";
 
 impl WriteSettings {

@@ -82,7 +82,7 @@ impl<T: ConvReal> Simulator<T> {
             Card::new(
                 "PSFANCH",
                 options.anchor.to_string(),
-                "position of the PSF: source or output pixel",
+                "PSF is that of the source or output pixel",
             )?,
             Card::new("PSFPREC", T::NAME, "working precision")?,
             Card::new(

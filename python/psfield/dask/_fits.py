@@ -92,7 +92,7 @@ class FitsFiles:
     def _sign(self, header: Any, job: Mapping[str, Any]) -> None:
         """Write how the image was made."""
         header["PSFIELD"] = (__version__, "version of psfield that made this image")
-        header["PSFANCH"] = (self.settings["anchor"], "position of the PSF: source or output pixel")
+        header["PSFANCH"] = (self.settings["anchor"], "PSF is that of the source or output pixel")
         header["PSFPREC"] = (self.settings["precision"], "working precision")
         allowed = "relative L2 error allowed for any pixel's PSF"
         header["PSFTOL"] = (self.settings["tolerance"], allowed)

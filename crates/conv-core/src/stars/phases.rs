@@ -204,7 +204,7 @@ impl Star {
         )
     }
 
-    /// The star's phases along columns and rows. `None` if it lights no pixel.
+    /// The star's phases: in x (columns), then in y (rows). `None` if the star lights no pixel.
     pub(super) fn phases(&self, [columns, rows]: &[PhasedAxis; 2]) -> Option<[Phase; 2]> {
         Some([columns.phase(self.shift.0)?, rows.phase(self.shift.1)?])
     }

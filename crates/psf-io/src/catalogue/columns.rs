@@ -148,7 +148,7 @@ impl CatalogColumns {
         self.given[role as usize].is_some()
     }
 
-    /// If the given roles contradict each other, returns the rule that they break.
+    /// Returns the rule that the given roles break, or `None` if they fit together.
     fn conflict(&self) -> Option<&'static str> {
         let given = |role| self.is_given(role);
         if given(Role::X) != given(Role::Y) {

@@ -1,5 +1,5 @@
-//! The keywords of world coordinates in a header, and the distortions: SIP in pixels and TPV on the
-//! projection.
+//! Reads the keywords of world coordinates from a header, with two kinds of distortion. SIP acts on
+//! pixel coordinates, and TPV acts on coordinates in the plane of the projection.
 
 use thiserror::Error;
 
@@ -173,8 +173,8 @@ impl Distortion {
         if let Some(keyword) = order.filter(|_| is("TPV")) {
             return Err(unsupported(
                 keyword,
-                "absent, because it belongs to the distortion SIP, but CTYPE1 asks for TPV",
-                "a header with both",
+                "absent if CTYPE1 asks for the distortion TPV (this keyword belongs to SIP)",
+                "both distortions",
             ));
         }
         if suffix == "-SIP" || order.is_some() {
@@ -233,7 +233,7 @@ impl Distortion {
         }
     }
 
-    /// The coordinates on the projection whose distorted value is `to`.
+    /// The coordinates on the projection plane whose distorted value is `to`.
     pub(crate) fn undo_in_plane(&self, to: [f64; 2]) -> Option<[f64; 2]> {
         match self {
             Self::Tpv(_) => inverse(|from| self.in_plane(from), to),

@@ -193,8 +193,8 @@ pub(crate) fn unpack(path: &Path) -> Result<Temporary, IoError> {
             let length = unpacker.read_up_to(&mut block)?;
             let hdu_starts = header.blocks == 0 && index > 0;
             if hdu_starts && !block[..length].starts_with(b"XTENSION") {
-                // The bytes after the last HDU belong to no HDU. They are read only because gzip's
-                // checksum includes them.
+                // No other HDU follows. The rest is not copied, but it is read all the same,
+                // because gzip checks its checksum at the end.
                 unpacker.drain(&mut buffer)?;
                 out.flush().map_err(failed)?;
                 return Ok(copy);

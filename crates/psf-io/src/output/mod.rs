@@ -77,13 +77,13 @@ thread_local! {
     static TOGETHER: RefCell<Option<Vec<PendingFile>>> = const { RefCell::new(None) };
 }
 
-/// Writes several files that belong together: all of them appear, or none.
+/// Writes several files that belong together. If one of them cannot be written, none appears.
 ///
 /// `write` calls functions of this crate that write files. Until `write` returns, files that are
 /// complete keep their temporary names. Then all files get their final names, one after the other,
-/// in the order in which they were written. If `write` fails or the process ends before that, no
-/// file appears. `write` must not read these files, and must write them on the thread that called
-/// `write_together`.
+/// in the order in which they were written. If `write` fails, or if the process ends before `write`
+/// returns, no file appears. `write` must not read these files, and must write them on the thread
+/// that called `write_together`.
 ///
 /// ```
 /// # let directory = tempfile::tempdir()?;
@@ -99,7 +99,7 @@ thread_local! {
 ///
 /// # Errors
 /// Any error of `write`, and [`IoErrorKind::Write`] or [`IoErrorKind::Exists`] if a file cannot get
-/// its final name. Files that have their names by then are kept.
+/// its final name. Files that already have their final names are kept in that case.
 pub fn write_together<R, E: From<IoError>>(write: impl FnOnce() -> Result<R, E>) -> Result<R, E> {
     /// Ends the group, also after an error or a panic. Files that still wait are removed.
     struct End;

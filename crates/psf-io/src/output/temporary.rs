@@ -1,13 +1,14 @@
 //! The temporary files of outputs. A program that is told to stop can remove the temporary files of
-//! its own process. The files of a killed process are removed by the next process that writes in
-//! the same folder.
+//! its own process. On Unix, the next process that writes in the same folder removes the files of
+//! killed processes.
 //!
-//! A temporary file is called `.psfield-PROCESS-RANDOM-OUTPUT` and lies next to its output. The
-//! process that writes it holds an advisory lock on it. The system releases the lock when the
-//! process ends for any reason, even if it ran on another machine that shares the folder. So an
-//! unlocked temporary file belongs to no running process, except in the moment between its creation
-//! and its lock. On Linux, psfield therefore keeps the files of all running processes of its
-//! machine.
+//! A temporary file is called `.psfield-PROCESS-RANDOM-OUTPUT`, where PROCESS is the number of the
+//! process that writes it. It lies next to its output. On Unix, this process holds an advisory lock
+//! on the file, if the file system has such locks. The system releases the lock when the process
+//! ends for any reason, even if it ran on another machine that shares the folder. So an unlocked
+//! file is left over from a process that has ended, with one exception: a process locks its file a
+//! moment after it has created it. On Linux, psfield can see which processes of its own machine are
+//! running. It never removes a file that has the number of such a process, locked or not.
 //!
 //! The locks of outputs ([`OutputLock`](super::OutputLock)) are temporary files too. Their names
 //! are `.psfield-lock-HASH`.

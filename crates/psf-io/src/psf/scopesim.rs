@@ -23,8 +23,8 @@
 //!   zero. This reader keeps negative values. Scale the PSF to unit flux for a comparable result.
 //! - **The centre** is the middle of the stamp, `(n - 1) / 2`, as ScopeSim assumes when it rescales
 //!   kernels. Neither ScopeSim nor this reader uses `CRPIX1` of the PSFs.
-//! - **The pixel response** is assumed to be included. The file does not state it, and ScopeSim
-//!   convolves with its kernels unchanged.
+//! - **The pixel response** is assumed to be part of the PSFs. The file does not state it, and
+//!   ScopeSim itself adds none.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -177,8 +177,7 @@ pub fn read_scopesim(path: impl AsRef<Path>, options: &ScopesimOptions) -> Resul
                 "wavelength: the PSFs for {} micrometres were read",
                 kernels.wavelength_um
             ),
-            "pixel response: assumed to be included, since ScopeSim convolves with its kernels unchanged"
-                .to_owned(),
+            "pixel response: assumed to be part of the PSFs, since ScopeSim itself adds none".to_owned(),
         ],
     })
 }

@@ -71,8 +71,8 @@ pub(crate) fn is_stdpsf(structure: &FitsStructure) -> bool {
 /// ```
 ///
 /// # Errors
-/// - [`IoErrorKind::Setting`] if several images have pixels, or if `detector` is needed or does not
-///   exist
+/// - [`IoErrorKind::Setting`] if several images have pixels, if the file holds several detectors and
+///   `detector` is `None`, or if the file has no detector of this number
 /// - [`IoErrorKind::Header`] with the keyword that is missing or malformed, or if two columns or
 ///   two rows of the grid have the same position
 /// - [`IoErrorKind::Axes`] unless the image has two or three axes

@@ -174,7 +174,7 @@ pub(super) fn plot(cases: &[&[BenchRow]]) -> Result<Figure, PlotError> {
 
 fn curves(rows: &[BenchRow]) -> Curves {
     let of = |name| rows.iter().filter(move |row| row.method == name);
-    // A horizontal line over all errors shows the time of a convolution with a single PSF.
+    // A horizontal line across the plot shows the time of a convolution with a single PSF.
     let marks = of(UNIT)
         .map(|row| Mark::Horizontal(row.seconds, UNIT.to_owned()))
         .collect();

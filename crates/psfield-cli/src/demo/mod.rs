@@ -129,7 +129,7 @@ impl DemoArgs {
                  PSF       FWHM {:.2} to {:.2} pixels, ellipticity |e| up to {:.2}\n\
                  simulated {} galaxies and {} stars in {:.2} s\n\
                  checked   {} pixels against the direct sum: largest difference {:.1e}{}\n\
-                 patches   of {} pixels give an image that differs by {:.1e} (relative L2): see patch_error.png\n\
+                 patches   with sides of {} pixels: their image differs from this one by {:.1e} (relative L2): see patch_error.png\n\
                  wrote     {} files to {} in {:.1} s: start with image.png, psf_field.png and report.json\n",
                 report.samples,
                 report.psfs_drawn,

@@ -82,7 +82,7 @@ impl RoundTripArgs {
             );
             format!(
                 "{}: {} stars ({} registration), {} measured in frame and simulation, {} sources drawn, {} simulated frame(s)\n{}\n{left_out}\n\
-                 flux ratio: simulated / frame within {:.1} pixels of the star. The reduced chi-square counts {}",
+                 flux ratio: simulated / frame within {:.1} pixels of the star. The reduced chi-square includes {}",
                 report.folder.display(),
                 figures.stars,
                 report.registration.method,

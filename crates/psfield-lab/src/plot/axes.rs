@@ -30,10 +30,10 @@ pub(super) trait Counting: Ranged<ValueType = f64> + ValueFormatter<f64> {}
 impl<R: Ranged<ValueType = f64> + ValueFormatter<f64>> Counting for R {}
 
 pub(super) type Chart<'a, 'b, X, Y> = ChartContext<'a, Canvas<'b>, Cartesian2d<X, Y>>;
-/// A chart with even steps along both axes.
+/// A chart whose two axes are linear.
 pub(super) type EvenChart<'a, 'b> = Chart<'a, 'b, RangedCoordf64, RangedCoordf64>;
 
-/// Makes a chart with even steps that fills an area, and draws its axes.
+/// Makes a chart with linear axes that fills an area, and draws the axes.
 pub(super) fn even_chart<'a, 'b>(
     area: &'a Area<'b>,
     [(x_name, x), (y_name, y)]: [(&str, Range<f64>); 2],

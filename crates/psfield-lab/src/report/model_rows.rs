@@ -1,5 +1,6 @@
-//! Measures the PSFs of models with fewer samples, fewer components or other interpolators. The
-//! fast engine is not used, so that its error is not included.
+//! Measures the PSFs of models other than that of the report: with fewer samples, with fewer
+//! components, or with other interpolators. The fast engine is not used, so that its error is not
+//! included.
 
 use psf_optics::Telescope;
 use psf_sample::{SamplingMethod, UniformSampling};

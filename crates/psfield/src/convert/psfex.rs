@@ -67,7 +67,7 @@ pub fn to_psfex(psf: &Psf, degree: Option<usize>) -> Result<PsfexConversion, Psf
     }
     if !psf.grid().pixel_response_included() {
         let message = format!(
-            "{FORMAT} needs stamps that include the pixel response. If these stamps include it, state so. If not, \
+            "{FORMAT} needs stamps that include the pixel response. If these stamps include it, say so with this setting. If not, \
              evaluate the PSF on the native grid first"
         );
         return Err(PsfieldError::new(ErrorKind::Format, message).with_setting("pixel_response_included"));
