@@ -81,9 +81,9 @@ impl Registration {
         Self { method, ..self }
     }
 
-    /// Sets the stamp size in pixels of the frame along each side. An even number is increased by
-    /// 1. By default, a stamp reaches 3 FWHM from its centre in each direction, and has at least 11
-    /// pixels along each side.
+    /// Sets the stamp size in pixels of the frame along each side. An even number is raised to the
+    /// next odd one. By default, a stamp reaches 3 FWHM from its centre in each direction, and has at
+    /// least 11 pixels along each side.
     ///
     /// # Errors
     /// [`StarError::Setting`] unless it is from 5 to 512.
