@@ -184,8 +184,8 @@ impl FieldWeights for GridWeights {
         Ok(())
     }
 
-    /// Visits one run for each piece of a cell that the row crosses. Under the policy nearest there
-    /// is also one run outside the grid on either side.
+    /// Visits one run for each cell that the row crosses, or for each fifth of such a cell
+    /// (bicubic). Under the policy nearest there is also one run outside the grid on either side.
     fn weights_along_row(&self, start: (i64, i64), length: usize, visit: OnRun<'_>) -> Visited {
         let row = Row::new(start, length);
         let is_clamped = self.outside != OutsidePolicy::Extend;

@@ -1,5 +1,5 @@
-//! The samples' points in double precision, checked once. Also their convex hull, and rows of
-//! pixels.
+//! The coordinates of the samples as checked `f64` values, their convex hull, and rows of pixels of
+//! the frame.
 
 use std::collections::HashMap;
 
@@ -33,7 +33,7 @@ pub(crate) struct Points {
     pub(crate) scale: Scale,
 }
 
-/// Lengths that separate real differences from rounding.
+/// The extent of the samples, and the distances below which differences count as rounding.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Scale {
     /// Positions up to this distance outside the samples still count as covered.

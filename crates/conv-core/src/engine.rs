@@ -220,7 +220,8 @@ impl<T: ConvReal> Engine<T> {
             let end = reached.end.max(written + pending.nrows()).max(next);
             let mut image = Array2::zeros((end - written, shape.nx()));
             image.slice_mut(s![..pending.nrows(), ..]).assign(&pending);
-            // Blocks of an output-anchored plan write only to their own rows.
+            // Blocks of an output-anchored plan write only to the rows that they cover. Other blocks
+            // also write to rows around them, so they get all rows in memory.
             let into = if self.gathers() { reached } else { written..end };
             let output = image.slice_mut(s![into.start - written..into.end - written, ..]);
             let (light, output) = ((light.view(), light_rows.start), (output, into.start));

@@ -29,7 +29,7 @@ pub enum ConvError {
     },
     /// The stamps do not include the pixel response.
     #[error(
-        "the PSF stamps do not include the pixel response, but images need it. Resample the stamps first"
+        "an image needs PSF stamps that include the pixel response, but these stamps do not: resample them to a grid that includes it"
     )]
     PixelResponse,
     /// The patch size is zero.

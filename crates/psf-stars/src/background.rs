@@ -182,8 +182,9 @@ pub(crate) fn median(values: &mut [f64]) -> f64 {
     }
 }
 
-/// A cell in which a smaller fraction of the pixels is not NaN gets the median of the cells around
-/// it (SExtractor's value).
+/// The smallest fraction of good pixels (not NaN) with which a cell is estimated from its own
+/// pixels. The fraction is SExtractor's. A cell with fewer good pixels gets the median of the cells
+/// around it. If no cell has enough good pixels, every cell with any good pixel is estimated.
 const LEAST_GOOD: f64 = 0.5;
 /// Values farther from the median than this number of standard deviations are clipped.
 const CLIP: f64 = 3.0;

@@ -66,7 +66,7 @@ impl ReproduceArgs {
             .publish(&document, (&measured, None), &tables, speaking, |folder| {
                 let targets = targets_text(&measured.targets);
                 format!(
-                    "{targets}{folder}: open report.html first ({:.0} s)",
+                    "{targets}{folder}: open report.html first (the run took {:.0} s)",
                     measured.seconds
                 )
             })

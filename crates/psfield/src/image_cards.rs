@@ -111,10 +111,11 @@ impl<T: ConvReal> Simulator<T> {
         Ok(cards)
     }
 
-    /// Converts the header of a scene to cards for the image of the scene. The world coordinates of
-    /// `header` refer to pixels of the scene's image if `of_image` is true, otherwise to frame
-    /// pixels counted from the scene's first pixel. The world coordinates of the result refer to
-    /// the frame's pixels. The cards of an earlier spot check, batch job and PSF file are removed.
+    /// Converts the header of a scene to the header of the image that is simulated from it. If
+    /// `of_image` is true, the world coordinates of `header` refer to the pixels of the image that
+    /// describes the scene. Otherwise they refer to frame pixels counted from the scene's first
+    /// pixel. In the result they refer to the frame's pixels. The cards of an earlier spot check,
+    /// batch job and PSF file are removed.
     pub fn carried_header(&self, header: &HeaderCards, of_image: bool) -> HeaderCards {
         let (frame, s) = (self.frame(), self.options().oversample);
         let mut header = if of_image {

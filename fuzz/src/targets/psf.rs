@@ -1,9 +1,9 @@
 //! Files of PSFs.
 
 use psf_io::{
-    HduChoice, PlaneOrder, Precision, PsfexModel, ScopesimOptions, StampCubeOptions, read_model_file, read_psfex,
-    read_samples, read_scopesim, read_stamp_cube, read_stdpsf, read_stpsf, write_model, write_psfex,
-    write_samples,
+    HduChoice, PlaneOrder, Precision, PsfexModel, ScopesimOptions, StampCubeOptions, read_model_file,
+    read_psfex, read_samples, read_scopesim, read_stamp_cube, read_stdpsf, read_stpsf, write_model,
+    write_psfex, write_samples,
 };
 use psf_types::Position;
 
@@ -44,7 +44,12 @@ pub fn psfex(data: &[u8]) -> usize {
     let mut case = Case::new("psfex", data);
     case.read(|path| read_psfex(path, Some(&HduChoice::Number(1))));
     // The format stores single precision. Values that TZERO has shifted may need double precision.
-    let is_single = |model: &PsfexModel| model.planes().iter().all(|&value| f64::from(value as f32) == value);
+    let is_single = |model: &PsfexModel| {
+        model
+            .planes()
+            .iter()
+            .all(|&value| f64::from(value as f32) == value)
+    };
     if let Some(model) = case.read(|path| read_psfex(path, None)).filter(is_single) {
         case.comes_back(
             &model,

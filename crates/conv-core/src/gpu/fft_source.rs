@@ -6,7 +6,7 @@
 //! unity, transforms them and writes the results in the order that the next stage needs. Between
 //! stages values pass through the memory that the workgroup shares. The shader supplies the code
 //! that loads the values of the first stage, and the last stage leaves its results in registers. So
-//! loading, products and storing need no extra pass.
+//! loading values, multiplying spectra and storing results need no extra pass.
 //!
 //! A product of spectra is computed in registers, and the transform back begins with the values in
 //! the registers where the forward transform left them. The transform back uses the radices in

@@ -1,4 +1,5 @@
-//! Executions: the host inspects the light of a batch while the GPU computes the batch before it.
+//! Executes the plan on the GPU. The host examines the light of the next batch while the GPU
+//! computes the batches submitted before it.
 
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};

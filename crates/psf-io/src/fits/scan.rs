@@ -276,7 +276,8 @@ impl<'a> Unpacker<'a> {
         Ok(())
     }
 
-    /// Returns an error if the file may not unpack to this many bytes.
+    /// Returns an error if `bytes` unpacked bytes are more than a file of this length is allowed to
+    /// give.
     fn check(&self, bytes: u64) -> Result<(), IoError> {
         let allowed = ALWAYS_ALLOWED.saturating_add(self.length.saturating_mul(ALLOWED_PER_BYTE));
         if bytes <= allowed {

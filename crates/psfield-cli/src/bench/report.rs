@@ -84,8 +84,9 @@ fn or_dash(text: Option<String>) -> String {
     text.unwrap_or_else(|| "-".to_owned())
 }
 
-/// Returns a line with the smallest number of bytes that any GPU must move for this run. Returns an
-/// empty string if the run was on the CPU.
+/// Returns a line with two lower bounds for this run, which hold for every GPU: the bytes moved over
+/// the bus, and the bytes moved through the GPU's memory. Returns an empty string if the run was on
+/// the CPU.
 fn least_bytes(row: &BenchRow) -> String {
     let Some([bus, memory]) = row.gpu_seconds.as_ref().map(|times| times.least_bytes) else {
         return String::new();

@@ -30,7 +30,7 @@ impl Limits {
         }
     }
 
-    /// `(value - low) / (high - low)`, clamped to 0 and 1. NaN for NaN.
+    /// `(value - low) / (high - low)`, clamped to the range from 0 to 1. NaN for NaN.
     ///
     /// ```
     /// use psfield_lab::preview::Limits;

@@ -47,7 +47,7 @@ impl Reproduction {
                     self.basis.rank, self.basis.interpolation
                 ),
             ),
-            ("tolerance of figures and targets", tolerance),
+            ("tolerance of the engine for figures and targets", tolerance),
             ("start (UTC)", self.started.clone()),
             ("load at the start (1-minute average)", load),
             ("run time (s)", format!("{:.0}", self.seconds)),
