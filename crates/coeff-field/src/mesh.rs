@@ -285,8 +285,8 @@ fn surroundings(mesh: &Mesh, sample: usize, on_boundary: &[bool]) -> (Vec<usize>
             start = end;
         }
     }
-    // Sorted, so that the choice between equally good triangulations does not depend on the
-    // neighbour that comes first.
+    // Sorted, so that the order of the neighbours in the mesh does not decide between equally good
+    // triangulations.
     ring.sort_unstable();
     (ring, all_around)
 }

@@ -89,7 +89,7 @@ impl Detection {
         assert_eq!(
             frame.dim(),
             background.level().dim(),
-            "the background has the shape of the frame"
+            "the background must have the shape of the frame"
         );
         let sigma = self.kernel_fwhm_px / FWHM_PER_SIGMA;
         let reach = (REACH * sigma).ceil() as usize;

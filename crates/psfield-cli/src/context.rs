@@ -161,7 +161,7 @@ impl Context {
     }
 
     fn bar_of(&self, template: &str, what: &'static str) -> Bar {
-        // The target hides itself when standard error is not a terminal.
+        // `stderr()` hides the bar if standard error is not a terminal.
         let target = if self.quiet || !self.part.is_empty() {
             ProgressDrawTarget::hidden()
         } else {

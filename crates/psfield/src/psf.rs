@@ -82,7 +82,7 @@ struct SourceFile {
 enum Origin {
     Samples(PsfSamples, FitOptions),
     Record(PsfModelRecord),
-    /// A model whose coefficient field the caller implements.
+    /// A model, whose coefficient field may be the caller's own.
     Model(PsfModel, SamplePositions),
 }
 
@@ -220,8 +220,8 @@ impl Psf {
     /// The model in the form that a file stores: the fit of the samples, or the stored model.
     ///
     /// # Errors
-    /// The errors of [`fit()`], and [`ErrorKind::Format`] for a model whose coefficient field the
-    /// caller implements.
+    /// The errors of [`fit()`], and [`ErrorKind::Format`] for a PSF made from a [`PsfModel`], whose
+    /// coefficient field may be the caller's own. No file can hold such a field.
     pub fn record(&self) -> Result<&PsfModelRecord, PsfieldError> {
         match &self.0.origin {
             Origin::Record(record) => Ok(record),

@@ -362,9 +362,11 @@ pub(crate) fn coefficient_planes<T: ConvReal>(
     })
 }
 
-/// The flux of the unscaled PSF over a region. `None` if the model needs no division by it.
+/// The flux of the unscaled PSF at each pixel of a region. `None` if the model needs no division by
+/// it.
 ///
-/// If `light` is given, dark tiles are left at 1, and only lit pixels need a flux.
+/// If `light` is given, the values in dark tiles are 1, and a PSF that is missing or has no positive
+/// flux is an error only at lit pixels.
 pub(crate) fn flux_plane<T: ConvReal>(
     model: &PsfModel,
     region: PixelRegion,

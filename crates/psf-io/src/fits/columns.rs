@@ -106,7 +106,12 @@ pub(crate) fn columns(hdu: &Hdu, row_bytes: usize) -> Result<Vec<Column>, IoErro
         );
         let column = column.ok_or_else(|| hdu.header_error(&keyword, "must be a format such as 1D"))?;
         let bytes = column.bytes().and_then(|bytes| width.checked_add(bytes));
-        width = bytes.ok_or_else(|| hdu.header_error(&keyword, "the column is wider than any table"))?;
+        width = bytes.ok_or_else(|| {
+            hdu.header_error(
+                &keyword,
+                "the columns up to this one are wider than any table can be",
+            )
+        })?;
         columns.push(column);
     }
     hdu.ensure(

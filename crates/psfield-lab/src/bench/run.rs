@@ -155,7 +155,8 @@ struct Entry<T: ConvReal> {
 const MIN_SECONDS_PER_TURN: f64 = 0.02;
 const MOST_RUNS: f64 = 20.0;
 
-/// Plans and runs the single PSF, then every other contender.
+/// Plans and runs the single PSF, then the other contenders. The direct sum is skipped if it needs
+/// more than [`BenchOptions::direct_products`] products.
 ///
 /// The first run of each contender warms up: it is not timed, but its image is compared with the
 /// direct sum. Then all contenders run in turn, [`BenchOptions::repeat`] times. In each turn a

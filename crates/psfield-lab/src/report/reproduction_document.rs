@@ -241,7 +241,7 @@ impl Reproduction {
             panel("psfield - exact (own colour scale)", &of_lowrank, own, percent),
         ])?;
         let text = format!(
-            "A galaxy on {0} x {0} pixels, over which the PSF varies as over the whole field. The largest error against the direct sum in double \
+            "A galaxy on {0} x {0} pixels. The PSF varies as much over this image as over the whole field. The largest error against the direct sum in double \
              precision, divided by the peak of this sum, is {1} for patches (relative L2 {2}) and {3} for psfield (relative L2 {4}).",
             galaxy.side,
             short(Some(galaxy.patch_max_over_peak)),
