@@ -164,8 +164,8 @@ pub(crate) fn foot_on_segment(a: Point, b: Point, p: Point) -> f64 {
     (dot(sub(p, a), ab) / dot(ab, ab)).clamp(0.0, 1.0)
 }
 
-/// If the rounding of coordinates is below this fraction of the hull's width and height, it changes
-/// weights by no more than the rounding of the weights themselves.
+/// If the rounding error of coordinates is below this fraction of the hull's width and of its
+/// height, the error changes weights by no more than the rounding in their computation.
 const PRECISE: f64 = 1e-13;
 
 /// The convex hull of the samples, for interpolators without a triangulation.

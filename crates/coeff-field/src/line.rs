@@ -23,8 +23,8 @@ const OFF_LINE: f64 = 1e-9;
 #[derive(Debug)]
 pub(crate) struct LineWeights {
     points: Arc<Points>,
-    /// The axis, 0 for x or 1 for y, along which the line is longer. The coordinates along this
-    /// axis order the samples without rounding.
+    /// The axis, 0 for x or 1 for y, along which the line is longer. The samples are ordered by
+    /// their given coordinates along this axis, which takes no arithmetic and so no rounding.
     axis: usize,
     /// The samples, ordered along the axis.
     order: Vec<usize>,

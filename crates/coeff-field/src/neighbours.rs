@@ -64,8 +64,8 @@ impl NearestWeights {
     /// Returns `None` where rounding could select another sample, or outside the hull under the
     /// policy error. Within a part, the nearest point of the hull is linear in the position.
     ///
-    /// Every position between two positions with equal results has that result, because the parts
-    /// and the samples' Voronoi cells are convex.
+    /// If two positions have the same part and sample, both also apply at every position between
+    /// them, because the parts and the samples' Voronoi cells are convex.
     fn clearly(&self, p: Point) -> Option<(HullPiece, usize)> {
         let (piece, at) = match self.hull.outside {
             OutsidePolicy::Extend => (HullPiece::Inside, p),
@@ -343,9 +343,8 @@ impl SearchTree {
 
     /// The sample nearest to `p`, or `None` where another one is equally near within rounding.
     ///
-    /// If two positions have the same result, all positions between them have it too. Along the
-    /// line between them, the difference of two samples' squared distances is linear, and the
-    /// tolerance is convex.
+    /// If two positions give the same sample, it is also the nearest one at all positions between
+    /// them, because Voronoi cells are convex.
     pub(crate) fn clearly_nearest(&self, p: Point) -> Option<usize> {
         let two = const { NonZeroUsize::new(2).expect("2 is not 0") };
         let mut found = self.closest(p, two);

@@ -78,8 +78,9 @@ impl View {
     /// The columns and rows of the light that can reach `part`, a region of the light such as the
     /// frame. Light that is farther away than the stamps reach is left out.
     pub(crate) fn reaching(self, part: PixelRegion, reach: Reach) -> [Range<usize>; 2] {
-        // Light that reaches pixel y through the stamp's offset u, in [-left, right], comes from
-        // pixel y - u.
+        // Along x: pixel p gets light from pixel p - u through the stamp's offset u, which runs
+        // from -left to right. So light comes from up to `right` pixels before p and `left` pixels
+        // after p. Along y, `above` and `below` take these places.
         let range = |first: i64, length: usize, before: usize, after: usize, limit: usize| {
             let first = first as usize;
             first.saturating_sub(before)..(first + length + after).min(limit)
@@ -103,7 +104,8 @@ impl View {
         let reach = Reach::of(grid)?;
         let [columns, rows] = whole.reaching(frame, reach);
         let cut = Self {
-            shape: FrameShape::new(columns.len(), rows.len()).expect("the part contains the frame"),
+            shape: FrameShape::new(columns.len(), rows.len())
+                .expect("the truncated light contains the frame"),
             frame: frame.shifted(-(columns.start as i64), -(rows.start as i64)),
         };
         Ok((cut, light.pixels().slice_move(s![rows, columns]), reach))

@@ -85,7 +85,7 @@ pub enum DetectorError {
         precision: &'static str,
     },
     /// Rows that are not in the frame, or an image that does not have all rows of the frame.
-    #[error("got rows {} to {} (0-based, the end not included) for a frame of {frame} pixels: rows must lie in the frame, and an image must have all rows of the frame", rows.start, rows.end)]
+    #[error("got rows {} to {} (0-based, the end not included) for a frame of {frame} pixels: rows must lie in the frame, and an image that is exposed as a whole must have as many rows as the frame", rows.start, rows.end)]
     Rows {
         /// The rows that were given.
         rows: Range<usize>,

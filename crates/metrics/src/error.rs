@@ -112,7 +112,7 @@ pub enum MetricsError {
     /// undersampled or the start is too narrow.
     #[error(
         "the adaptive weight is as narrow as a single pixel (sigma {sigma_px:.3} pixels): the stamp is undersampled, or the \
-         start is too narrow. Measure an oversampled stamp, or start with a wider weight"
+         starting weight is too narrow. Measure an oversampled stamp, or start with a wider weight"
     )]
     WeightCollapsed {
         /// Sigma of the weight along its minor axis when the iteration stopped.

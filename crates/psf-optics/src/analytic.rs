@@ -239,13 +239,13 @@ impl GaussianField {
 profile_source!(GaussianField);
 
 /// An elliptical Moffat PSF (Moffat 1969, A&A 3, 455) whose size and shape are polynomials of the
-/// field. Its flux over the infinite plane is 1.
+/// field position. Its flux over the infinite plane is 1.
 ///
 /// The density is `(beta - 1) / (pi alpha^2) (1 + q r^2)^(-beta)` with `q = 2^(1/beta) - 1` and
-/// `alpha = F / (2 sqrt(q))`. Here `r` is the elliptical radius in units of half the FWHM `F`, the
-/// geometric mean of both axes. A stamp does not contain the far wings:
-/// `(1 + (R / alpha)^2)^(1 - beta)` of the flux falls outside the radius `R`. Values are sampled as
-/// in [`GaussianField`].
+/// `alpha = F / (2 sqrt(q))`. Here `F` is the geometric mean of the FWHMs along both axes, and `r`
+/// is the elliptical radius in units of `F / 2`. A stamp does not contain the far wings:
+/// `(1 + (R / alpha)^2)^(1 - beta)` of the flux falls outside the elliptical radius `R = r F / 2`.
+/// Values are sampled as in [`GaussianField`].
 ///
 /// ```
 /// use psf_optics::{MoffatField, ProfileShape};

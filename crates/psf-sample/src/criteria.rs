@@ -106,7 +106,7 @@ impl DifferenceMeasure {
     }
 
     fn of_pairs(self, a: impl Iterator<Item = f64>, b: impl Iterator<Item = f64>, same_shape: bool) -> f64 {
-        assert!(same_shape, "stamps of one source have equal shapes");
+        assert!(same_shape, "the stamps must have equal shapes");
         let norm = |v: f64| if self == Self::L1 { v.abs() } else { v * v };
         let (mut d, mut na, mut nb) = (0.0, 0.0, 0.0);
         for (a, b) in a.zip(b) {

@@ -267,7 +267,7 @@ pub fn hold_out(
         .take(count)
         .collect::<Result<Vec<_>, _>>()?;
     let enough = count > 0 && positions.len() == count;
-    let allowed = "at least 1 (and the field must have room between its samples)";
+    let allowed = "from 1 to as many as fit between the samples of the field";
     SampleError::check(enough, "the number of held-out PSFs", allowed, count)?;
     progress.start(count as u64);
     let stamps = draw_all(source, &positions, progress)?;

@@ -154,7 +154,7 @@ impl CoverageMap {
         let mut said = Vec::new();
         if report.outside_hull > WARNED_AREA {
             said.push(format!(
-                "{:.0} % of the field lies outside the outermost samples, where the PSF is extrapolated",
+                "{:.0} % of the field lies outside the outermost samples, where the PSF cannot be interpolated",
                 100.0 * report.outside_hull
             ));
         }

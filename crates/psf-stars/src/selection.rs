@@ -10,19 +10,19 @@ use crate::error::{at_least, checked_setters};
 use crate::frame::Neighbours;
 use crate::{Rejection, Source, StarError};
 
-/// Selects the sources that serve as PSF samples by cuts. Each cut has its reason ([`Rejection`]).
+/// Applies cuts to the sources. The sources that pass all cuts serve as PSF samples. Each cut
+/// rejects sources for a reason of its own ([`Rejection`]).
 ///
 /// * Signal-to-noise ratio above a limit, by default 10 (Bai, Jia et al. 2025, AJ, eq. 6).
 /// * Room for the stamp: the centre is at least [`with_edge_px`](Self::with_edge_px) from the
 ///   frame's edge.
 /// * Isolation: no other source within a radius has more than a fraction of the star's flux.
-/// * Shape: FWHM and distortion agree with those of the neighbouring stars.
+/// * Shape: FWHM and distortion agree with their trend over the field.
 ///
-/// The reference for shapes is a polynomial over the field, of degree 0 to 2 depending on the
-/// number of stars. It is fitted to the sources near the most frequent FWHM of bright sources.
-/// Sources that deviate from it by more than 3 sigma
-/// ([`with_shape_sigma`](Self::with_shape_sigma)) are left out, and the fit is repeated until
-/// nothing changes. Here sigma combines the scatter of the sources and the error of each source. So
+/// The trend is a polynomial over the field, of degree 0 to 2 depending on the number of stars. It
+/// is first fitted to the sources near the most frequent FWHM of bright sources. Sources that
+/// deviate from it by more than 3 sigma ([`with_shape_sigma`](Self::with_shape_sigma)) are left
+/// out, and the fit is repeated until nothing changes. Here sigma combines the scatter of the sources and the error of each source. So
 /// the PSF may vary over the field, but a single star that deviates is rejected.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Selection {

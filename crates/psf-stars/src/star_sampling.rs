@@ -151,7 +151,7 @@ impl StarSampling {
             )));
         }
         if pixels.iter().all(|v| v.is_nan()) || pixels.iter().any(|v| v.is_infinite()) {
-            const UNUSABLE: &str = "every pixel of the frame is masked, or a pixel is infinite: unmask good pixels, mask infinite ones";
+            const UNUSABLE: &str = "every pixel of the frame is masked, or a pixel is infinite: unmask the good pixels, and mask infinite pixels";
             return Err(StarError::NoSamples(UNUSABLE.to_owned()));
         }
         let background = self.background.estimate(pixels.view())?;

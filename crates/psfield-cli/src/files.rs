@@ -182,7 +182,8 @@ impl FileUses {
     }
 }
 
-/// Identifies a file. All paths of a file and all links to it give equal values.
+/// Identifies a file. All paths of a file and all symbolic links to it give equal values. On Unix,
+/// hard links do, too.
 #[derive(Debug, PartialEq, Eq, Hash)]
 enum FileId {
     /// A file that exists: the number of its disk (device), and its number there (inode). Hard

@@ -52,7 +52,8 @@ use files::NamedFiles;
 ///
 /// psfield fit samples.fits -o model.fits
 ///
-/// psfield simulate psfield-demo/scene.fits --psf model.fits -o image.fits
+/// psfield simulate psfield-demo/scene.fits --catalog psfield-demo/stars.csv --psf model.fits
+/// -o image.fits
 ///
 /// psfield expose image.fits --photon-noise --sky 200 --read-noise 5 -o raw.fits
 #[derive(Debug, Parser)]

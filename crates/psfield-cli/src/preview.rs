@@ -76,7 +76,7 @@ impl PreviewArgs {
         let ending = output.extension();
         if ending.is_some_and(|ending| !ending.eq_ignore_ascii_case("png")) {
             let text = format!(
-                "{}: the picture is a PNG file: give a name that ends in .png",
+                "{}: preview writes PNG files only: give a name that ends in .png",
                 output.display()
             );
             return Err(UsageError(text).into());

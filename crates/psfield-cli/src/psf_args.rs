@@ -13,7 +13,7 @@ use crate::context::{Context, with_option, without_option};
 use crate::values::{above_zero, number, numbers};
 
 /// The heading of the fit options in help texts.
-pub(crate) const FIT_HEADING: &str = "Fit options (a model accepts only --outside and --normalise)";
+pub(crate) const FIT_HEADING: &str = "Fit options (if the PSF is a model: only --outside and --normalise)";
 
 /// The settings of a fit. The short help hides them, except in `psfield fit`.
 #[derive(Debug, Clone, clap::Args)]

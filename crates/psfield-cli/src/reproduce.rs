@@ -111,7 +111,7 @@ pub(super) fn targets_text(targets: &[Target]) -> String {
         let measured = measured.map_or_else(|| "not measured".to_owned(), |m| format!("{m:.1e}"));
         let verdict = if target.met { "met" } else { "NOT met" };
         let (what, limit) = (&target.what, target.limit);
-        format!("{what}: {measured}, target below {limit:e}: {verdict}\n")
+        format!("{what}: {measured}, psfield's target below {limit:e}: {verdict}\n")
     };
     targets.iter().map(line).collect::<Vec<_>>().concat()
 }

@@ -207,7 +207,7 @@ struct TelescopeArgs {
         long,
         value_name = "X",
         value_parser = above_zero,
-        help = format!("Limit of --criterion, relative to the PSF [default: {}]", defaults().threshold)
+        help = format!("Limit of the quantity that --criterion names, as a fraction of the PSF's norm [default: {}]", defaults().threshold)
     )]
     threshold: Option<f64>,
     #[arg(
@@ -419,7 +419,7 @@ impl FrameArgs {
         let (held_out, wanted) = (found.held_out.as_ref().map_or(0, PsfSamples::len), asked.hold_out);
         if let Some(wanted) = wanted.filter(|&wanted| held_out < usize::from(wanted)) {
             context.warn(&format!(
-                "of the {wanted} stars to hold out, only {held_out} could be written to the file of --hold-out: the pixels of the others have no flux"
+                "only {held_out} of the {wanted} stars of --hold-out could be written: the pixels of the others have no flux"
             ));
         }
         // Number of rejected sources for each reason. A source may be rejected for several reasons.

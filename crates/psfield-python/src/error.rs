@@ -27,7 +27,7 @@ impl<E: Into<PsfieldError>> From<E> for Failure {
 }
 
 impl Failure {
-    /// An error caused by this argument.
+    /// Returns a function for `map_err`, which turns an error into a failure caused by this argument.
     pub(crate) fn of<E: Into<PsfieldError>>(argument: &'static str) -> impl FnOnce(E) -> Self {
         move |error| Self {
             error: Box::new(error.into()),

@@ -15,7 +15,7 @@ use crate::psf_model::PsfModel;
 use crate::settings::{FitSettings, GridSettings, frame_shape};
 use crate::threads::{self, Watch};
 
-/// The settings of the sampling by name.
+/// The settings of the sampling, read from a Python object by their names.
 #[derive(Debug, FromPyObject)]
 #[pyo3(from_item_all)]
 pub(crate) struct SamplingSettings {

@@ -178,7 +178,7 @@ fn truth_cards(detector: &Detector) -> Result<Vec<Card>, CardError> {
     cards.push(Card::new(
         "DETTRUTH",
         true,
-        "noise-free image of a perfect detector",
+        "noise-free image: light, sky, dark and bias",
     )?);
     Ok(cards)
 }

@@ -90,8 +90,8 @@ pub struct FitReport {
     pub outside: OutsidePolicy,
     /// The scaling of PSFs: to unit flux, or none.
     pub normalise: Normalisation,
-    /// The largest truncation error over the samples. The truncation error of a sample is the part
-    /// of it that the basis cannot represent.
+    /// The largest truncation error over the samples. The truncation error of a sample is the norm
+    /// of the part that the basis cannot represent, relative to the norm of the sample.
     pub max_error: f64,
     /// The root mean square of the truncation errors.
     pub rms_error: f64,

@@ -237,8 +237,8 @@ impl PixelPicker {
             .collect();
         if passed > 0.0 && passed.is_finite() {
             self.light += passed;
-            // Replaces each picked pixel by a pixel of this row with a probability equal to the
-            // row's share of all light so far.
+            // Replaces each bright pick, with a probability equal to the row's share of all light
+            // so far. The new pick is a pixel of this row, chosen in proportion to its light.
             let chance = passed / self.light;
             let first = self.bright.is_empty();
             self.bright.resize(self.bright_count, (0, 0, 0.0));

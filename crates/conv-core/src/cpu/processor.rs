@@ -59,7 +59,7 @@ impl<T: ConvReal> Processor<T> {
 #[derive(Clone)]
 pub(crate) struct LightPass<'a, T: ConvReal> {
     pub(crate) processor: &'a Processor<T>,
-    /// Rows of blocks.
+    /// The rows of the plan's grid of blocks that are executed (not rows of pixels).
     pub(crate) rows: Range<usize>,
     /// Whole rows of the side that the light comes from.
     pub(crate) light: ArrayView2<'a, T>,

@@ -185,7 +185,7 @@ impl InFlight {
             buffer
                 .slice(..length)
                 .map_async(wgpu::MapMode::Read, move |result| {
-                    // Sending fails only if an error ended the execution before it read the panel.
+                    // Sending fails only if the receiver is gone: an error stopped the host before.
                     let _ = sender.send(result);
                 });
         }

@@ -26,7 +26,7 @@ use crate::{ConvError, ConvReal};
 /// The most batches submitted and not finished. This number limits the memory for their data.
 const MOST_BATCHES: usize = 3;
 
-/// An execution.
+/// One execution of the plan on the GPU.
 pub(super) struct Run<'a, 'j, T: ConvReal> {
     device: &'a Attempt,
     plan: &'a GpuPlan,

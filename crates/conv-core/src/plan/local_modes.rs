@@ -232,7 +232,8 @@ impl LocalModes {
         self.reference.as_ref().map(|r| r.view())
     }
 
-    /// Computes the flux and the coefficients at one corner of a cell.
+    /// Computes the values at one corner of a cell: the flux, then the coefficient of each mode.
+    /// `end` holds the weights of the nodes at this corner.
     pub(crate) fn values_into(&self, end: &[(usize, f64)], values: &mut [f64]) {
         values.copy_from_slice(self.offset.as_slice().expect("contiguous"));
         for &(node, weight) in end {

@@ -45,8 +45,8 @@ impl Kernel {
         }
     }
 
-    /// The first coefficient that contributes to a value, counted from the pixel at or below the
-    /// coordinate.
+    /// The first coefficient that contributes to the value at a coordinate, as an offset (0 or
+    /// negative) from the pixel at or below this coordinate.
     pub(crate) fn first_tap(self) -> i64 {
         1 - self.tap_count() as i64 / 2
     }

@@ -137,8 +137,8 @@ const STARS_PER_POLL: usize = 1 << 10;
 
 impl<T: ConvReal> BlockDraw<'_, T> {
     /// Adds the stars to a tile that holds all their columns. Adds row `j` of every star before row
-    /// `j + 1`. The stars' rows `j` share few rows of coefficients, which then stay in the
-    /// first-level cache.
+    /// `j + 1` of any star. The rows `j` of all stars are computed from the same few rows of
+    /// coefficients, which therefore stay in the first-level cache.
     ///
     /// The order of additions to a pixel does not depend on which rows the tile holds.
     #[inline(always)]

@@ -83,7 +83,7 @@ struct Phased<T> {
     blocks: BlockCache<T>,
 }
 
-/// Stars, in pixels of a scene, and the frame, which is a region of the scene.
+/// Stars, with positions in pixels of a scene, and the frame, which is a region of the scene.
 #[derive(Clone, Copy)]
 struct Catalogue<'a> {
     stars: &'a [PointSource],

@@ -265,8 +265,9 @@ fn refuse_tables(header: &HeaderCards) -> Result<(), WorldCoordinatesError> {
 /// (Calabretta and Greisen 2002, section 2.5).
 fn refuse_moved_reference(world: &World<'_>, axis: &str) -> Result<(), WorldCoordinatesError> {
     let pole = world.number("LONPOLE")?;
-    // The reference point of a zenithal projection is its native pole, at native latitude 90. There
-    // `PVi_4` (LATPOLE, the native latitude of the celestial pole) has no effect.
+    // In a zenithal projection, the reference point is the native pole, so `PVi_2` (its native
+    // latitude) is usually 90. `PVi_4` (LATPOLE, the native latitude of the celestial pole) has no
+    // effect in such a projection, so it is not checked.
     for (m, usual) in [(0, 0.0), (1, 0.0), (2, 90.0), (3, pole.unwrap_or(0.0))] {
         let keyword = format!("PV{axis}_{m}");
         if let Some(value) = world
@@ -288,7 +289,7 @@ fn sip(world: &World<'_>, name: &str) -> Result<Vec<(f64, i32, i32)>, WorldCoord
     let keyword = format!("{name}_ORDER");
     let order = world.needed(
         &keyword,
-        "the order of the distortion SIP, which needs A_ORDER and B_ORDER",
+        "the order of the SIP distortion: A_ORDER and B_ORDER are both needed",
     )?;
     if order.fract() != 0.0 || !(0.0..=LARGEST_SIP_ORDER as f64).contains(&order) {
         return Err(unsupported(

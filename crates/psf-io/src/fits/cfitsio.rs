@@ -225,7 +225,7 @@ impl Fits {
     pub(crate) fn remove_records(&mut self, count: usize) -> Result<(), IoError> {
         const DOING: &str = "removing a header card";
         let mut last = 0;
-        // SAFETY: the handle is open. A null pointer for the room left is allowed.
+        // SAFETY: the handle is open. The pointer for the number of free records may be null.
         self.call(DOING, |fits, status| unsafe {
             sys::ffghsp(fits, &raw mut last, ptr::null_mut(), status)
         })?;

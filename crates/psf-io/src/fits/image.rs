@@ -445,7 +445,7 @@ impl ImageReader {
 /// Number of values that are tested together for NaN, few enough to stay in cache.
 const CHUNK: usize = 4096;
 
-/// The values that BSCALE and BZERO may have, for errors.
+/// The allowed values of BSCALE and BZERO, as a text for error messages.
 const FINITE: &str = "a finite number (BSCALE: other than 0)";
 
 /// The pixels of an image HDU, open for reading.
@@ -546,11 +546,12 @@ impl Pixels {
     }
 }
 
-/// Reads all pixels of an image HDU, with BSCALE and BZERO applied. NaN, infinities and BLANK are
-/// errors.
+/// Reads all pixels of an image HDU, with BSCALE and BZERO applied. NaN, infinities and BLANK
+/// pixels are errors.
 ///
-/// The HDU is part of a [`FitsStructure`](FitsStructure), which has checked that the file holds the
-/// data of the HDU. So memory is bounded by the length of the file.
+/// The HDU is part of a [`FitsStructure`], which has checked that the file holds the data of the
+/// HDU. So the length of the file limits the memory. A compressed image may take more bytes than
+/// its file, but no more than a constant and a fixed multiple of its table.
 fn read_pixels<T: Real>(hdu: &Hdu) -> Result<Vec<T>, IoError> {
     // `open` checks the tiles before memory is allocated for the size that the header claims.
     let mut pixels = Pixels::open(hdu)?;

@@ -42,10 +42,10 @@ const PAUSE: Duration = Duration::from_millis(20);
 
 impl OutputLock {
     /// Locks an output, which need not exist. Returns `None` if another lock on it exists. On a
-    /// file system without locks, every call succeeds.
+    /// file system without locks, no other lock is noticed.
     ///
     /// # Errors
-    /// The errors of [`check_output`](crate::check_output) for an output that may be replaced, and
+    /// The errors of [`check_output`](crate::check_output) with `overwrite` true, and
     /// [`IoErrorKind::Write`](crate::IoErrorKind::Write) if the file of the lock cannot be created.
     pub fn acquire(output: impl AsRef<Path>) -> Result<Option<Self>, IoError> {
         let output = output.as_ref();

@@ -77,7 +77,7 @@ thread_local! {
     static TOGETHER: RefCell<Option<Vec<PendingFile>>> = const { RefCell::new(None) };
 }
 
-/// Writes several files that belong together. If one of them cannot be written, none appears.
+/// Writes several files that belong together. No file appears before all of them are complete.
 ///
 /// `write` calls functions of this crate that write files. Until `write` returns, files that are
 /// complete keep their temporary names. Then all files get their final names, one after the other,
@@ -99,7 +99,8 @@ thread_local! {
 ///
 /// # Errors
 /// Any error of `write`, and [`IoErrorKind::Write`] or [`IoErrorKind::Exists`] if a file cannot get
-/// its final name. Files that already have their final names are kept in that case.
+/// its final name. Files that already have their final names remain in that case, and the others do
+/// not appear.
 pub fn write_together<R, E: From<IoError>>(write: impl FnOnce() -> Result<R, E>) -> Result<R, E> {
     /// Ends the group, also after an error or a panic. Files that still wait are removed.
     struct End;

@@ -216,8 +216,8 @@ impl Layout {
         self.across.0 * self.across.1
     }
 
-    /// The index of the detector with this number, counted from 1. Without a number, the file must
-    /// hold a single detector.
+    /// The 0-based index of a detector. `detector` is its number, counted from 1. Without a number,
+    /// the file must hold a single detector.
     fn choose(self, detector: Option<usize>) -> Result<usize, String> {
         let number = match detector {
             None if self == SINGLE => 1,
@@ -257,7 +257,8 @@ impl Layout {
 
 /// The value of an unused position.
 const UNUSED: f64 = 9999.0;
-const NUMBER_EXPECTED: &str = "a position of the grid in pixels (9999 marks unused ones)";
+const NUMBER_EXPECTED: &str =
+    "a position of the grid in pixels, because the header counts it as used (9999 marks unused positions)";
 const LIST_EXPECTED: &str = "a string of positions of the grid in pixels (9999 marks unused ones)";
 
 /// Reads the first `count` positions along an axis, in pixels counted from 1, and returns the range

@@ -109,7 +109,7 @@ pub fn read_stpsf_hdu(
     let numbers = sample_planes(cards, &positions)?;
     if numbers.len() < shape.0 {
         notes.push(format!(
-            "planes: only {} of {} are read, because psfield interpolated the others from these",
+            "planes: only {} of {} are read: psfield interpolated the others from these when it wrote the file",
             numbers.len(),
             shape.0
         ));
@@ -246,7 +246,8 @@ pub enum PlaneOrder {
     Auto,
     /// Plane `i` is at the position in `DET_YXi`.
     Cards,
-    /// The planes are sorted by y, then x. The cards only list the positions.
+    /// The planes are sorted by y, then x. The cards give the positions, but their numbers do not
+    /// say which plane a position belongs to.
     Sorted,
 }
 

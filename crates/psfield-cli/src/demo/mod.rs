@@ -24,7 +24,8 @@ use crate::simulate::verdict;
 ///
 /// Samples the PSF of a small survey telescope over its field, fits a model, simulates the image of
 /// a scene with stars and galaxies, and measures the result. Writes FITS files, tables, pictures
-/// and a report. Takes 10 to 20 seconds on two cores.
+/// and a report. Of the scene, scene.fits holds the galaxies and stars.csv the stars. Takes 10 to
+/// 20 seconds on two cores.
 #[derive(Debug, clap::Args)]
 pub(crate) struct DemoArgs {
     /// Folder to write to (made if it does not exist)
@@ -124,12 +125,12 @@ impl DemoArgs {
             let check = &report.spot_check;
             format!(
                 "sampled   {} PSFs over {frame} pixels ({} computed in all) in {:.2} s\n\
-                 fitted    {} components (elbow at {}), largest truncation error {:.1e}, in {:.2} s\n\
+                 fitted    {} components (elbow at {}), largest fit error {:.1e} (relative L2), in {:.2} s\n\
                  model     PSFs differ from the telescope's own by {:.1e} (median), {:.1e} (largest, relative L2)\n\
                  PSF       FWHM {:.2} to {:.2} pixels, ellipticity |e| up to {:.2}\n\
                  simulated {} galaxies and {} stars in {:.2} s\n\
                  checked   {} pixels against the direct sum: largest difference {:.1e}{}\n\
-                 patches   with sides of {} pixels: their image differs from this one by {:.1e} (relative L2): see patch_error.png\n\
+                 patches   with sides of {} pixels: their image differs from image.fits by {:.1e} (relative L2): see patch_error.png\n\
                  wrote     {} files to {} in {:.1} s: start with image.png, psf_field.png and report.json\n",
                 report.samples,
                 report.psfs_drawn,

@@ -190,7 +190,7 @@ fn psf_field(stamps: ArrayView3<'_, f64>, frame: FrameShape) -> anyhow::Result<F
             soft: peak * 1e-3,
             high: peak,
         },
-        quantity: "fraction of flux per pixel",
+        quantity: "fraction of flux per pixel (asinh scale)",
         axes: PictureAxes::Of([
             ("x on the frame (pixels)", along(frame.nx())),
             ("y on the frame (pixels)", along(frame.ny())),

@@ -1,4 +1,5 @@
-//! The scene of the demonstration: galaxies on pixels, and stars between pixel centres.
+//! The scene of the demonstration: an image of galaxies, and a list of stars. Galaxies and stars
+//! may lie anywhere between the pixel centres.
 
 use ndarray::Array2;
 use psf_types::{FrameShape, Image, PointSource, Position, SersicProfile, SersicSource};

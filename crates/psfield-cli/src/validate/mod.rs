@@ -20,6 +20,8 @@ use crate::star_args::{MaskArgs, StarArgs};
 ///
 /// With --reference, measures FWHM, eccentricity, mean absolute error (MAE) and mean squared error
 /// (MSE) at the positions of the reference, and draws the same figures as psfield reproduce.
+/// If the reference holds PSFs, psfield also compares the errors with its own accuracy targets,
+/// which are meant for PSFs without noise. The exit status does not depend on these targets.
 ///
 /// The reference should not contain the PSFs from which the model was made: psfield sample
 /// --hold-out writes PSFs for this purpose. A warning counts the PSFs or stars of the reference
@@ -92,8 +94,9 @@ impl ValidateArgs {
         let input = self.input.display();
         let kind = psf_io::detect(&self.input)?;
         if kind != FileKind::Image && self.stars.extension.is_none() {
-            let text =
-                format!("{input} is {kind}: give known PSFs or a frame to compare it with (--reference)");
+            let text = format!(
+                "{input} is {kind}: without --reference, the input must be an image with stars. To check a PSF, give known PSFs or a frame (--reference)"
+            );
             return Err(UsageError(text).into());
         }
         if self.psf.file != PsfFileArgs::default() {
@@ -146,8 +149,8 @@ impl ValidateArgs {
         };
         if let Some(count @ 1..) = measured.at_samples {
             context.warn(&format!(
-                "{count} of {} objects of {} lie at positions of the samples from which {} was made: errors at these positions do not show the error \
-                 between the samples (psfield sample --hold-out N writes PSFs that are not samples)",
+                "{count} of {} objects in {} lie within half a pixel of a sample of {}: errors there do not show how well the model interpolates \
+                 between its samples (psfield sample --hold-out N also writes N PSFs that are not samples: use these as the reference)",
                 measured.objects.summary.objects,
                 reference.display(),
                 self.input.display()

@@ -203,7 +203,7 @@ fn a_model_is_validated_by_the_samples_that_it_came_from_and_by_others() {
     check_numbers(&desk, "same", &["/objects/summary"]);
 
     // This truth does not show the error between the samples.
-    let warning = "9 of 9 objects of samples.fits lie at positions of the samples";
+    let warning = "9 of 9 objects in samples.fits lie within half a pixel of a sample";
     assert!(
         run.stderr.contains(warning) && run.stderr.contains("--hold-out"),
         "{run:?}"

@@ -20,7 +20,8 @@ use ttf_parser::{Face, OutlineBuilder};
 /// PNG pixels along each side of a figure's pixel, for sharp print.
 pub(super) const PNG_SCALE: f32 = 2.0;
 
-/// The font of the text in PNGs. It is part of the program, so a PNG is equal on every machine.
+/// The font of the text in PNGs. It is part of the program, so that a figure gives the same PNG on
+/// every machine.
 static FONT: LazyLock<Face<'static>> =
     LazyLock::new(|| Face::parse(dejavu::sans::regular(), 0).expect("DejaVu Sans is a TrueType font"));
 

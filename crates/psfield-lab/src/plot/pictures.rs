@@ -38,7 +38,7 @@ pub struct Picture<'a> {
 /// Width of a single picture, without its axes. The PNG has twice as many pixels along each axis,
 /// so that an image of 1024 columns has one PNG pixel per image pixel.
 const SINGLE_WIDTH: u32 = 512;
-/// Width of each picture, without its axes, if there are several.
+/// Width of each of several pictures, without its axes.
 const PAIR_WIDTH: u32 = 298;
 /// Total width of the axes, margins and bar next to a picture.
 const SURROUNDINGS: u32 = LABEL_ROOM_Y + 2 * MARGIN + BAR_AREA;

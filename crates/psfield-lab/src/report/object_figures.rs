@@ -44,7 +44,7 @@ pub(super) fn shape_figures(
     let q90 = |of: fn(&ErrorSummary) -> Option<Spread>| -> Vec<Mark> {
         let mut marks = vec![Mark::Horizontal(0.9, "90 %".to_owned())];
         if let Some(q90) = of(&first.summary).map(|s| s.q90).filter(|&q| q > 0.0) {
-            let text = format!("90 % of {name}: {}", short(Some(q90)));
+            let text = format!("90 % of {name} below {}", short(Some(q90)));
             marks.push(Mark::Vertical(q90, text));
         }
         marks

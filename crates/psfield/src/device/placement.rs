@@ -155,8 +155,7 @@ impl std::fmt::Display for CpuReason {
     }
 }
 
-/// Formats predicted seconds. Two digits are enough, because predictions have errors of some ten
-/// percent.
+/// Formats predicted seconds. Two digits are enough for a prediction.
 fn seconds(seconds: f64) -> String {
     format!("{} s", readable(seconds, 2))
 }

@@ -173,9 +173,9 @@ impl Psf {
     /// | file | default scaling | settings that apply |
     /// |---|---|---|
     /// | [PSF samples](psf_io::samples) | unit flux | all of `choices` |
-    /// | [PSF model](psf_io::model) | as stored | `outside` and `normalisation` of `choices` |
+    /// | [PSF model](psf_io::model) | the file's own setting | `outside` and `normalisation` of `choices` |
     /// | [PSFEx model](psf_io::psfex) | unit flux | `outside` and `normalisation` of `choices`; `file.extension` |
-    /// | [STPSF](psf_io::stpsf), [STDPSF](psf_io::stdpsf) library | unchanged | all of `choices` (by default every component, interpolated bilinearly); `file.plane_order`, `file.detector`, `file.extension` |
+    /// | [STPSF](psf_io::stpsf), [STDPSF](psf_io::stdpsf) library | none | all of `choices` (by default every component, interpolated bilinearly); `file.plane_order`, `file.detector`, `file.extension` |
     /// | [ScopeSim's field-varying PSF](psf_io::scopesim) | unit flux | `outside` and `normalisation` of `choices`; `file.pixel_scale_arcsec`, `file.field_centre`, `file.wavelength_um` |
     /// | cube without positions | unit flux | all of `choices`; `file.positions`, `file.oversampling`, `file.centre`, `file.extension` |
     /// | single stamp: one PSF everywhere | unit flux | all of `choices` (by default nearest interpolation); `file.oversampling`, `file.centre`, `file.extension` |

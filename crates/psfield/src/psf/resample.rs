@@ -139,9 +139,9 @@ impl Psf {
                 )?))
             }
             Origin::Model(..) => {
-                const OWN_FIELD: &str = "the stamps of a model with a coefficient field of your own cannot be resampled: \
-                                         convert the model to samples first, or give it stamps with oversampling 1 that \
-                                         include the pixel response, and leave oversample and stamp_size unset";
+                const OWN_FIELD: &str = "the stamps of a model with a coefficient field of your own cannot be resampled. Either \
+                                         convert the model to samples first. Or build the model from stamps with oversampling 1 \
+                                         that include the pixel response, and then leave oversample and stamp_size unset";
                 Err(PsfieldError::new(ErrorKind::Setting, OWN_FIELD))
             }
         }

@@ -35,9 +35,10 @@ impl<T: ConvReal> Simulator<T> {
     }
 }
 
-/// Passes rows between the caller's stream and the engine. Adds galaxies to the rows of the scene
-/// that the engine reads. Samples the rows of the fine image that the engine writes, adds stars,
-/// and writes the rows of the frame's image.
+/// Passes rows between the caller's stream and the engine. When the engine reads rows of the scene,
+/// this adapter adds the galaxies to them. When the engine writes rows of the fine image (the
+/// convolved scene, in scene pixels), the adapter samples them once per frame pixel. It adds the
+/// stars and writes the result to the caller's stream.
 pub(super) struct SceneRows<'a, T: ConvReal, R> {
     simulator: &'a Simulator<T>,
     inner: &'a mut R,
