@@ -186,8 +186,10 @@ impl FieldWeights for LineWeights {
         admit(self.weights(query(position)?, weights), self.outside, position)
     }
 
-    /// Visits one run for each stretch between two samples that the row passes, one run beyond each
-    /// end of the line, and a single pixel where the row meets a sample.
+    /// A pixel that meets a sample exactly is a run of its own. The other pixels of a run have their
+    /// feet on the same piece of the line: between two neighbouring samples, or beyond an end. Under
+    /// the policy extend, the part beyond an end belongs to the last piece there. Under the policy
+    /// error, every pixel is a run of its own.
     fn weights_along_row(&self, start: (i64, i64), length: usize, visit: OnRun<'_>) -> Visited {
         let row = Row::new(start, length);
         if self.outside == OutsidePolicy::Error {

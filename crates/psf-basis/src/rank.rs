@@ -176,9 +176,10 @@ impl Spectrum {
 /// A cliff is a drop to less than this fraction from one singular value to the next. The values
 /// after it are negligible.
 const CLIFF: f64 = 1e-3;
-/// A cliff that begins below this fraction of the largest singular value does not count. It is only
-/// the end of a decay, where rounding begins. (Pixel values stored in single precision have
-/// rounding of 6e-8.)
+/// A cliff that begins below this fraction of the largest singular value does not count. Such small
+/// values are hardly above rounding, where even a smooth decay ends in a sharp drop. The limit is
+/// below the rounding of single-precision pixels (6e-8), so a cliff that ends in that rounding still
+/// counts.
 const FLOOR: f64 = 1e-8;
 
 /// The number of components at the elbow of the curve of cumulative weights

@@ -204,9 +204,10 @@ impl PupilCells {
     }
 }
 
-/// Offsets over a cell: a golden-ratio lattice and its mirror images. The coverage is measured to
-/// better than 1/256 for vertical, horizontal and slanted edges, and symmetric apertures stay
-/// symmetric.
+/// Offsets over a cell: a golden-ratio lattice and its mirror images. They measure which fraction of
+/// a cell is lit. If one straight edge crosses the cell, the error is below 1/256 for a vertical or
+/// horizontal edge. For slanted edges it is about 1/500 r.m.s., and at most about 1/90. The mirror
+/// images keep symmetric apertures symmetric.
 fn lattice(cell: f64) -> Vec<(f64, f64)> {
     const GOLDEN: f64 = 0.618_033_988_749_894_9;
     (0..LATTICE)

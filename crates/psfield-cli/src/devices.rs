@@ -189,7 +189,7 @@ pub(crate) fn device_parser<const N: usize>(
     PossibleValuesParser::new(names).try_map(|name| name.parse::<Device>())
 }
 
-const GPU_MEMORY: &str = "Most GPU memory for prepared PSF data (bytes, or with K, M or G)";
+const GPU_MEMORY: &str = "Upper limit of the GPU memory for prepared PSF data (bytes, or with K, M or G)";
 
 #[cfg(feature = "gpu")]
 fn gpu_memory_help() -> String {

@@ -103,8 +103,8 @@ impl ReportFolder {
     }
 }
 
-/// Refuses a folder that cannot be made, or that has one of `files` although it may not be replaced
-/// (`overwrite`). Leaves no new folders behind.
+/// Checks that a report can be written to a folder. Returns an error if the folder cannot be made,
+/// or if it holds one of `files` and `overwrite` is false. Leaves no new folders behind.
 fn check(folder: &Path, files: &[&str], overwrite: bool) -> anyhow::Result<()> {
     if folder.is_dir() {
         for name in files {

@@ -191,7 +191,8 @@ impl PsfModel {
     /// The report on the fit as JSON. `None` for a model without samples.
     fn fit_report(&self, py: Python<'_>) -> PyResult<Option<String>> {
         let report = self.apart(py, |psf| psf.fit()?.map(Fit::report).transpose())?;
-        Ok(report.map(|report| serde_json::to_string(&report).expect("the report is plain numbers")))
+        Ok(report
+            .map(|report| serde_json::to_string(&report).expect("every value of the report has a JSON form")))
     }
 
     /// Evaluates the PSF. Returns stamps `[position, y, x]`.

@@ -6,15 +6,16 @@ use super::local_modes::LocalModes;
 use super::region_cells::{Band, CORNERS, Cell, RegionCells};
 use crate::ConvReal;
 
-/// The role of a PSF's flux in the convolution.
+/// The role of a PSF's flux in the convolution. The reference is the mean PSF of a region, scaled to
+/// unit flux, and the modes hold the differences from it (`LocalModes`).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum FluxRole {
     /// The flux is the same everywhere and is included in the reference.
     Constant,
     /// The reference is multiplied by the flux of the PSF at each pixel.
     Weight,
-    /// PSFs are scaled to unit flux: the modes are divided by the flux of the unscaled PSF. The
-    /// reference is not, because it already has unit flux.
+    /// PSFs are scaled to unit flux. So the modes are divided by the flux of the unscaled PSF. The
+    /// reference already has unit flux, and is not divided.
     Divisor,
     /// There is no reference.
     NoReference {

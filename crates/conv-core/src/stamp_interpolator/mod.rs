@@ -92,8 +92,8 @@ impl StampInterpolator {
 /// Resamples every sample to another grid, like [`StampInterpolator::resample`].
 ///
 /// # Errors
-/// [`DataError`] if a resampled stamp holds no flux, for example because the target is far smaller
-/// than the PSF.
+/// [`DataError`] if the flux of a resampled stamp is not positive. This can happen if the target
+/// covers only the dark middle of a ring-shaped PSF.
 pub fn resample_samples(samples: &PsfSamples, target: StampGrid) -> Result<PsfSamples, DataError> {
     let ours = samples.grid();
     let mut stamps = Array3::zeros((samples.len(), target.ny(), target.nx()));

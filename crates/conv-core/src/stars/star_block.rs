@@ -17,9 +17,10 @@ use crate::stamp_interpolator::Kernel;
 #[derive(Debug)]
 pub(super) struct StarBlock<T> {
     pub(super) modes: LocalModes,
-    /// `[row, kernel, chunk, residue, pixel]`. A row is a row of coefficients of the oversampled
-    /// stamp. The rows are in the order of the stamp, and rows that no star can use are left out
-    /// ([`PhasedAxis`]). [`RowLayout`] explains the last three indices.
+    /// `[row, kernel, chunk, residue, pixel]`. `row` counts the rows of coefficients of the
+    /// oversampled stamp, in the order of the stamp. Rows that no star can use are left out
+    /// ([`PhasedAxis`]). `kernel` counts the PSFs of the local basis. [`RowLayout`] explains the
+    /// last three indices.
     values: Aligned<T>,
 }
 

@@ -178,7 +178,9 @@ impl std::str::FromStr for CatalogColumns {
             let place = ROLES
                 .iter()
                 .position(|name| name.eq_ignore_ascii_case(role))
-                .ok_or_else(|| refused("given for the roles x, y, ra, dec, flux, mag, re, n, q and angle"))?;
+                .ok_or_else(|| {
+                    refused("role=COLUMN, with a role out of x, y, ra, dec, flux, mag, re, n, q and angle")
+                })?;
             if columns.given[place].replace(column.to_owned()).is_some() {
                 return Err(refused("given once per role"));
             }

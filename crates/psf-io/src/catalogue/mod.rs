@@ -144,15 +144,16 @@ impl Catalog {
 /// ```
 ///
 /// # Errors
-/// - [`IoErrorKind::Table`] for a required column that does not exist
-/// - [`IoErrorKind::Data`] with the row and column of a position or brightness that is missing or
-///   not finite, or of a text that is not a number, and with the row of a source whose declination
-///   or galaxy parameters are out of range
+/// - [`IoErrorKind::Table`] if a required column does not exist, or the rows of a text table do not
+///   match the column names
+/// - [`IoErrorKind::Data`] if a position or brightness is missing or not finite, or a text is not a
+///   number. The error names the row and the column of the table.
+/// - [`IoErrorKind::Data`] if a declination or a galaxy parameter is out of range. The error names
+///   the row of the table.
 /// - [`IoErrorKind::Setting`] for magnitudes without a zero point, a zero point without magnitudes,
-///   sky coordinates with [`with_one_based`](CatalogOptions::with_one_based), sky coordinates
-///   without [`with_sky`](CatalogOptions::with_sky), and several tables of a FITS file that have
-///   the columns
-/// - [`IoErrorKind::Table`] for a text table whose rows do not match the column names
+///   sky coordinates with [`with_one_based`](CatalogOptions::with_one_based), or sky coordinates
+///   without [`with_sky`](CatalogOptions::with_sky)
+/// - [`IoErrorKind::Setting`] if several tables of a FITS file have the columns and none is chosen
 /// - the [errors of any FITS file](crate#bad-files)
 pub fn read_catalog_with(path: impl AsRef<Path>, options: &CatalogOptions) -> Result<Catalog, IoError> {
     let rows = Rows::read(path.as_ref(), options, "x, y, flux", CatalogColumns::sources)?;

@@ -81,7 +81,7 @@ impl SkyCoordinates {
             _ => {
                 return Err(unsupported(
                     "CTYPE1",
-                    "RA--- or DEC-- with a projection, and CTYPE2 the other one of these two",
+                    "right ascension or declination with a projection (such as RA---TAN or DEC--TAN), and CTYPE2 must be the other of the two",
                     &types.join(" and "),
                 ));
             }

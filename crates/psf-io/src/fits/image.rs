@@ -535,7 +535,8 @@ impl Pixels {
         Ok(found)
     }
 
-    /// The index along each axis of the pixel with the index `flat` in the HDU.
+    /// Converts `flat`, the number of a pixel in the order of the HDU (0-based), to its index along
+    /// each axis.
     fn index(&self, mut flat: usize) -> Vec<usize> {
         let mut index = vec![0; self.shape.len()];
         for (place, &n) in index.iter_mut().zip(&self.shape).rev() {

@@ -241,7 +241,7 @@ impl Layout {
         self.names.get(index).copied()
     }
 
-    /// The part of a grid of this size that belongs to a detector.
+    /// The part of a grid of `columns` and `rows` that belongs to a detector.
     fn block(self, index: usize, columns: usize, rows: usize) -> Block {
         let place = self.places.get(index).copied().unwrap_or(0);
         let (i, j) = (place % self.across.0, place / self.across.0);
@@ -257,8 +257,7 @@ impl Layout {
 
 /// The value of an unused position.
 const UNUSED: f64 = 9999.0;
-const NUMBER_EXPECTED: &str =
-    "a position of the grid in pixels, because the header counts it as used (9999 marks unused positions)";
+const NUMBER_EXPECTED: &str = "a position of the grid in pixels (9999 marks unused ones)";
 const LIST_EXPECTED: &str = "a string of positions of the grid in pixels (9999 marks unused ones)";
 
 /// Reads the first `count` positions along an axis, in pixels counted from 1, and returns the range
@@ -275,11 +274,17 @@ fn read_lines(
         single(cards, stem, count)?
     };
     if let Some((_, keyword)) = lines.iter().find(|(value, _)| *value == UNUSED) {
-        return Err(cards.bad_value(keyword, "a position (9999 marks unused ones)", UNUSED));
+        return Err(cards.bad_value(
+            keyword,
+            "a position in pixels, because NXPSFS and NYPSFS count it as used (9999 marks unused positions)",
+            UNUSED,
+        ));
     }
     let lines: Vec<(f64, String)> = lines.drain(wanted).collect();
     for (i, (value, second)) in lines.iter().enumerate() {
         if let Some((_, first)) = lines[..i].iter().find(|(earlier, _)| earlier == value) {
+            // A card with a list has several positions.
+            let second = if first == second { "the same card" } else { second };
             let problem = format!("the positions in {first} and {second} are both {value}: they must differ");
             return Err(cards.hdu.error(IoErrorKind::Header, problem));
         }

@@ -60,7 +60,7 @@ pub(crate) struct SimulateArgs {
         help_heading = ACCURACY,
         help = tolerance_help(),
         long_help = format!(
-            "{}\n\nFrom 0 to below 1. 0: limited only by rounding. Applies only to the methods auto and lowrank.",
+            "{}\n\nAt least 0 and below 1. With 0, only rounding limits the accuracy. Applies only to the methods auto and lowrank.",
             tolerance_help()
         )
     )]
@@ -178,7 +178,7 @@ fn tolerance_help() -> String {
 
 fn memory_help() -> String {
     format!(
-        "Most memory for the plan, the prepared PSF data (bytes, or with K, M or G) [default: {}]",
+        "Upper limit of the memory for the plan, the prepared PSF data (bytes, or with K, M or G) [default: {}]",
         text_of_bytes(SimulateOptions::default().memory)
     )
 }

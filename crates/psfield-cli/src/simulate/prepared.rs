@@ -33,8 +33,8 @@ impl Simulators {
         }
     }
 
-    /// Forgets all simulators after an error of a GPU, because the GPU may be lost, and the plans
-    /// on it, too.
+    /// Forgets all simulators and all open GPUs, after an error of a GPU: it may be lost, together
+    /// with the plans on it.
     pub(super) fn forget_gpus(&mut self) {
         self.kept.clear();
         psfield::forget_gpus();

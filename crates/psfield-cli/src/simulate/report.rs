@@ -140,7 +140,7 @@ impl Report {
                 .map_or_else(String::new, |m| format!(" ({m:.1e} of the peak)"));
             let relative = check
                 .relative_rms
-                .map_or_else(String::new, |r| format!(" (relative {r:.1e})"));
+                .map_or_else(String::new, |r| format!(" ({r:.1e} of the sum's r.m.s.)"));
             format!(
                 "spot check against the direct sum, {} pixels: largest difference {:.2e}{over_peak}, r.m.s. {:.2e}{relative}\n",
                 check.pixels, check.max_abs, check.rms,

@@ -296,8 +296,9 @@ impl Reproduction {
             paragraphs: vec![
                 "Every pixel has light, and the PSF varies over each image as over the whole field. The method single uses one PSF for the whole image, \
                  which is fastest but ignores the variation. The method patch uses one PSF per patch. The method lowrank is the fast engine of psfield, \
-                 with Fourier transforms for all tiles of the image. Each run of patches makes their PSFs from the components. In psfield, the plan does \
-                 this work, once for a model and a frame: the column 'first image' counts the plan, the column 'more images' does not."
+                 with Fourier transforms for all tiles of the image. The method patch computes the PSFs of all patches again in each run. The method \
+                 lowrank prepares the PSFs in a plan, which is made once for a model and a frame. The column 'first image' includes the time \
+                 of the plan, the column 'more images' does not."
                     .to_owned(),
             ],
             tables: vec![table],

@@ -89,8 +89,9 @@ impl Psf {
                 let planes = psf_io::write_gridded(path, &samples, cards, overwrite)?;
                 if planes > samples.len() {
                     notes.push(format!(
-                        "the file holds {planes} planes for {} samples: some releases of photutils exchange x and y, so planes \
-                         were added (interpolated bilinearly) so that both axes have the same coordinates. psfield reads only the samples back",
+                        "the file holds {planes} planes for {} samples: some releases of photutils exchange x and y. \
+                         All releases agree if both axes have the same coordinates, so planes were added for this, interpolated \
+                         bilinearly. psfield reads only the samples back",
                         samples.len()
                     ));
                 }
