@@ -46,12 +46,12 @@ def files(tmp_path_factory):
             ["--frame", "8,5,100,80", "--stamp-size", "11"],
             {"frame": (8, 5, 100, 80), "stamp_size": 11},
         ),
-        (["--oversample", "2"], {"oversample": 2}),
+        (["--oversampling", "2"], {"oversample": 2}),
     ],
 )
 @pytest.mark.parametrize("catalog", [False, True])
 def test_simulations(command, files, tmp_path, psf, options, words, catalog):
-    scene = files / ("fine.fits" if "--oversample" in options else "scene.fits")
+    scene = files / ("fine.fits" if "--oversampling" in options else "scene.fits")
     output = tmp_path / "image.fits"
     sources = ["--catalog", files / "sources.csv"] if catalog else []
     subprocess.run(

@@ -205,7 +205,9 @@ impl StarSampling {
             if registered.report.method != RegistrationMethod::Epsf {
                 let left_out = part(true).map(|(k, (star, _, flux))| (k, star.x, star.y, *flux));
                 return RegisteredFold {
-                    samples: part(false).map(|(_, sample)| sample.clone()).collect(),
+                    samples: part(false)
+                        .map(|(_, (star, stamp, _))| ((star.x, star.y), stamp.clone()))
+                        .collect(),
                     left_out: left_out.collect(),
                 };
             }
@@ -222,15 +224,17 @@ impl StarSampling {
             });
             let left_out = left_out.collect();
             let samples = epsf.stars.iter().filter_map(|star| {
-                let (stamp, flux) = epsf.sample(star, self.registration.own_shapes)?;
-                Some((star.clone(), stamp, flux))
+                let (stamp, _) = epsf.sample(star, self.registration.own_shapes)?;
+                Some(((star.x, star.y), stamp))
             });
             RegisteredFold {
                 samples: samples.collect(),
                 left_out,
             }
         };
-        (0..FOLDS).map(fold).collect()
+        let folds: Vec<_> = (0..FOLDS).map(fold).collect();
+        let is_complete = folds.iter().all(|fold| !fold.samples.is_empty());
+        if is_complete { folds } else { Vec::new() }
     }
 
     /// Rejects the stars that are held out.
@@ -274,7 +278,7 @@ impl StarSampling {
     ) -> Result<Registered, StarError> {
         let ownership = Ownership::new(sources, fwhm_px);
         let stars: Vec<Star> = sources
-            .iter()
+            .par_iter()
             .enumerate()
             .filter(|(_, s)| s.rejected.is_empty())
             .map(|(k, c)| view.star(k, c, &ownership, grid))
@@ -343,7 +347,7 @@ impl StarSampling {
 /// The samples made without one group of stars. `left_out` has the stars of this group: index of
 /// the sample, x, y, flux.
 struct RegisteredFold {
-    samples: Vec<(Star, Array2<f64>, f64)>,
+    samples: Vec<((f64, f64), Array2<f64>)>,
     left_out: Vec<(usize, f64, f64, f64)>,
 }
 
@@ -409,8 +413,8 @@ impl FrameView {
         }
         self.measure_psf_fluxes(&mut sources, &registered, fwhm_px);
         let fold_of = |fold: RegisteredFold| -> Result<Fold, StarError> {
-            let stars = fold.samples.iter();
-            let samples = samples_of(&stars.map(|(s, stamp, _)| ((s.x, s.y), stamp)).collect::<Vec<_>>())?;
+            let stars = fold.samples.iter().map(|(at, stamp)| (*at, stamp));
+            let samples = samples_of(&stars.collect::<Vec<_>>())?;
             let left_out = fold.left_out.into_iter().map(|(k, x, y, flux)| Source {
                 x,
                 y,
@@ -483,7 +487,7 @@ impl FrameView {
 #[non_exhaustive]
 pub struct Fold {
     /// The samples of all stars that are not left out, of unit flux. The stars left out had no part
-    /// in them.
+    /// in them, except in the choice of the grid, the degree and the rejected stars.
     pub samples: PsfSamples,
     /// The stars left out. With an oversampled PSF, the position and the flux of each star come
     /// from a fit of the other stars' PSF to it. Otherwise they come from the star's own pixels.

@@ -19,6 +19,15 @@ pub(crate) fn note(old: &str, new: &str) -> String {
     format!("{old} is now called {new}: the next release removes the old name")
 }
 
+/// Returns the present name of an option of a command, both without leading hyphens.
+pub(crate) fn option(command: &str, name: &str) -> String {
+    let dashed = format!("--{name}");
+    let mut renamed = OPTIONS
+        .iter()
+        .filter(|(of, old, _)| *of == command && *old == dashed);
+    renamed.next().map_or(name, |(.., new)| &new[2..]).to_owned()
+}
+
 /// Replaces old names in the arguments of the program. (The first argument is the program's own
 /// name.) Returns the arguments, and a note for each name that was replaced.
 pub(crate) fn replaced(arguments: impl IntoIterator<Item = OsString>) -> (Vec<OsString>, Vec<String>) {

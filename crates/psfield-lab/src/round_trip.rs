@@ -128,9 +128,12 @@ impl RoundTrip {
             });
         let comparing = Comparing::new(frame.view(), &stars, options)?;
         let all = comparing.with(&light)?;
-        let left_out = match light_of_left_out(&model, &stars, &options.fit, shape)? {
-            Some(light) => Some(comparing.with(&light)?),
-            None => None,
+        let left_out = light_of_left_out(&model, &stars, &options.fit, shape)
+            .and_then(|light| light.map(|light| comparing.with(&light)).transpose());
+        // The comparison with all stars holds even if stars cannot be left out.
+        let (left_out, left_out_error) = match left_out {
+            Ok(left_out) => (left_out, None),
+            Err(error) => (None, Some(psfield::error_text(&error))),
         };
 
         let residual = &frame - &all.simulated;
@@ -150,6 +153,7 @@ impl RoundTrip {
             residual_over_noise: (deviations.sum::<f64>() / residual.len() as f64).sqrt(),
             all: all.comparison,
             left_out: left_out.as_ref().map(|c| c.comparison.clone()),
+            left_out_error,
         };
         let rows = rows(
             &stars,
@@ -173,8 +177,7 @@ impl RoundTrip {
 
 /// Draws the light of the frame `[y, x]`. A fold is a group of stars that became samples. A model
 /// fitted to the stars outside a fold draws the stars of the fold, and `model` draws the sources
-/// that are not samples. None if there are no folds, or if the stars outside a fold are too few for
-/// the fit.
+/// that are not samples. None if there are no folds.
 fn light_of_left_out(
     model: &PsfModel,
     stars: &StarSamples,
@@ -187,9 +190,7 @@ fn light_of_left_out(
     let others = stars.sources.iter().filter(|s| s.sample.is_none());
     let mut light = drawn(model, &point_sources(others, Some(frame))?, frame)?;
     for fold in &stars.folds {
-        let Ok(fitted) = fit(fold.samples.clone(), options) else {
-            return Ok(None);
-        };
+        let fitted = fit(fold.samples.clone(), options)?;
         let sources = point_sources(fold.left_out.iter(), Some(frame))?;
         light += &drawn(&model_of(fitted.record().clone())?, &sources, frame)?;
     }
@@ -423,9 +424,10 @@ pub struct RoundTripReport {
     #[serde(flatten)]
     pub all: StarComparison,
     /// The stars drawn by models that were made without them (five groups, each drawn by the model
-    /// of the other four). None with fewer than ten stars, or if four fifths of the stars are too
-    /// few for the fit.
+    /// of the other four). None with fewer than ten stars, or after an error.
     pub left_out: Option<StarComparison>,
+    /// The error for which there is no `left_out`, such as too few stars for the fit.
+    pub left_out_error: Option<String>,
     /// R.m.s. of the difference between the frame and the first simulated frame, in units of the
     /// background noise.
     pub residual_over_noise: f64,

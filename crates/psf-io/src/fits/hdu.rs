@@ -188,6 +188,17 @@ impl Hdu {
         }
     }
 
+    /// Returns an error if cards with this keyword have different values. Of several cards, CFITSIO
+    /// may use another one than psfield checks.
+    pub(crate) fn ensure_one_value(&self, keyword: &str) -> Result<(), IoError> {
+        const SEVERAL: &str =
+            "the header has several cards with this keyword and different values: remove all but one";
+        let cards = self.header.iter().filter(|card| card.has_keyword(keyword));
+        let mut values = cards.map(Card::shown);
+        let first = values.next();
+        self.ensure(values.all(|value| Some(value) == first), keyword, SEVERAL)
+    }
+
     /// The value of a keyword that the structure of the file depends on: a whole number. For a
     /// missing keyword it is `default`. If `default` is `None`, a missing keyword is an error.
     pub(crate) fn structural(&self, keyword: &str, default: Option<i64>) -> Result<i64, IoError> {

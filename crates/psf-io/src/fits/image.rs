@@ -464,6 +464,9 @@ impl Pixels {
     /// holds the data of the HDU.
     fn open(hdu: &Hdu) -> Result<Self, IoError> {
         tiles::check(hdu)?;
+        for keyword in ["BSCALE", "BZERO", "BLANK"] {
+            hdu.ensure_one_value(keyword)?;
+        }
         // If BSCALE or BZERO is not a number, CFITSIO uses 1 or 0 without an error.
         for keyword in ["BSCALE", "BZERO"] {
             let value = hdu.optional::<f64>(keyword, FINITE)?;

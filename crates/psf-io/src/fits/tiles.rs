@@ -30,6 +30,16 @@ const ALGORITHMS: &[&str] = &["RICE_1", "RICE_ONE", "GZIP_1", "GZIP_2", PLIO];
 /// The algorithm for masks, which stores them as lists of runs.
 pub(crate) const PLIO: &str = "PLIO_1";
 
+/// The keywords that CFITSIO needs to unpack the tiles.
+const KEYWORDS: &[&str] = &[
+    "ZIMAGE", "ZCMPTYPE", "ZBITPIX", "ZNAXIS", "ZQUANTIZ", "ZDITHER0", "ZBLANK", "ZSCALE", "ZZERO",
+    "TFIELDS", "THEAP",
+];
+/// Further such keywords, without the number at their end.
+const NUMBERED: &[&str] = &[
+    "ZNAXIS", "ZTILE", "ZNAME", "ZVAL", "TTYPE", "TFORM", "TNULL", "TSCAL", "TZERO", "TDIM",
+];
+
 /// Makes the table that holds the tiles of a compressed image count as the image. Other HDUs stay
 /// unchanged. The header of the table is checked, and the size that it claims for the image is
 /// limited by the bytes of the table.
@@ -39,20 +49,15 @@ pub(crate) fn count_as_image(hdu: &mut Hdu) -> Result<(), IoError> {
     const NOT_NONE: &str = "must not be NONE if the pixels are whole numbers";
     const IMAGE_SIZE: &str = "the image would be larger than its tiles can hold";
     const TILE_SIZE: &str = "a tile would be larger than the table can hold";
-    const TWICE: &str = "the header has two cards with this keyword and different values";
     if !hdu.is_tiled() {
         return Ok(());
     }
     let table = &*hdu;
-    // Of two cards with one keyword, CFITSIO may take the other one, which would not be checked.
-    for card in table
-        .header
-        .iter()
-        .filter(|card| card.keyword().starts_with(['Z', 'T']))
-    {
-        let keyword = card.keyword();
-        let same = |first: &Card| first.shown() == card.shown();
-        table.ensure(table.header.get(&keyword).is_none_or(same), &keyword, TWICE)?;
+    for keyword in table.header.iter().map(Card::keyword) {
+        let stem = keyword.trim_end_matches(|c: char| c.is_ascii_digit());
+        if KEYWORDS.contains(&keyword.as_str()) || (stem != keyword && NUMBERED.contains(&stem)) {
+            table.ensure_one_value(&keyword)?;
+        }
     }
     let algorithm = table.text("ZCMPTYPE").unwrap_or_default();
     table.ensure(ALGORITHMS.contains(&algorithm.trim()), "ZCMPTYPE", ALGORITHM)?;

@@ -217,6 +217,12 @@ fn digest(settings: &Settings, command: &Command) -> String {
         if off || known.is_some_and(is_output) || WITHOUT_EFFECT_ON_RESULTS.contains(&name) {
             continue;
         }
+        // Images of earlier releases stay valid: this option had another name.
+        let name = if name == "oversampling" {
+            "oversample"
+        } else {
+            name
+        };
         for text in [name, &setting.value] {
             hasher.write(text.as_bytes());
             // A separator after each string keeps ("ab", "c") apart from ("a", "bc").

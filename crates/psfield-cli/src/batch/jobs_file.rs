@@ -8,6 +8,7 @@ use anyhow::Context as _;
 use toml::{Table, Value};
 
 use crate::UsageError;
+use crate::old_names;
 
 /// The jobs of a file, with options that are not parsed yet.
 #[derive(Debug)]
@@ -222,7 +223,7 @@ impl Settings {
     /// Sets an option. Returns an error if it is set already. Underscores in the name count as
     /// hyphens: `stamp_size` is `stamp-size`.
     pub(super) fn set(&mut self, option: &str, value: String, folder: &Path) -> Result<(), String> {
-        let name = option.trim().replace('_', "-");
+        let name = old_names::option("simulate", &option.trim().replace('_', "-"));
         let folder = folder.to_owned();
         match self.0.insert(name, Setting { value, folder }) {
             Some(_) => Err(format!("{option} is given twice")),

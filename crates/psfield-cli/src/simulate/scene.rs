@@ -44,7 +44,6 @@ pub(super) struct SceneArgs {
     /// them. The catalogue, --shape and --frame stay in pixels of the output image.
     #[arg(
         long,
-        alias = "oversample",
         value_name = "S",
         value_parser = clap::value_parser!(u16).range(1..=SimulateOptions::MAX_OVERSAMPLE as i64),
         help_heading = SCENE

@@ -93,7 +93,8 @@ impl ValidateArgs {
         }
         let input = self.input.display();
         let kind = psf_io::detect(&self.input)?;
-        if kind != FileKind::Image && self.stars.extension.is_none() {
+        // The reader of frames reports files that are no FITS files.
+        if !matches!(kind, FileKind::Image | FileKind::NotFits) && self.stars.extension.is_none() {
             let text = format!(
                 "{input} is {kind}: without --reference, the input must be an image with stars. To check a PSF, give known PSFs or a frame (--reference)"
             );
@@ -117,7 +118,7 @@ impl ValidateArgs {
             .with_context(|| format!("with the PSF of {}", self.input.display()))?;
         let of_truth = || format!("against {}", reference.display());
         let measured = match psf_io::detect(reference)? {
-            FileKind::Image => {
+            kind if kind == FileKind::Image || self.stars.extension.is_some() => {
                 let (frame, _, sampling) = self.stars.open(reference, &self.mask)?;
                 Validation::of_frame(model, frame, &sampling, self.window.map(usize::from))
                     .map_err(with_window_hint)

@@ -77,7 +77,10 @@ impl RoundTripArgs {
         context.report(&report, || {
             let figures = report.figures;
             let left_out = figures.left_out.as_ref().map_or_else(
-                || "too few stars to leave some out".to_owned(),
+                || {
+                    let why = figures.left_out_error.as_deref();
+                    format!("no stars were left out: {}", why.unwrap_or("there are too few"))
+                },
                 |stars| format!("each star drawn by a model made without it:\n{}", lines(stars)),
             );
             format!(

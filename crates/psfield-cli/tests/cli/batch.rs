@@ -451,7 +451,7 @@ fn toml_that_cannot_be_understood() {
         ),
         (
             &format!("[defaults]\nname = 'x'\n{good}"),
-            vec!["name", "in a job"],
+            vec!["name", "each job its own name"],
         ),
     ] {
         desk.write("jobs.toml", content);
