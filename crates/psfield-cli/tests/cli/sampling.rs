@@ -164,7 +164,7 @@ fn a_model_is_validated_between_its_samples() {
     assert_eq!((coinciding, quiet.as_str()), (0, ""));
     let (at_samples, coinciding, warning) = validated("samples");
     assert_eq!(coinciding, 25);
-    assert!(warning.contains("25 of 25 objects of samples.fits"), "{warning}");
+    assert!(warning.contains("25 of 25 objects in samples.fits"), "{warning}");
     // On its own samples a model looks better than it is.
     assert!(between > 5.0 * at_samples, "{between} {at_samples}");
 

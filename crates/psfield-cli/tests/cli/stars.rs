@@ -365,7 +365,7 @@ fn stars_can_be_held_out_for_a_check() {
     assert_eq!(run.json()["at_samples"], 0);
     // A frame contains the stars from which the model was made.
     let run = desk.run("validate model.fits --reference frame.fits --report frame --json");
-    assert!(run.stderr.contains("20 of 25 objects of frame.fits"), "{run:?}");
+    assert!(run.stderr.contains("20 of 25 objects in frame.fits"), "{run:?}");
 
     desk.refused(
         "sample frame.fits -o x.fits --hold-out 25",
