@@ -17,11 +17,12 @@ from psfield._errors import PsfieldWarning
 from psfield._tables import OTHER_NAMES, column_names, find_columns
 
 Column = NDArray[np.float64]
-#: The columns x, y, flux, re, n, q and angle by name. A missing column is None.
+#: The columns x, y, flux, re, n, q, angle, g1 and g2 by name. A missing column is None.
 Columns = dict[str, Column | None]
 
 _NEEDED = ("x", "y", "flux")
 _SHAPE = ("re", "n", "q", "angle")
+_SHEAR = ("g1", "g2")
 
 
 def read_catalog(
@@ -44,14 +45,15 @@ def read_catalog(
         table of a FITS file.
     columns : str, optional
         The column of each role, as in ``"x=X_IMAGE,y=Y_IMAGE,mag=MAG_AUTO"``. The roles are x and y
-        (or ra and dec), flux (or mag), and re, n, q and angle for galaxies. By default each role
-        uses the column of its own name. Positions may also be called ``x_0`` and ``y_0``.
+        (or ra and dec), flux (or mag), and re, n, q, angle, g1 and g2 for galaxies. By default each
+        role uses the column of its own name. Positions may also be called ``x_0`` and ``y_0``.
     one_based : bool
         The first pixel is 1, as in SExtractor and FITS.
     zero_point : float, optional
         The magnitude of flux 1.
     skip_invalid : bool
-        Skip rows that are not valid sources, with a warning, instead of raising an error.
+        Skip rows that are not valid sources, with a warning, instead of raising an error. A row
+        without ``re`` in a table of galaxies, or with flux 0, is not valid.
     table : str or int, optional
         The table of a FITS file: its number from 0, or its name.
     wcs : path, optional
@@ -65,7 +67,8 @@ def read_catalog(
     dict of str to numpy.ndarray
         Columns ``x``, ``y`` (0-based pixels) and ``flux``. If there are galaxies, also ``re``
         (half-light radius along the major axis in pixels, 0 for a star), ``n``, ``q`` and ``angle``
-        (degrees from +x towards +y). Stars come first.
+        (degrees from +x towards +y). They include the reduced shear ``g1``, ``g2`` of the file.
+        Stars come first.
 
     Raises
     ------
@@ -154,7 +157,8 @@ def columns_of(catalog: Any, unit: Any = None) -> Columns | None:
             " arrays, an astropy Table, a structured array, a data frame),"
             f" got {type(catalog).__name__}"
         )
-    found = find_columns(names, (*_NEEDED, *_SHAPE), "catalog")
+    roles = (*_NEEDED, *_SHAPE, *_SHEAR)
+    found = find_columns(names, roles, "catalog")
     if missing := [role for role in _NEEDED if role not in found]:
         raise ValueError(
             f"catalog: there is no column {missing[0]}. A catalogue needs x, y and flux, and for"
@@ -162,9 +166,15 @@ def columns_of(catalog: Any, unit: Any = None) -> Columns | None:
         )
     if "re" in found and "n" not in found:
         raise ValueError("catalog: galaxies (column re) need their Sersic index (column n)")
+    if "re" not in found:
+        # Stars have no shear. A column g1 or g2 of a table of stars may mean anything.
+        found = {role: name for role, name in found.items() if role not in _SHEAR}
+    elif ("g1" in found) != ("g2" in found):
+        lacking = "g2" if "g1" in found else "g1"
+        raise ValueError(f"catalog: a shear needs both columns g1 and g2, there is no {lacking}")
     arrays = {role: _column(catalog[name], role, unit) for role, name in found.items()}
     rows = max((array.size for array in arrays.values() if array.ndim == 1), default=1)
-    columns: Columns = dict.fromkeys((*_NEEDED, *_SHAPE))
+    columns: Columns = dict.fromkeys(roles)
     columns |= {
         role: array if array.ndim else np.full(rows, array) for role, array in arrays.items()
     }
@@ -177,8 +187,8 @@ def _column(values: Any, role: str, unit: Any) -> Column:
         check_linear(getattr(values, "unit", None), "catalog: flux")
     wanted = {"x": "pix", "y": "pix", "re": "pix", "angle": "deg", "flux": unit}.get(role)
     values = in_unit(values, wanted, f"catalog: {role}")
-    if role in _SHAPE and np.ma.isMaskedArray(values):
-        # A source without a shape is a star.
+    if role in (*_SHAPE, *_SHEAR) and np.ma.isMaskedArray(values):
+        # A star (re = 0) needs no shape. In a galaxy, NaN is an error that names the row.
         values = np.ma.asarray(values, dtype=np.float64).filled(np.nan)
     array = reals(values, f"catalog: {role}")
     if array.ndim > 1:

@@ -419,6 +419,7 @@ class PsfModel:
         extension: str | int | None = None,
         detector: int | None = None,
         plane_order: str | None = None,
+        skip_invalid: bool = False,
         wavelength_um: float | None = None,
         pixel_scale_arcsec: float | None = None,
         field_centre: Centre | None = None,
@@ -451,6 +452,10 @@ class PsfModel:
         plane_order : str, optional
             Order of the planes (STPSF): ``'cards'`` or ``'sorted'`` (by y, then x). Needed only if
             the header does not show which version of STPSF wrote the file.
+        skip_invalid : bool
+            Leave out planes without positive flux (STPSF, STDPSF) instead of raising an error. If
+            the other planes do not form a regular grid, the default interpolation is natural
+            neighbour.
         wavelength_um, pixel_scale_arcsec, field_centre : optional
             Values that a file of ScopeSim does not state.
         positions : array_like or table, optional
@@ -487,6 +492,7 @@ class PsfModel:
             "extension": None if extension is None else str(extension),
             "detector": integer_or_none(detector, "detector"),
             "plane_order": text_or_none(plane_order, "plane_order"),
+            "skip_invalid": boolean(skip_invalid, "skip_invalid"),
             "wavelength_um": real_or_none(wavelength_um, "wavelength_um"),
             "pixel_scale_arcsec": real_or_none(pixel_scale_arcsec, "pixel_scale_arcsec"),
             "field_centre": pair_or_none(field_centre, "field_centre"),

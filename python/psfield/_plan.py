@@ -282,8 +282,10 @@ class Plan:
             ``y`` (or ``x_0``, ``y_0``) and ``flux``. Positions are in pixels of the image, counted
             from the first pixel of the scene (0-based). They may lie outside the scene. Galaxies
             have a Sersic profile with the columns ``re`` (half-light radius along the major axis in
-            pixels, where 0, NaN or masked means a star), ``n``, ``q`` and ``angle`` (degrees from
-            +x towards +y). A number in place of a column holds for all rows.
+            pixels, 0 for a star), ``n``, ``q`` and ``angle`` (degrees from +x towards +y), and the
+            reduced shear ``g1`` and ``g2`` that is applied to this profile (as GalSim's
+            ``shear(g1=, g2=)``, without it ``q`` and ``angle`` are those of the image). A number in
+            place of a column holds for all rows. Fluxes may be negative, but not 0.
         out : numpy.ndarray, optional
             Array to which the image is written, with `image_shape` and `dtype`. Its content is
             undefined after an interruption.
@@ -305,8 +307,8 @@ class Plan:
         Warns
         -----
         PsfieldWarning
-            Stars lie between pixels and the stamps are not oversampled, or the pixels blur galaxies
-            (``oversample`` below 4).
+            Stars lie between pixels and the stamps are not oversampled, the pixels blur galaxies
+            (``oversample`` below 4), or the catalogue has no sources.
 
         Examples
         --------
@@ -325,6 +327,8 @@ class Plan:
             raise ValueError("there is nothing to simulate: give a scene, a catalog, or both")
         light, unit = None if scene is None else self._scene(scene), unit_of(scene)
         columns = columns_of(catalog, unit)
+        if columns and (x := columns["x"]) is not None and not x.size:
+            warnings.warn("catalog: there are no sources", PsfieldWarning, stacklevel=2)
         target, copied = self._target(out, light, unit)
         image, texts = self._handle.simulate(light, columns, target, as_callback(progress))
         for text in texts:

@@ -104,8 +104,7 @@ def as_structured(columns):
 def as_masked(columns):
     table = pytest.importorskip("astropy.table")
     masked = table.Table(columns, masked=True)
-    masked["re"].mask = np.asarray(columns["re"]) == 0
-    masked["n"].mask = masked["re"].mask
+    masked["n"].mask = np.asarray(columns["re"]) == 0
     return masked
 
 
@@ -131,7 +130,31 @@ def test_tables_of_any_kind(plan, form):
 
 def test_an_empty_catalogue_makes_a_dark_image(plan):
     empty = {"x": [], "y": [], "flux": []}
-    assert not plan.simulate(catalog=empty).any()
+    with pytest.warns(psfield.PsfieldWarning, match="there are no sources"):
+        assert not plan.simulate(catalog=empty).any()
+
+
+def test_a_negative_flux_is_drawn(plan):
+    image = plan.simulate(catalog={"x": [33.0], "y": [22.0], "flux": [-100.0]})
+    assert image.min() < 0 and not (image > 1e-12).any()
+
+
+@blurred_galaxies
+def test_shear_is_applied_to_the_ellipse(plan):
+    place = {"x": 40.0, "y": 30.0, "flux": 1e3, "n": 1.0}
+    q = 0.8 / 1.2
+    angle = np.degrees(np.arctan2(0.12, -0.16)) / 2
+    sheared = plan.simulate(catalog={**place, "re": 4.0, "g1": -0.16, "g2": 0.12})
+    ellipse = {"re": 4.0 / np.sqrt(q), "q": q, "angle": angle}
+    same = plan.simulate(catalog={**place, **ellipse})
+    assert np.allclose(sheared, same, rtol=1e-12, atol=1e-12)
+    # The opposite shear makes the ellipse round again.
+    opposite = plan.simulate(catalog={**place, **ellipse, "g1": 0.16, "g2": -0.12})
+    assert np.allclose(opposite, plan.simulate(catalog={**place, "re": 4.0}), rtol=1e-6, atol=1e-6)
+    # Stars have no shear: in a table of stars, g1 may mean anything.
+    star = {"x": [40.0], "y": [30.0], "flux": [1.0]}
+    with_g1 = plan.simulate(catalog={**star, "g1": [np.nan]})
+    assert np.array_equal(with_g1, plan.simulate(catalog=star))
 
 
 @pytest.mark.parametrize(
@@ -145,6 +168,11 @@ def test_an_empty_catalogue_makes_a_dark_image(plan):
             r"row 1 \(0-based\)",
         ),
         ({"x": [1.0], "y": [1.0], "flux": [np.inf]}, ValueError, r"row 0"),
+        ({"x": [1.0], "y": [1.0], "flux": [np.nan]}, ValueError, r"row 0"),
+        ({"x": [1.0], "y": [1.0], "flux": [0.0]}, ValueError, r"row 0.*flux must be other than 0"),
+        ({**GALAXIES, "re": [4.0, np.nan]}, ValueError, r"row 1.*\(0 for a star\)"),
+        ({**GALAXIES, "g1": 0.6, "g2": -0.8}, ValueError, "row 0.*reduced shear"),
+        ({**GALAXIES, "g1": 0.6}, ValueError, "both columns g1 and g2"),
         ({"x": ["a"], "y": [1.0], "flux": [1.0]}, TypeError, "x must be real numbers"),
         ({"x": [[1.0]], "y": [1.0], "flux": [1.0]}, ValueError, "x must be a column"),
         ({**GALAXIES, "n": [9.0, 1.0]}, ValueError, "row 0.*Sersic index"),
@@ -208,7 +236,7 @@ class TestFiles:
     @blurred_galaxies
     def test_galaxies_come_after_stars(self, tmp_path, plan):
         path = tmp_path / "sources.csv"
-        path.write_text("x,y,flux,re,n,q,angle\n40,30,1000,4,1,0.5,30\n10,50,10,,,,\n")
+        path.write_text("x,y,flux,re,n,q,angle\n40,30,1000,4,1,0.5,30\n10,50,10,0,,,\n")
         catalog = psfield.read_catalog(path)
         assert catalog["re"].tolist() == [0.0, 4.0]
         assert np.allclose(

@@ -14,8 +14,8 @@ import psfield
 fits = pytest.importorskip("astropy.io.fits")
 
 CATALOG = (
-    "x,y,flux,re,n,q,angle\n40.3,30.6,1000,4,1,0.5,30\n10.25,50.5,10,,,,\n-3,20,500,5,2,0.9,0\n"
-    "130.5,90,77,,,,\n"
+    "x,y,flux,re,n,q,angle\n40.3,30.6,1000,4,1,0.5,30\n10.25,50.5,10,0,,,\n-3,20,500,5,2,0.9,0\n"
+    "130.5,90,77,0,,,\n"
 )
 
 

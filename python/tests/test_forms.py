@@ -86,7 +86,8 @@ class TestCatalogues:
         expected = plan.simulate(catalog={"x": [10.0], "y": [20.0], "flux": [5.0]})
         one = {"x": 10.0, "y": 20.0, "flux": 5.0}
         assert np.array_equal(plan.simulate(catalog=one), expected)
-        assert not plan.simulate(catalog={"x": [], "y": [], "flux": 5.0}).any()
+        with pytest.warns(psfield.PsfieldWarning, match="there are no sources"):
+            assert not plan.simulate(catalog={"x": [], "y": [], "flux": 5.0}).any()
 
     def test_a_single_flux_with_a_unit(self, plan):
         units = pytest.importorskip("astropy.units")

@@ -47,6 +47,25 @@ def test_evaluate_draws_stars_at_their_phase():
         model.evaluate(0, 0, size=0)
 
 
+def test_planes_of_a_library_without_flux_can_be_left_out(tmp_path):
+    fits = pytest.importorskip("astropy.io.fits")
+    planes = np.array([gaussian_stamp(1.5 + 0.1 * i, 11) for i in range(9)])
+    planes[4] = 0
+    header = fits.Header({"NXPSFS": 3, "NYPSFS": 3})
+    for i in range(3):
+        header[f"IPSFX{i + 1:02}"] = header[f"JPSFY{i + 1:02}"] = 1.0 + 50 * i
+    path = tmp_path / "library.fits"
+    fits.PrimaryHDU(planes, header).writeto(path)
+    with pytest.raises(OSError, match=r"plane 4 .*at \(50, 50\) has flux 0.*\(skip_invalid=\)"):
+        psfield.PsfModel.read(path)
+    model = psfield.PsfModel.read(path, skip_invalid=True)
+    assert "1 of 9 left out" in " ".join(model.notes)
+    assert model.interpolation == "natural-neighbour"
+    # The PSFs around the missing plane, of sigma 1.6 to 1.8, replace it.
+    middle = model.evaluate(50, 50)
+    assert middle.max() == pytest.approx(planes[[1, 3, 5, 7]].mean(axis=0).max(), rel=0.05)
+
+
 def test_positions_off_the_field_are_refused(model):
     with pytest.raises(ValueError, match="outside the field of 128 x 96 pixels"):
         model.evaluate(200, 0)

@@ -114,7 +114,7 @@ fn sky_coordinates_are_not_counted_from_one() {
 
 #[test]
 fn rows_without_a_profile_are_stars() {
-    let text = "x,y,flux,re,n,q,angle\n1,2,3,2.5,4,0.5,30\n1,2,3,0,4,0.5,30\n1,2,3,,4,,\n1,2,3,nan,nan,1,0\n1,2,3,0,0,9,9\n";
+    let text = "x,y,flux,re,n,q,angle\n1,2,3,2.5,4,0.5,30\n1,2,3,0,4,0.5,30\n1,2,3,0,,,\n1,2,-3,0,0,9,9\n";
     let catalog = read(text, &CatalogOptions::new()).unwrap();
     assert_eq!(
         (
@@ -122,7 +122,7 @@ fn rows_without_a_profile_are_stars() {
             catalog.galaxies().len(),
             catalog.invalid_rows()
         ),
-        (4, 1, 0)
+        (3, 1, 0)
     );
     let profile = catalog.galaxies()[0].profile();
     assert_eq!(
@@ -153,6 +153,14 @@ fn bad_rows_are_named_or_counted() {
         ("1,,3,4,1,1,0", "column \"y\": a finite number is needed"),
         ("1,2,,4,1,1,0", "column \"flux\": a finite number is needed"),
         ("1,2,inf,4,1,1,0", "column \"flux\": a finite number is needed"),
+        ("1,2,0,4,1,1,0", "column \"flux\": the flux of the source is 0"),
+        ("1,2,0,0,,,", "column \"flux\": the flux of the source is 0"),
+        ("1,2,3,,4,1,0", "column \"re\": the half-light radius is missing"),
+        ("1,2,3,,,,", "column \"re\": the half-light radius is missing"),
+        (
+            "1,2,3,nan,4,1,0",
+            "column \"re\": the half-light radius is missing",
+        ),
         ("1,2,3,-4,1,1,0", "re must be"),
         ("1,2,3,4,,1,0", "n must be"),
         ("1,2,3,4,nan,1,0", "n must be"),
@@ -187,6 +195,56 @@ fn bad_rows_are_named_or_counted() {
         IoErrorKind::Data,
         "line 3, column \"flux\": a finite number",
     );
+}
+
+#[test]
+fn shear_is_applied_to_the_ellipse_of_q_and_angle() {
+    // Rounding error of a few operations.
+    const ROUNDING: f64 = 1e-12;
+    let near =
+        |found: f64, expected: f64| assert!((found - expected).abs() <= ROUNDING, "{found} {expected}");
+    let text = "x,y,flux,re,n,g1,g2\n1,2,3,2,4,0.12,-0.16\n1,2,3,0,0,,\n";
+    let catalog = read(text, &CatalogOptions::new()).unwrap();
+    assert_eq!(catalog.stars().len(), 1);
+    let (profile, q): (_, f64) = (catalog.galaxies()[0].profile(), 0.8 / 1.2);
+    near(profile.half_light_radius_px(), 2.0 / q.sqrt());
+    near(profile.axis_ratio(), q);
+    near(profile.angle_deg(), 0.5 * (-0.16_f64).atan2(0.12).to_degrees());
+    // Shear along the major axis of an ellipse. The axis ratios multiply.
+    let text = "x y flux r n q angle e1 e2\n1 2 3 2 4 0.5 90 -0.2 0\n";
+    let galaxies = read(text, &options("re=r,g1=e1,g2=e2")).unwrap().into_parts().1;
+    let profile = galaxies[0].profile();
+    near(profile.half_light_radius_px(), 2.0 / q.sqrt());
+    near(profile.axis_ratio(), 0.5 * q);
+    near(profile.angle_deg().rem_euclid(180.0), 90.0);
+    // Sky coordinates do not turn the shear: it refers to the axes of the pixels.
+    let on_sky = CatalogOptions::new().with_sky(sky());
+    let galaxies = read("ra,dec,flux,re,n,g1,g2\n150,2,3,2,4,0.2,0\n", &on_sky);
+    near(galaxies.unwrap().galaxies()[0].profile().angle_deg(), 0.0);
+
+    for (g, problem) in [
+        ("1,0", "the reduced shear"),
+        ("-0.8,0.6", "the reduced shear"),
+        ("0.1,", "the reduced shear"),
+    ] {
+        let text = format!("x,y,flux,re,n,g1,g2\n5,6,7,1,1,0,0\n1,2,3,2,4,{g}\n");
+        let told = chain(&read(&text, &CatalogOptions::new()).unwrap_err());
+        assert!(told.contains("line 3") && told.contains(problem), "{told}");
+        let skipping = CatalogOptions::new().with_invalid_skipped(true);
+        assert_eq!(read(&text, &skipping).unwrap().invalid_rows(), 1);
+    }
+}
+
+#[test]
+fn magnitudes_beyond_doubles_are_no_sources() {
+    let with = CatalogOptions::new().with_zero_point(25.0).unwrap();
+    for (bad, problem) in [
+        ("1e6", "column \"mag\": the flux of the source is 0"),
+        ("-1e6", "has flux inf"),
+    ] {
+        let told = chain(&read(&format!("x,y,mag\n1,2,20\n1,2,{bad}\n"), &with).unwrap_err());
+        assert!(told.contains("line 3") && told.contains(problem), "{told}");
+    }
 }
 
 #[test]

@@ -281,20 +281,20 @@ fn one_of_several_images_must_be_chosen() {
     assert_eq!(detect(&cubes).unwrap(), FileKind::Cube);
     assert_eq!(detect_hdu(&cubes, Some(&choice(1))).unwrap(), FileKind::Image);
     assert_eq!(
-        read_stpsf_hdu(&grids, Some(&choice(0)), PlaneOrder::Auto)
+        read_stpsf_hdu(&grids, Some(&choice(0)), PlaneOrder::Auto, false)
             .unwrap()
             .samples()
             .len(),
         6
     );
     assert_eq!(
-        read_stdpsf_hdu(&libraries, Some(&choice(0)), None)
+        read_stdpsf_hdu(&libraries, Some(&choice(0)), None, false)
             .unwrap()
             .samples()
             .len(),
         6
     );
-    let error = read_stpsf_hdu(&grids, Some(&choice(2)), PlaneOrder::Auto).unwrap_err();
+    let error = read_stpsf_hdu(&grids, Some(&choice(2)), PlaneOrder::Auto, false).unwrap_err();
     assert_eq!(error.setting(), Some("extension"));
     assert!(
         error.to_string().contains("HDU 2 is none of the images"),

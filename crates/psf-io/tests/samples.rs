@@ -221,7 +221,7 @@ fn samples_that_break_a_rule_are_refused() {
         "{twice}"
     );
     let outside = File {
-        cards: &["FIELDNX = 3", "FIELDNY = 5"],
+        cards: &["FIELDNX = 2", "FIELDNY = 5"],
         ..File::default()
     };
     let outside = cause(outside.read(&scratch));

@@ -2,7 +2,7 @@
 
 mod support;
 
-use psf_io::{FileKind, GriddedPsf, IoError, detect, read_stdpsf};
+use psf_io::{FileKind, GriddedPsf, IoError, detect, read_stdpsf, read_stdpsf_hdu};
 use support::libraries::{SIZE, stdpsf, stdpsf_of};
 use support::mutations::{
     assert_refused, cut, huge_sizes, not_finite, replaced, with_value, without, wrong_types,
@@ -140,6 +140,37 @@ fn bad_border_rows_are_reported_and_kept() {
     assert_eq!(library.notes().len(), 1, "{:?}", library.notes());
     assert!(library.notes()[0].contains("bottom") && library.notes()[0].contains("-0.1"));
     assert_eq!(library.samples().stamps()[[0, 0, 0]], f64::from(-0.1_f32));
+}
+
+#[test]
+fn planes_without_flux_can_be_left_out() {
+    let mut bytes = stdpsf(7, 8);
+    let plane = 4 * SIZE * SIZE;
+    let data = bytes.len() - (56 * plane).next_multiple_of(2880);
+    // Planes 1 and 27 belong to the first detector, plane 28 to the second.
+    for number in [1, 27, 28] {
+        bytes[data + number * plane..data + (number + 1) * plane].fill(0);
+    }
+    let error = read(&bytes, Some(1)).unwrap_err();
+    assert_eq!(error.setting(), Some("skip_invalid"));
+    let said = "plane 1 (0-based) at (100, 0) has flux 0";
+    assert!(chain(&error).contains(said), "{}", chain(&error));
+    let path = Scratch::new();
+    let path = path.put("a.fits", &bytes);
+    let first = read_stdpsf_hdu(&path, None, Some(1), true).unwrap();
+    assert_eq!((first.left_out(), first.samples().len()), (&[1, 27][..], 26));
+    assert!(
+        places(&first)
+            .iter()
+            .all(|&(.., plane)| plane != 1 && plane != 27)
+    );
+    assert!(
+        first.notes()[1].contains("2 of 28 left out"),
+        "{:?}",
+        first.notes()
+    );
+    let second = read_stdpsf_hdu(&path, None, Some(2), true).unwrap();
+    assert_eq!(second.left_out(), [28]);
 }
 
 #[test]

@@ -2,7 +2,7 @@
 
 mod support;
 
-use psf_io::{FileKind, GriddedPsf, IoError, PlaneOrder, detect, read_stpsf};
+use psf_io::{FileKind, GriddedPsf, IoError, PlaneOrder, detect, read_stpsf, read_stpsf_hdu};
 use support::libraries::{SIZE, stamp, stpsf};
 use support::mutations::{assert_refused, replaced, with_value, without};
 use support::{SIMPLE, Scratch, chain, f32s, image};
@@ -198,8 +198,39 @@ fn planes_without_flux_are_named() {
         // Changes the sign.
         value[0] ^= 0x80;
     }
-    let error = chain(&read(&file, PlaneOrder::Auto).unwrap_err());
-    assert!(error.contains("plane 4 (0-based) has flux -"), "{error}");
+    let whole = read(&stpsf(&[]), PlaneOrder::Auto).unwrap();
+    let position = whole.samples().positions().as_slice()[4];
+    let error = read(&file, PlaneOrder::Auto).unwrap_err();
+    assert_eq!(error.setting(), Some("skip_invalid"));
+    let said = format!("plane 4 (0-based) at {position} has flux -");
+    assert!(chain(&error).contains(&said), "{}", chain(&error));
+
+    // Without the bad plane, the others are those of the good file.
+    let scratch = Scratch::new();
+    let skipping = |bytes: &[u8]| read_stpsf_hdu(scratch.put("a.fits", bytes), None, PlaneOrder::Auto, true);
+    let library = skipping(&file).unwrap();
+    assert_eq!((library.left_out(), library.samples().len()), (&[4][..], 5));
+    assert!(
+        library.notes().iter().any(|note| note.contains(&said)),
+        "{:?}",
+        library.notes()
+    );
+    let mut expected = places_of(&whole);
+    expected.remove(4);
+    assert_eq!(places_of(&library), expected);
+    assert_eq!(library.samples().stamp(4), whole.samples().stamp(5));
+    assert_eq!(skipping(&stpsf(&[])).unwrap(), whole);
+
+    for value in file[data..data + 6 * plane].chunks_mut(8) {
+        value.fill(0);
+    }
+    let error = skipping(&file).unwrap_err();
+    assert_eq!(error.setting(), None);
+    assert!(
+        chain(&error).contains("No plane of the library has positive flux"),
+        "{}",
+        chain(&error)
+    );
 }
 
 #[test]

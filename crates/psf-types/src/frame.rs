@@ -164,6 +164,13 @@ impl FrameShape {
         inside(position.x(), self.nx) && inside(position.y(), self.ny)
     }
 
+    /// Returns whether `position` lies on the frame or at most one pixel outside it. Grids of PSFs
+    /// may begin or end just off the frame, for example at 0 in pixels that count from 1.
+    pub fn is_near(self, position: Position) -> bool {
+        let near = |v: f64, n: usize| (-1.5..=n as f64 + 0.5).contains(&v);
+        near(position.x(), self.nx) && near(position.y(), self.ny)
+    }
+
     /// The whole frame as a region.
     pub fn region(self) -> PixelRegion {
         PixelRegion {
@@ -394,7 +401,7 @@ pub enum DataError {
         /// Their position.
         position: Position,
     },
-    /// A sample outside the field.
+    /// A sample more than one pixel outside the field.
     #[error(
         "sample {sample} (0-based) at {position} lies outside the field of {field} pixels (the centre of the first pixel is at (0, 0))"
     )]

@@ -196,7 +196,8 @@ pub struct SamplePositions {
 read_through_new!(RawSamplePositions => SamplePositions { positions: Vec<Position>, field: Option<FrameShape> });
 
 impl SamplePositions {
-    /// Positions of samples, on a field of the given shape if it is known.
+    /// Positions of samples, on a field of the given shape if it is known. Positions may lie up to
+    /// one pixel outside the field ([`FrameShape::is_near`]).
     ///
     /// # Errors
     /// [`DataError::NoSamples`], [`DataError::DuplicatePosition`] or [`DataError::OutsideField`].
@@ -205,7 +206,7 @@ impl SamplePositions {
             return Err(DataError::NoSamples);
         }
         if let Some(field) = field
-            && let Some(sample) = positions.iter().position(|&p| !field.contains(p))
+            && let Some(sample) = positions.iter().position(|&p| !field.is_near(p))
         {
             return Err(DataError::OutsideField {
                 sample,

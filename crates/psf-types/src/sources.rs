@@ -124,6 +124,64 @@ impl SersicProfile {
         })
     }
 
+    /// Returns this profile after a shear that keeps its area.
+    ///
+    /// `g1` and `g2` are the reduced shear. `g1 > 0` stretches the profile along x, and `g2 > 0`
+    /// along the line from (0, 0) to (1, 1). The shear moves light from `u` to `S u` with
+    ///
+    /// ```text
+    /// S = 1 / sqrt(1 - g1^2 - g2^2) [1 + g1    g2  ]
+    ///                               [  g2    1 - g1],
+    /// ```
+    ///
+    /// as `shear(g1=g1, g2=g2)` in GalSim. The result of an elliptical profile is elliptical, too.
+    /// A round profile with half-light radius `r` gets `q = (1 - |g|) / (1 + |g|)` with
+    /// `|g| = sqrt(g1^2 + g2^2)`, the semi-major axis `re = r / sqrt(q)`, the semi-minor axis
+    /// `r sqrt(q)`, and the angle `atan2(g2, g1) / 2`.
+    ///
+    /// ```
+    /// use psf_types::SersicProfile;
+    /// let round = SersicProfile::new(3.0, 1.0, 1.0, 0.0)?;
+    /// let sheared = round.sheared(0.0, 0.2)?;
+    /// assert!((sheared.axis_ratio() - 0.8 / 1.2).abs() < 1e-12);
+    /// assert!((sheared.half_light_radius_px() - 3.0 * 1.5_f64.sqrt()).abs() < 1e-12);
+    /// assert!((sheared.angle_deg() - 45.0).abs() < 1e-12);
+    /// # Ok::<(), psf_types::DataError>(())
+    /// ```
+    ///
+    /// # Errors
+    /// [`DataError::Galaxy`] unless `g1` and `g2` are finite and `|g|` is below 1, and if the axis
+    /// ratio of the result is out of range.
+    pub fn sheared(self, g1: f64, g2: f64) -> Result<Self, DataError> {
+        let shear = g1.hypot(g2);
+        if shear.is_nan() || shear >= 1.0 {
+            return Err(DataError::Galaxy {
+                parameter: "the reduced shear |g| = sqrt(g1^2 + g2^2)",
+                allowed: "finite and below 1",
+                got: shear,
+            });
+        }
+        if shear == 0.0 {
+            return Ok(self);
+        }
+        // The ellipse is the image of a circle under the matrix A, and the sheared ellipse is that
+        // under M = S A. The largest singular value of M is the new semi-major axis.
+        let (re, q) = (self.half_light_radius_px, self.axis_ratio);
+        let (sin, cos) = self.angle_deg.to_radians().sin_cos();
+        let a = [[cos * re, -sin * q * re], [sin * re, cos * q * re]];
+        let norm = ((1.0 - shear) * (1.0 + shear)).sqrt();
+        let s = [[(1.0 + g1) / norm, g2 / norm], [g2 / norm, (1.0 - g1) / norm]];
+        let m = |i: usize, j: usize| s[i][0] * a[0][j] + s[i][1] * a[1][j];
+        // 2 M is the sum of a multiple of a rotation (even) and of a reflection (odd).
+        let (even_x, even_y) = (m(0, 0) + m(1, 1), m(1, 0) - m(0, 1));
+        let (odd_x, odd_y) = (m(0, 0) - m(1, 1), m(1, 0) + m(0, 1));
+        let major = 0.5 * (even_x.hypot(even_y) + odd_x.hypot(odd_y));
+        // The shear keeps the area, so the product of the semi-axes is that of the old ones.
+        let ratio = (q * (re / major).powi(2)).min(1.0);
+        let angle = 0.5 * (odd_y.atan2(odd_x) + even_y.atan2(even_x));
+        Self::new(major, self.index, ratio, angle.to_degrees())
+    }
+
     /// Semi-major axis, in pixels, of the ellipse that contains half of the light.
     pub fn half_light_radius_px(self) -> f64 {
         self.half_light_radius_px
@@ -217,6 +275,70 @@ mod tests {
                 other => panic!("{other:?}"),
             }
         }
+    }
+
+    /// Rounding error of a few operations, relative to the values.
+    const ROUNDING: f64 = 1e-12;
+
+    /// The matrix Q of a profile. The isophote of half-light radius is `u^T Q^-1 u = 1`.
+    fn quadratic_form(profile: SersicProfile) -> [f64; 3] {
+        let (sin, cos) = profile.angle_deg().to_radians().sin_cos();
+        let a2 = profile.half_light_radius_px().powi(2);
+        let b2 = a2 * profile.axis_ratio().powi(2);
+        [
+            a2 * cos * cos + b2 * sin * sin,
+            (a2 - b2) * sin * cos,
+            a2 * sin * sin + b2 * cos * cos,
+        ]
+    }
+
+    #[test]
+    fn shear_changes_the_isophotes_as_the_linear_map_does() {
+        for (q, angle) in [(1.0, 0.0), (1.0, 33.0), (0.6, 20.0), (0.25, -70.0), (0.9, 150.0)] {
+            for (g1, g2) in [(0.02, 0.0), (-0.1, 0.05), (0.0, -0.4), (0.5, 0.6), (1e-9, -1e-9)] {
+                let before = SersicProfile::new(2.5, 1.5, q, angle).unwrap();
+                let after = before.sheared(g1, g2).unwrap();
+                // S Q S^T, with S from the definition of the shear
+                let n = 1.0 - g1 * g1 - g2 * g2;
+                let (s, [xx, xy, yy]) = ([1.0 + g1, g2, 1.0 - g1], quadratic_form(before));
+                let expected = [
+                    (s[0] * s[0] * xx + 2.0 * s[0] * s[1] * xy + s[1] * s[1] * yy) / n,
+                    (s[0] * s[1] * xx + (s[0] * s[2] + s[1] * s[1]) * xy + s[1] * s[2] * yy) / n,
+                    (s[1] * s[1] * xx + 2.0 * s[1] * s[2] * xy + s[2] * s[2] * yy) / n,
+                ];
+                let scale = expected[0] + expected[2];
+                for (found, expected) in quadratic_form(after).into_iter().zip(expected) {
+                    let error = (found - expected).abs();
+                    assert!(
+                        error <= ROUNDING * scale,
+                        "q {q}, angle {angle}, g {g1}, {g2}: {after:?}"
+                    );
+                }
+                let area = |p: SersicProfile| p.half_light_radius_px().powi(2) * p.axis_ratio();
+                assert!((area(after) / area(before) - 1.0).abs() <= ROUNDING);
+                assert_eq!(after.index(), 1.5);
+                // The opposite shear leads back.
+                let back = after.sheared(-g1, -g2).unwrap();
+                assert!((back.axis_ratio() - q).abs() <= 1e-9, "{back:?}");
+            }
+        }
+        let unsheared = SersicProfile::new(2.5, 1.5, 0.7, 20.0).unwrap();
+        assert_eq!(unsheared.sheared(0.0, 0.0).unwrap(), unsheared);
+    }
+
+    #[test]
+    fn shear_of_1_or_more_is_refused() {
+        let round = SersicProfile::new(2.5, 1.5, 1.0, 0.0).unwrap();
+        for (g1, g2) in [(1.0, 0.0), (0.8, -0.7), (f64::NAN, 0.0), (0.0, f64::INFINITY)] {
+            match round.sheared(g1, g2) {
+                Err(DataError::Galaxy { parameter, .. }) => {
+                    assert!(parameter.contains("shear"), "{parameter}");
+                }
+                other => panic!("{other:?}"),
+            }
+        }
+        // The axis ratio of the result would be below 0.001.
+        assert!(round.sheared(0.9999, 0.0).is_err());
     }
 
     #[test]

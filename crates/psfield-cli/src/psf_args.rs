@@ -141,6 +141,12 @@ pub(crate) struct PsfFileArgs {
         verbatim_doc_comment
     )]
     psf_order: Option<PlaneOrder>,
+    /// STPSF, STDPSF: leave out planes without positive flux [default: such a plane is an error]
+    ///
+    /// If the other planes do not form a regular grid, the default of --interpolation is
+    /// natural-neighbour.
+    #[arg(long, hide_short_help = true)]
+    psf_skip_invalid: bool,
     /// ScopeSim: use the PSFs nearest to this wavelength (micrometres, required if the file has
     /// several wavelengths)
     #[arg(long, value_name = "UM", value_parser = above_zero, hide_short_help = true)]
@@ -204,6 +210,7 @@ impl PsfFileArgs {
             extension: self.psf_extension.clone(),
             detector: self.psf_detector,
             plane_order: self.psf_order,
+            skip_invalid: self.psf_skip_invalid,
             wavelength_um: self.psf_wavelength,
             pixel_scale_arcsec: self.pixel_scale,
             field_centre: self.field_centre.map(|point| point.0),

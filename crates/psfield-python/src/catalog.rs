@@ -86,7 +86,7 @@ pub(crate) struct Sources {
     pub(crate) galaxies: Vec<SersicSource>,
 }
 
-/// The columns of a catalogue, all of the same length. A row whose `re` is 0 or NaN is a star.
+/// The columns of a catalogue, all of the same length. A row whose `re` is 0 is a star.
 #[derive(FromPyObject)]
 #[pyo3(from_item_all)]
 pub(crate) struct SourceColumns<'py> {
@@ -97,6 +97,8 @@ pub(crate) struct SourceColumns<'py> {
     n: Option<PyReadonlyArray1<'py, f64>>,
     q: Option<PyReadonlyArray1<'py, f64>>,
     angle: Option<PyReadonlyArray1<'py, f64>>,
+    g1: Option<PyReadonlyArray1<'py, f64>>,
+    g2: Option<PyReadonlyArray1<'py, f64>>,
 }
 
 impl SourceColumns<'_> {
@@ -112,6 +114,7 @@ impl SourceColumns<'_> {
         };
         let (re, n) = (optional(&self.re, 0.0), optional(&self.n, f64::NAN));
         let (q, angle) = (optional(&self.q, 1.0), optional(&self.angle, 0.0));
+        let (g1, g2) = (optional(&self.g1, 0.0), optional(&self.g2, 0.0));
         for (name, length) in [
             ("y", y.len()),
             ("flux", flux.len()),
@@ -119,6 +122,8 @@ impl SourceColumns<'_> {
             ("n", n.len()),
             ("q", q.len()),
             ("angle", angle.len()),
+            ("g1", g1.len()),
+            ("g2", g2.len()),
         ] {
             if length != x.len() {
                 return Err(invalid(format!(
@@ -131,10 +136,18 @@ impl SourceColumns<'_> {
         for row in 0..x.len() {
             let mut place = || -> Result<(), DataError> {
                 let position = Position::new(x[row], y[row])?;
-                if re[row] == 0.0 || re[row].is_nan() {
+                if flux[row] == 0.0 {
+                    return Err(DataError::setting("the flux", "other than 0", flux[row]));
+                }
+                if re[row].is_nan() {
+                    let allowed = "a number of pixels (0 for a star)";
+                    return Err(DataError::setting("the half-light radius re", allowed, "none"));
+                }
+                if re[row] == 0.0 {
                     sources.stars.push(PointSource::new(position, flux[row])?);
                 } else {
                     let profile = SersicProfile::new(re[row], n[row], q[row], angle[row])?;
+                    let profile = profile.sheared(g1[row], g2[row])?;
                     sources
                         .galaxies
                         .push(SersicSource::new(position, flux[row], profile)?);

@@ -33,13 +33,14 @@ pub struct EvaluateOptions {
     pub sub_pixel: bool,
 }
 
-/// Checks that all positions lie on the model's field, if it has one.
+/// Checks that all positions lie on the model's field, if it has one, or at most one pixel outside
+/// it.
 ///
 /// # Errors
 /// [`ErrorKind::Field`] for the first position that lies outside the field.
 pub fn check_on_field(model: &PsfModel, positions: &[Position]) -> Result<(), PsfieldError> {
     if let Some(field) = model.field_shape()
-        && let Some(index) = positions.iter().position(|&p| !field.contains(p))
+        && let Some(index) = positions.iter().position(|&p| !field.is_near(p))
     {
         let message = format!(
             "position {index} (0-based) at {} lies outside the field of {field} pixels over which the PSF is known",

@@ -4,13 +4,15 @@ mod format_records;
 mod open;
 mod resample;
 
+use std::path::PathBuf;
 use std::sync::{Arc, OnceLock};
 
 use ndarray::{Array3, ArrayView3};
 use psf_io::{FileKind, PsfexModel};
 use psf_sample::{SamplingMethod, SamplingReport};
 use psf_types::{
-    Position, Progress, PsfModel, PsfModelRecord, PsfSamples, PsfSource, SamplePositions, StampGrid,
+    FrameShape, Interpolation, OutsidePolicy, Position, Progress, PsfModel, PsfModelRecord, PsfSamples,
+    PsfSource, SamplePositions, StampGrid,
 };
 
 use crate::fit::{Fit, fit, model_of};
@@ -71,6 +73,7 @@ impl std::fmt::Display for Note {
 /// The file that a PSF was read from, if there is one.
 #[derive(Debug, Clone, Default)]
 struct SourceFile {
+    path: Option<PathBuf>,
     kind: Option<FileKind>,
     notes: Vec<Note>,
     /// The model of a PSFEx file. A conversion to PSFEx with the same degree writes this model
@@ -175,6 +178,40 @@ impl Psf {
     /// The format of the file that the PSF was read from. None if it was not read from a file.
     pub fn kind(&self) -> Option<FileKind> {
         self.0.source.kind
+    }
+
+    /// The name of the file that the PSF was read from, for messages.
+    pub(crate) fn file_name(&self) -> Option<String> {
+        self.0.source.path.as_ref().map(|path| path.display().to_string())
+    }
+
+    /// The shape of the field over which the PSF is known, if the samples or the model state it.
+    /// For a PSFEx model, which states only the positions of its stars, it is the frame that fits
+    /// them: from pixel (0, 0) as far beyond the last star as the first star is from the first
+    /// pixel.
+    pub fn field_shape(&self) -> Option<FrameShape> {
+        let stated = self.positions().field();
+        stated.or_else(|| self.psfex()?.polynomial()?.frame_shape())
+    }
+
+    /// The ranges of x and of y, in pixels, over which the polynomials of the PSF were fitted, if
+    /// the PSF continues these polynomials outside the ranges. None for other PSFs.
+    pub(crate) fn polynomial_range(&self) -> Option<[(f64, f64); 2]> {
+        let (interpolation, outside) = match &self.0.origin {
+            Origin::Samples(_, options) => (options.interpolation, options.outside),
+            Origin::Record(record) => (record.interpolation(), record.outside()),
+            Origin::Model(..) => return None,
+        };
+        let varies = matches!(interpolation, Interpolation::Polynomial { degree } if degree > 0);
+        let positions = self.positions().as_slice();
+        (varies && outside == OutsidePolicy::Extend).then(|| {
+            [Position::x, Position::y].map(|of: fn(Position) -> f64| {
+                let coordinates = positions.iter().map(|&position| of(position));
+                coordinates.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| {
+                    (low.min(v), high.max(v))
+                })
+            })
+        })
     }
 
     /// Notes for the user on how the file was read, in plain sentences.

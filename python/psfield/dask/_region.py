@@ -93,8 +93,9 @@ def _near(
     x, y = catalog["x"], catalog["y"]
     near = (x > x0 - left - 2) & (x < x0 + nx + right + 1)
     near &= (y > y0 - below - 2) & (y < y0 + ny + above + 1)
-    # Invalid positions are kept, so that the plan refuses them.
-    near |= ~(np.isfinite(x) & np.isfinite(y))
+    # Invalid sources are kept, so that the plan refuses them.
+    near |= ~(np.isfinite(x) & np.isfinite(y) & np.isfinite(catalog["flux"]))
+    near |= catalog["flux"] == 0
     if "re" in catalog:
-        near |= catalog["re"] > 0
+        near |= catalog["re"] != 0
     return {name: column[near] for name, column in catalog.items()} if near.any() else None

@@ -21,6 +21,7 @@ use crate::fits::hdu::HduChoice;
 /// | `n` | `n` | galaxies: Sersic index, 0.3 to 8 |
 /// | `q` | `q` | galaxies: minor over major axis, 0.001 to 1; 1 without such a column |
 /// | `angle` | `angle` | galaxies: angle of the major axis in degrees, from +x towards +y; 0 without such a column |
+/// | `g1`, `g2` | `g1`, `g2` | galaxies: reduced shear, `sqrt(g1^2 + g2^2)` below 1; no shear without such columns |
 ///
 /// The caller may choose the column of a role. A role without a choice uses its default column, if
 /// that column exists. If the default columns of `x`, `y`, `ra` and `dec` all exist, `x` and `y`
@@ -28,6 +29,13 @@ use crate::fits::hdu::HduChoice;
 /// error. So if a table has the columns `flux` and `mag` and a zero point is set, choose the column
 /// of the role `mag`. A catalogue with a column for `re` has galaxies and needs a column for `n`.
 /// Case is ignored in names.
+///
+/// The shear is applied to the galaxy that `re`, `n`, `q` and `angle` describe, and keeps its area
+/// ([`SersicProfile::sheared`](psf_types::SersicProfile::sheared), as GalSim's
+/// `shear(g1=, g2=)`). With `g1` and `g2` in place of `q` and `angle`, `re` is thus the half-light
+/// radius of the round galaxy. `g1 > 0` stretches along x, `g2 > 0` along the diagonal between +x
+/// and +y. `angle`, `g1` and `g2` refer to the axes of the pixels, also in a catalogue with sky
+/// coordinates.
 ///
 /// Text form: `role=COLUMN`, separated by commas.
 ///
@@ -45,7 +53,9 @@ pub struct CatalogColumns {
 }
 
 /// The names of the roles, in the order of [`Role`].
-const ROLES: [&str; 10] = ["x", "y", "ra", "dec", "flux", "mag", "re", "n", "q", "angle"];
+const ROLES: [&str; 12] = [
+    "x", "y", "ra", "dec", "flux", "mag", "re", "n", "q", "angle", "g1", "g2",
+];
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Role {
@@ -59,6 +69,8 @@ pub(crate) enum Role {
     N,
     Q,
     Angle,
+    G1,
+    G2,
 }
 
 /// The columns to read from a table, each with its role.
@@ -98,6 +110,11 @@ impl CatalogColumns {
         self.picked(path, names, &roles)
     }
 
+    /// The columns [`Role::X`], [`Role::Y`] and [`Role::Flux`] in a table with these column names.
+    pub(crate) fn points(&self, path: &Path, names: &[String]) -> Result<Picked, IoError> {
+        self.picked(path, names, &[Role::X, Role::Y, Role::Flux])
+    }
+
     /// The columns of sources in a table with these column names: the position, [`Role::Flux`] or
     /// [`Role::Mag`], and the columns of galaxies.
     pub(crate) fn sources(&self, path: &Path, names: &[String]) -> Result<Picked, IoError> {
@@ -105,11 +122,14 @@ impl CatalogColumns {
         let by_magnitude =
             self.is_given(Role::Mag) || (!self.is_given(Role::Flux) && !has(Role::Flux) && has(Role::Mag));
         let mut roles = vec![if by_magnitude { Role::Mag } else { Role::Flux }];
-        let shape = [Role::Re, Role::N, Role::Q, Role::Angle];
+        let shape = [Role::Re, Role::N, Role::Q, Role::Angle, Role::G1, Role::G2];
         if has(Role::Re) || shape.iter().any(|&role| self.is_given(role)) {
             let optional = |&role: &Role| has(role) || self.is_given(role);
             roles.extend(&shape[..2]);
-            roles.extend(shape[2..].iter().copied().filter(optional));
+            roles.extend(shape[2..4].iter().copied().filter(optional));
+            if shape[4..].iter().any(optional) {
+                roles.extend(&shape[4..]);
+            }
         }
         let others = self.picked(path, names, &roles)?;
         let mut all = self.positions(path, names)?;
@@ -179,7 +199,7 @@ impl std::str::FromStr for CatalogColumns {
                 .iter()
                 .position(|name| name.eq_ignore_ascii_case(role))
                 .ok_or_else(|| {
-                    refused("role=COLUMN, with a role out of x, y, ra, dec, flux, mag, re, n, q and angle")
+                    refused("role=COLUMN, with a role out of x, y, ra, dec, flux, mag, re, n, q, angle, g1 and g2")
                 })?;
             if columns.given[place].replace(column.to_owned()).is_some() {
                 return Err(refused("given once per role"));
@@ -252,8 +272,9 @@ impl CatalogOptions {
     }
 
     /// Sets whether invalid rows are skipped and counted (`true`) or are errors. A row is invalid
-    /// if its position or brightness is missing or not finite, or if its declination or the
-    /// parameters of its galaxy are out of range. A text that is not a number is always an error.
+    /// if its position or brightness is missing or not finite, if its flux is 0, if its `re` is
+    /// missing, or if its declination or the parameters of its galaxy are out of range. A text that
+    /// is not a number is always an error.
     #[must_use]
     pub fn with_invalid_skipped(self, skip_invalid: bool) -> Self {
         Self { skip_invalid, ..self }
@@ -367,6 +388,8 @@ mod tests {
         assert_eq!(missing("", "x y flux re"), "n");
         assert_eq!(missing("q=BA", "x y flux re n"), "BA");
         assert_eq!(missing("n=SERSIC", "x y flux sersic"), "re");
+        assert_eq!(missing("", "x y flux re n g2"), "g1");
+        assert_eq!(missing("g1=GAMMA1", "x y flux re n gamma1"), "g2");
         assert_eq!(missing("x=X_IMAGE,y=Y_IMAGE", "x y ra dec flux"), "X_IMAGE");
     }
 }

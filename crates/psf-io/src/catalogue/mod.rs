@@ -34,11 +34,11 @@ use std::path::Path;
 
 use psf_types::{DataError, PointSource, Position, SersicProfile, SersicSource};
 
-use crate::error::{IoError, IoErrorKind, Place, invalid};
-use crate::fits::columns::{Nans, NumberColumns, Table, bad_value, positions};
+use crate::error::{IoError, IoErrorKind, Place};
+use crate::fits::columns::{Nans, NumberColumns, Table, bad_value};
 use crate::fits::structure::FitsStructure;
 use columns::{CatalogColumns, CatalogOptions, Picked, Role};
-use table_file::{TableFile, read_columns};
+use table_file::TableFile;
 
 pub(crate) mod columns;
 
@@ -62,15 +62,16 @@ pub(crate) mod world_header;
 /// # Errors
 /// [`IoErrorKind::Table`] for a missing column or a malformed text table, [`IoErrorKind::Setting`]
 /// if several tables of a FITS file have the columns, [`IoErrorKind::Data`] with the row and column
-/// of a value that is not a finite number, and the [errors of any FITS file](crate#bad-files).
+/// of a value that is not a finite number or of a flux of 0, and the [errors of any FITS
+/// file](crate#bad-files).
 pub fn read_catalog(path: impl AsRef<Path>) -> Result<Vec<PointSource>, IoError> {
-    let path = path.as_ref();
-    let [x, y, flux] = read_columns(path, ["x", "y", "flux"])?;
-    let positions = positions(path, x, y)?;
-    let sources = positions.into_iter().zip(flux);
-    sources
-        .map(|(position, flux)| PointSource::new(position, flux).map_err(invalid(path)))
-        .collect()
+    let options = CatalogOptions::new();
+    let rows = Rows::read(path.as_ref(), &options, "x, y, flux", CatalogColumns::points)?;
+    let mut catalog = Catalog::default();
+    for row in 0..rows.numbers.rows {
+        rows.add_source(row, &mut catalog)?;
+    }
+    Ok(catalog.stars)
 }
 
 /// Reads a list of positions from the columns x and y.
@@ -128,14 +129,15 @@ impl Catalog {
 /// Reads a catalogue of stars and galaxies. See [`CatalogColumns`] for its columns and [this
 /// module](self) for the kinds of files.
 ///
-/// In a catalogue with galaxies, a row with `re` 0, empty or NaN is a star. A galaxy whose `n` or
-/// `q` is empty is an invalid row. So is a galaxy whose `angle` is empty, unless its `q` is 1.
+/// In a catalogue with galaxies, a row with `re` 0 is a star. A row whose `re` is empty or NaN is
+/// invalid. So is a galaxy whose `n`, `q`, `g1` or `g2` is empty, and a galaxy whose `angle` is
+/// empty, unless its `q` is 1. A flux of 0 is invalid, a negative flux is allowed.
 ///
 /// ```
 /// # let directory = tempfile::tempdir()?;
 /// # let path = directory.path().join("sources.csv");
 /// use psf_io::{CatalogOptions, read_catalog_with};
-/// std::fs::write(&path, "x,y,mag,re,n,q,angle\n10.5,3,20,,,,\n40,50,17.5,3.2,4,0.8,30\n")?;
+/// std::fs::write(&path, "x,y,mag,re,n,q,angle\n10.5,3,20,0,,,\n40,50,17.5,3.2,4,0.8,30\n")?;
 /// let catalog = read_catalog_with(&path, &CatalogOptions::new().with_zero_point(25.0)?)?;
 /// assert_eq!((catalog.stars().len(), catalog.galaxies().len()), (1, 1));
 /// assert!((catalog.stars()[0].flux() - 100.0).abs() < 1e-9);
@@ -146,8 +148,8 @@ impl Catalog {
 /// # Errors
 /// - [`IoErrorKind::Table`] if a required column does not exist, or the rows of a text table do not
 ///   match the column names
-/// - [`IoErrorKind::Data`] if a position or brightness is missing or not finite, or a text is not a
-///   number. The error names the row and the column of the table.
+/// - [`IoErrorKind::Data`] if a position, a brightness or an `re` is missing or not finite, if a
+///   flux is 0, or if a text is not a number. The error names the row and the column of the table.
 /// - [`IoErrorKind::Data`] if a declination or a galaxy parameter is out of range. The error names
 ///   the row of the table.
 /// - [`IoErrorKind::Setting`] for magnitudes without a zero point, a zero point without magnitudes,
@@ -222,10 +224,7 @@ impl<'a> Rows<'a> {
     /// only counted.
     fn add_source(&self, row: usize, catalog: &mut Catalog) -> Result<(), IoError> {
         let position = self.position(row)?;
-        let flux = match self.options.zero_point {
-            None => self.finite(row, Role::Flux)?,
-            Some(zero_point) => 10.0_f64.powf(-0.4 * (self.finite(row, Role::Mag)? - zero_point)),
-        };
+        let flux = self.flux(row)?;
         let invalid = |source| self.invalid(row, source);
         match (position, self.profile(row)?) {
             (None, _) => catalog.rows_off_projection += 1,
@@ -237,6 +236,22 @@ impl<'a> Rows<'a> {
             }
         }
         Ok(())
+    }
+
+    /// The flux of a source. A flux of 0 is refused, because it often stands for a missing value.
+    fn flux(&self, row: usize) -> Result<f64, IoError> {
+        let (role, flux) = match self.options.zero_point {
+            None => (Role::Flux, self.finite(row, Role::Flux)?),
+            Some(zero_point) => {
+                let magnitude = self.finite(row, Role::Mag)?;
+                (Role::Mag, 10.0_f64.powf(-0.4 * (magnitude - zero_point)))
+            }
+        };
+        if flux == 0.0 {
+            const ZERO: &str = "the flux of the source is 0: remove the row, or skip invalid rows";
+            return Err(self.refused(row, role, ZERO));
+        }
+        Ok(flux)
     }
 
     /// The position of a source, or `None` if the projection does not reach it.
@@ -266,13 +281,21 @@ impl<'a> Rows<'a> {
         let (Some(re), Some(n)) = (value(Role::Re), value(Role::N)) else {
             return Ok(None);
         };
-        if re == 0.0 || re.is_nan() {
+        if re == 0.0 {
             return Ok(None);
+        }
+        if re.is_nan() {
+            const MISSING: &str =
+                "the half-light radius is missing or NaN: write 0 for a star, or skip invalid rows";
+            return Err(self.refused(row, Role::Re, MISSING));
         }
         let q = value(Role::Q).unwrap_or(1.0);
         // A circle needs no angle.
         let angle = value(Role::Angle).filter(|_| q != 1.0).unwrap_or(0.0);
+        let g1 = value(Role::G1).unwrap_or(0.0);
+        let g2 = value(Role::G2).unwrap_or(0.0);
         SersicProfile::new(re, n, q, angle)
+            .and_then(|profile| profile.sheared(g1, g2))
             .map(Some)
             .map_err(|source| self.invalid(row, source))
     }
@@ -289,13 +312,20 @@ impl<'a> Rows<'a> {
         if value.is_finite() {
             return Ok(value);
         }
-        let column = self.columns.name(role).map_or("", String::as_str);
         let got = if value.is_nan() {
             "missing or NaN".to_owned()
         } else {
             value.to_string()
         };
+        let column = self.columns.name(role).map_or("", String::as_str);
         Err(bad_value(self.path, self.numbers.place(row), column, &got))
+    }
+
+    /// The error for a value that no source may have.
+    fn refused(&self, row: usize, role: Role, problem: &str) -> IoError {
+        let column = self.columns.name(role).cloned().unwrap_or_default();
+        let row = self.numbers.place(row);
+        IoError::new(self.path, IoErrorKind::Data, problem).at(Place::Value { row, column })
     }
 
     fn invalid(&self, row: usize, source: DataError) -> IoError {

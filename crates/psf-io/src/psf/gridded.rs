@@ -27,6 +27,7 @@ pub struct GriddedPsf {
     samples: PsfSamples,
     detector: Option<String>,
     notes: Vec<String>,
+    left_out: Vec<usize>,
 }
 
 /// The content of a library as a reader found it.
@@ -41,16 +42,56 @@ pub(crate) struct Planes {
     pub(crate) notes: Vec<String>,
 }
 
+/// The number of invalid planes that a note lists.
+const LISTED: usize = 5;
+
 impl GriddedPsf {
-    pub(crate) fn new(path: &Path, planes: Planes) -> Result<Self, IoError> {
-        let (_, ny, nx) = planes.stamps.dim();
+    /// Makes a library from the planes of a file. A plane without positive flux is an error, or is
+    /// left out if `skip_invalid` is true and other planes are valid.
+    pub(crate) fn new(path: &Path, mut planes: Planes, skip_invalid: bool) -> Result<Self, IoError> {
+        let (count, ny, nx) = planes.stamps.dim();
         let grid = centred_grid(nx, ny, planes.oversampling).map_err(invalid(path))?;
-        check_flux(path, &planes.stamps, grid, |sample| planes.numbers[sample])?;
+        let dark: Vec<(usize, f64)> = without_flux(&planes.stamps, grid).collect();
+        let named = |&(sample, flux): &(usize, f64)| {
+            let (number, position) = (planes.numbers[sample], planes.positions[sample]);
+            format!("plane {number} (0-based) at {position} has flux {flux}")
+        };
+        if let Some(first) = dark.first()
+            && (!skip_invalid || dark.len() == count)
+        {
+            let problem = format!("{}: a PSF must have positive flux", named(first));
+            let error = |problem| IoError::new(path, IoErrorKind::Data, problem);
+            return Err(if dark.len() == count {
+                error(format!("{problem}. No plane of the library has positive flux"))
+            } else {
+                error(format!(
+                    "{problem}. Leave invalid planes out to read the other planes"
+                ))
+                .with_setting("skip_invalid")
+            });
+        }
+        let left_out: Vec<usize> = dark.iter().map(|&(sample, _)| planes.numbers[sample]).collect();
+        if !dark.is_empty() {
+            let mut listed: Vec<String> = dark.iter().take(LISTED).map(named).collect();
+            if dark.len() > LISTED {
+                listed.push(format!("and {} more", dark.len() - LISTED));
+            }
+            planes.notes.push(format!(
+                "planes: {} of {count} left out, because a PSF must have positive flux: {}",
+                dark.len(),
+                listed.join(", ")
+            ));
+            let is_valid = |sample: &usize| dark.iter().all(|(dark, _)| dark != sample);
+            let valid: Vec<usize> = (0..count).filter(is_valid).collect();
+            planes.stamps = planes.stamps.select(Axis(0), &valid);
+            planes.positions = valid.iter().map(|&sample| planes.positions[sample]).collect();
+        }
         let positions = SamplePositions::new(planes.positions, None).map_err(invalid(path))?;
         Ok(Self {
             samples: PsfSamples::new(planes.stamps, positions, grid).map_err(invalid(path))?,
             detector: planes.detector,
             notes: planes.notes,
+            left_out,
         })
     }
 
@@ -60,9 +101,14 @@ impl GriddedPsf {
     }
 
     /// Notes for the user on how the file was read, in plain sentences: the order of the planes,
-    /// the chosen detector, bad border rows.
+    /// the chosen detector, bad border rows, planes that were left out.
     pub fn notes(&self) -> &[String] {
         &self.notes
+    }
+
+    /// The planes of the file (0-based) that were left out because they have no positive flux.
+    pub fn left_out(&self) -> &[usize] {
+        &self.left_out
     }
 
     /// Returns the PSFs with their positions without a copy.
@@ -101,6 +147,16 @@ pub(crate) fn cube_shape(hdu: &Hdu) -> Result<(usize, usize, usize), IoError> {
     stack_shape(hdu, "a cube of PSFs [plane, y, x]")
 }
 
+/// Returns the index and the flux of every stamp whose flux is not positive.
+fn without_flux(stamps: &Array3<f64>, grid: StampGrid) -> impl Iterator<Item = (usize, f64)> {
+    let fluxes = stamps
+        .axis_iter(Axis(0))
+        .map(move |stamp| grid.flux_of_sum(stamp.sum()));
+    fluxes
+        .enumerate()
+        .filter(|(_, flux)| !(*flux > 0.0 && flux.is_finite()))
+}
+
 /// Returns an error for a stamp whose flux is not positive, with the number of its plane in the
 /// file.
 pub(crate) fn check_flux(
@@ -109,15 +165,14 @@ pub(crate) fn check_flux(
     grid: StampGrid,
     plane: impl Fn(usize) -> usize,
 ) -> Result<(), IoError> {
-    for (sample, stamp) in stamps.axis_iter(Axis(0)).enumerate() {
-        let flux = grid.flux_of_sum(stamp.sum());
-        if !(flux > 0.0 && flux.is_finite()) {
+    match without_flux(stamps, grid).next() {
+        Some((sample, flux)) => {
             let plane = plane(sample);
             let problem = format!("plane {plane} (0-based) has flux {flux}: a PSF must have positive flux");
-            return Err(IoError::new(path, IoErrorKind::Data, problem));
+            Err(IoError::new(path, IoErrorKind::Data, problem))
         }
+        None => Ok(()),
     }
-    Ok(())
 }
 
 /// The header of an HDU, for keywords that are built at run time, such as numbered ones.

@@ -80,10 +80,12 @@ pub(crate) fn is_stdpsf(structure: &FitsStructure) -> bool {
 ///   plane has no flux
 /// - the [errors of any FITS file](crate#bad-files)
 pub fn read_stdpsf(path: impl AsRef<Path>, detector: Option<usize>) -> Result<GriddedPsf, IoError> {
-    read_stdpsf_hdu(path, None, detector)
+    read_stdpsf_hdu(path, None, detector, false)
 }
 
-/// Reads the library in the chosen HDU. Without a choice it is the only image with pixels.
+/// Reads the library in the chosen HDU. Without a choice it is the only image with pixels. If
+/// `skip_invalid` is true, planes without positive flux are left out ([`GriddedPsf::left_out`]) and
+/// not an error. [`GriddedPsf::notes`] names them.
 ///
 /// # Errors
 /// The errors of [`read_stdpsf`], and [`IoErrorKind::Setting`] for a choice that is not an image
@@ -92,6 +94,7 @@ pub fn read_stdpsf_hdu(
     path: impl AsRef<Path>,
     choice: Option<&HduChoice>,
     detector: Option<usize>,
+    skip_invalid: bool,
 ) -> Result<GriddedPsf, IoError> {
     let path = path.as_ref();
     let structure = FitsStructure::scan(path)?;
@@ -146,7 +149,7 @@ pub fn read_stdpsf_hdu(
         detector: name.map(str::to_owned),
         notes,
     };
-    GriddedPsf::new(path, planes)
+    GriddedPsf::new(path, planes, skip_invalid)
 }
 
 /// The arrangement of the detectors in a file.

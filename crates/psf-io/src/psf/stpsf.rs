@@ -83,10 +83,12 @@ pub(crate) fn is_stpsf(structure: &FitsStructure) -> bool {
 ///   has no flux, or two planes are at one position
 /// - the [errors of any FITS file](crate#bad-files)
 pub fn read_stpsf(path: impl AsRef<Path>, order: PlaneOrder) -> Result<GriddedPsf, IoError> {
-    read_stpsf_hdu(path, None, order)
+    read_stpsf_hdu(path, None, order, false)
 }
 
-/// Reads the library in the chosen HDU. Without a choice it is the only image with pixels.
+/// Reads the library in the chosen HDU. Without a choice it is the only image with pixels. If
+/// `skip_invalid` is true, planes without positive flux are left out ([`GriddedPsf::left_out`]) and
+/// not an error. [`GriddedPsf::notes`] names them.
 ///
 /// # Errors
 /// The errors of [`read_stpsf`], and [`IoErrorKind::Setting`] for a choice that is not an image
@@ -95,6 +97,7 @@ pub fn read_stpsf_hdu(
     path: impl AsRef<Path>,
     choice: Option<&HduChoice>,
     order: PlaneOrder,
+    skip_invalid: bool,
 ) -> Result<GriddedPsf, IoError> {
     let path = path.as_ref();
     let structure = FitsStructure::scan(path)?;
@@ -124,7 +127,7 @@ pub fn read_stpsf_hdu(
         detector,
         notes,
     };
-    GriddedPsf::new(path, planes)
+    GriddedPsf::new(path, planes, skip_invalid)
 }
 
 /// The keyword in psfield's own files that states which planes are samples.

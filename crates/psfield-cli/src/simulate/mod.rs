@@ -279,10 +279,18 @@ impl SimulateArgs {
         let mut seconds = Seconds::default();
         let psf = self.psf(simulators, &mut seconds, context)?;
         let spinner = context.spinner("reading");
-        let ((read, rows), taken) = timed(|| self.scene.read::<T>(self.is_streamed::<T>()))?;
+        let ((read, rows), taken) =
+            timed(|| self.scene.read::<T>(self.is_streamed::<T>(), psf.field_shape()))?;
         seconds.read += taken;
         drop(spinner);
 
+        if self.scene.scene.is_none() && self.scene.shape.is_none() {
+            let (s, shape) = (self.scene.finer(), read.shape);
+            let (nx, ny) = (shape.nx() / s, shape.ny() / s);
+            context.note(&format!(
+                "the frame has {nx} x {ny} pixels, the field of the PSF (option --shape)"
+            ));
+        }
         if let (Some(path), true) = (
             &self.scene.catalog,
             read.scene.stars().is_empty() && read.scene.galaxies().is_empty(),
@@ -293,7 +301,7 @@ impl SimulateArgs {
         let kind = (&read.scene, rows.is_some());
         let made = self.prepare(&simulator, kind, simulators, &mut seconds, context)?;
         for warning in simulator.warnings(&read.scene) {
-            context.warn(&with_option(warning, warning.setting()));
+            context.warn(&with_option(&warning, warning.setting()));
         }
         let (ready, streamed) = ((&*simulator, &made), rows.is_some());
         let outcome = match rows {

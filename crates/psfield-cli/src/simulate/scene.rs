@@ -26,10 +26,15 @@ pub(super) struct SceneArgs {
     ///
     /// Rows with re and n are galaxies with Sersic profiles. re: half-light radius along the major
     /// axis (pixels of the output image). n: Sersic index, 0.3 to 8. q: axis ratio [default: 1].
-    /// angle: degrees from +x towards +y [default: 0].
+    /// angle: degrees from +x towards +y [default: 0]. g1, g2: reduced shear, applied to this
+    /// galaxy, which keeps its area [default: 0]. re = 0 is a star.
     #[arg(long, value_name = "CATALOG", help_heading = SCENE)]
     pub(super) catalog: Option<PathBuf>,
-    /// Columns and rows of a scene without an image (pixels)
+    /// Columns and rows of a scene without an image (pixels) [default: the field of the PSF, if its
+    /// file states one]
+    ///
+    /// A PSFEx model states the positions of its stars (POLZERO, POLSCAL). The default is the frame
+    /// that fits them.
     #[arg(
         long,
         value_name = "NX,NY",
@@ -134,9 +139,6 @@ impl SceneArgs {
                  (SCENE.fits --catalog STARS.csv)"
                     .to_owned(),
             ),
-            (None, Some(_), None) => {
-                Some("a catalogue without an image needs the size of the scene: --shape NX,NY".to_owned())
-            }
             (Some(_), None, _) => self
                 .columns
                 .given()
@@ -151,10 +153,13 @@ impl SceneArgs {
         self.oversampling.map_or(default, usize::from)
     }
 
-    /// Reads the scene. If `by_rows`, opens the scene's image, but does not read its pixels.
+    /// Reads the scene. If `by_rows`, opens the scene's image, but does not read its pixels. `field`
+    /// is the field of the PSF: the shape, in image pixels, of a scene without an image and without
+    /// `--shape`.
     pub(super) fn read<T: ConvReal>(
         &self,
         by_rows: bool,
+        field: Option<FrameShape>,
     ) -> anyhow::Result<(ReadScene<T>, Option<ImageReader>)> {
         let (mut scene, mut rows, mut nan_pixels) = (Scene::dark(), None, 0);
         let (shape, header) = match (&self.scene, &self.wcs) {
@@ -175,9 +180,9 @@ impl SceneArgs {
             }
             (None, Some(path)) => {
                 let header = psf_io::read_cards(path, self.extension.as_ref())?;
-                (self.dark_shape::<T>()?, header)
+                (self.dark_shape::<T>(field)?, header)
             }
-            (None, None) => (self.dark_shape::<T>()?, HeaderCards::new()),
+            (None, None) => (self.dark_shape::<T>(field)?, HeaderCards::new()),
         };
         let catalog = match &self.catalog {
             Some(path) => self.read_catalog(path, &header)?,
@@ -202,9 +207,12 @@ impl SceneArgs {
     }
 
     /// The shape of a scene without an image, in its own pixels.
-    fn dark_shape<T: ConvReal>(&self) -> anyhow::Result<FrameShape> {
-        let Some(Pair(nx, ny)) = self.shape else {
-            return Err(UsageError("a scene needs an image or --shape NX,NY".to_owned()).into());
+    fn dark_shape<T: ConvReal>(&self, field: Option<FrameShape>) -> anyhow::Result<FrameShape> {
+        let field = field.map(|field| Pair(field.nx(), field.ny()));
+        let Some(Pair(nx, ny)) = self.shape.or(field) else {
+            const NEEDED: &str = "a catalogue without an image needs the size of the scene: --shape NX,NY (the PSF file \
+                                  does not state a field)";
+            return Err(UsageError(NEEDED.to_owned()).into());
         };
         let s = self.finer();
         let pixels = nx.checked_mul(ny).and_then(|n| n.checked_mul(s * s));
@@ -255,8 +263,8 @@ struct CatalogArgs {
     zero_point: Option<f64>,
     /// Skip invalid rows and count them [default: an invalid row is an error]
     ///
-    /// A row is invalid if position, flux or mag is missing, or if dec, re, n, q or angle is out of
-    /// range.
+    /// A row is invalid if position, flux, mag or re is missing, if flux is 0, or if dec, re, n, q,
+    /// angle or the shear (g1, g2) is out of range. A negative flux is valid.
     #[arg(long, hide_short_help = true)]
     skip_invalid: bool,
 }

@@ -108,7 +108,7 @@ fn positions_that_do_not_fit() {
     });
     bad_samples(&["sample 7", "outside the field", "61 x 51"], |bytes| {
         let table = table_of(bytes, 9);
-        put(bytes, table + 7 * 2 * DOUBLE, 61.0);
+        put(bytes, table + 7 * 2 * DOUBLE, 62.0);
     });
     bad_samples(&["row 7", "X", "NaN"], |bytes| {
         let table = table_of(bytes, 9);
@@ -193,7 +193,7 @@ fn bad_tables() {
     desk.refused(catalogue, 1, &["bad.csv", "line 2", "flux", "\"inf\""]);
     desk.write("bad.csv", "x,y\n1,2\n");
     desk.refused(catalogue, 1, &["bad.csv", "\"flux\""]);
-    desk.write("bad.csv", "x,y\n1,2\n61,3\n");
+    desk.write("bad.csv", "x,y\n1,2\n62,3\n");
     desk.refused(
         positions,
         1,

@@ -8,7 +8,7 @@ use psfield::psf_io::{
 use psfield::psf_types::{Image, Position, PsfSamples, StampInterpolation};
 use serde_json::json;
 
-use crate::desk::{Desk, NX, NY, STAMP, samples};
+use crate::desk::{Desk, NX, NY, STAMP, samples, samples_at};
 
 /// Rounding of stamps in f32, relative to the peak.
 const SINGLE: f64 = 1e-6;
@@ -171,6 +171,110 @@ fn a_psfex_model_serves_every_command() {
         "evaluate field.psf --at at.csv -o out.fits --rank 3",
         2,
         &["field.psf", "not fitted"],
+    );
+}
+
+/// A frame with columns and rows exchanged reaches far beyond the polynomial of a PSFEx model.
+#[test]
+fn frames_beyond_the_polynomial_are_warned_of() {
+    let desk = Desk::new();
+    put_psfex(&desk, "field.psf", &psfex(31, 0.5));
+    desk.write("stars.csv", "x,y,flux\n20,20,1\n");
+    desk.done(&format!(
+        "simulate --psf field.psf --catalog stars.csv --shape {NX},{NY} -o right.fits"
+    ));
+    let swapped = |output: &str, more: &str| {
+        format!("simulate --psf field.psf --catalog stars.csv --shape {NY},{NX} -o {output} {more}")
+    };
+    let needles = [
+        "field.psf: the polynomials",
+        "x = 0 to 60 and y = 0 to 50, but the frame has x = 0 to 50 and y = 0 to 60",
+        "by 0 % of the range in x and 20 % in y",
+        "option --outside",
+    ];
+    for (i, needle) in needles.into_iter().enumerate() {
+        desk.warned(&swapped(&format!("swapped{i}.fits"), ""), needle);
+    }
+    desk.done(&swapped("nearest.fits", "--outside nearest"));
+}
+
+/// Without `--shape`, a scene without an image has the shape of the PSF's field.
+#[test]
+fn a_psfex_model_states_the_frame() {
+    let desk = Desk::new();
+    // The stars of the model lie at 0-based x = 4 to 56 and y = 3 to 47.
+    let axis = |name, zero, scale| PsfexAxis::new(name, zero, scale).unwrap();
+    let (x, y) = (axis("X_IMAGE", 30.0, 52.0), axis("Y_IMAGE", 25.0, -44.0));
+    let model = psfex(31, 0.5);
+    let polynomial = PsfexPolynomial::new(x, y, 2).unwrap();
+    let model = PsfexModel::new(model.planes().to_owned(), 0.5, Some(polynomial)).unwrap();
+    put_psfex(&desk, "field.psf", &model);
+    desk.write("stars.csv", "x,y,flux\n20,20,1\n");
+    desk.noted(
+        "simulate --psf field.psf --catalog stars.csv -o image.fits",
+        &["61 x 51 pixels", "--shape"],
+    );
+    assert_eq!(desk.image("image.fits").dim(), (51, 61));
+    put_psfex(
+        &desk,
+        "constant.psf",
+        &PsfexModel::new(Array3::ones((1, 9, 9)), 0.5, None).unwrap(),
+    );
+    desk.refused(
+        "simulate --psf constant.psf --catalog stars.csv -o out.fits",
+        2,
+        &["--shape NX,NY", "does not state a field"],
+    );
+}
+
+#[test]
+fn a_bad_plane_of_a_library_can_be_left_out() {
+    /// The PSFs change smoothly, so that two ways to interpolate give similar PSFs.
+    const INTERPOLATED: f64 = 0.05;
+    let desk = Desk::new();
+    let nodes = (0..16).map(|k| (f64::from(k % 4 * 16), f64::from(k / 4 * 16)));
+    desk.write_samples("square.fits", &samples_at(&nodes.collect::<Vec<_>>(), 1));
+    desk.done("convert square.fits -o library.fits --to gridded");
+    let planes = psf_io::read_cube::<f64>(desk.path("library.fits")).unwrap();
+    let plane = planes.len() / planes.dim().0 * 8;
+    let mut bytes = desk.bytes("library.fits");
+    let card = bytes
+        .chunks(80)
+        .position(|card| card.starts_with(b"END "))
+        .unwrap();
+    let data = ((card + 1) * 80).next_multiple_of(2880);
+    // Plane 5 is one of the four inner nodes.
+    bytes[data + 5 * plane..data + 6 * plane].fill(0);
+    desk.write("bad.fits", &bytes);
+    desk.write("at.csv", "x,y\n20,17\n10,30\n");
+    let evaluate = |file: &str, options: &str, output: &str| {
+        format!("evaluate {file} --at at.csv -o {output} --precision f64 {options}")
+    };
+    desk.refused(
+        &evaluate("bad.fits", "", "out.fits"),
+        1,
+        &[
+            "bad.fits",
+            "plane 5 (0-based) at (16, 16)",
+            "has flux 0",
+            "option --psf-skip-invalid",
+        ],
+    );
+    desk.noted(
+        &evaluate("bad.fits", "--psf-skip-invalid", "skipped.fits"),
+        &[
+            "1 of 16 left out",
+            "plane 5 (0-based) at (16, 16)",
+            "natural-neighbour",
+        ],
+    );
+    desk.run(&evaluate("library.fits", "", "whole.fits"));
+    let (skipped, whole) = (desk.samples("skipped.fits"), desk.samples("whole.fits"));
+    assert!(largest(skipped.stamps(), whole.stamps()) < INTERPOLATED);
+    desk.refused(
+        &evaluate("samples.fits", "--psf-skip-invalid", "out.fits"),
+        2,
+        &["samples.fits", "STPSF and STDPSF libraries", "--psf-skip-invalid"],
     );
 }
 

@@ -133,7 +133,7 @@ fn the_library_writes_the_bytes_of_simulate() {
         // on the frame.
         desk.write(
             "sources.csv",
-            "x,y,flux,re,n,q,angle\n20.3,15.8,50,,,,\n-2,10,90,,,,\n33,28,200,3,1.5,0.6,30\n-3,30,300,4,1,0.8,10\n",
+            "x,y,flux,re,n,q,angle\n20.3,15.8,50,0,,,\n-2,10,90,0,,,\n33,28,200,3,1.5,0.6,30\n-3,30,300,4,1,0.8,10\n",
         );
         let arguments = asked.arguments::<T>("by_command.fits");
         desk.done(&arguments);

@@ -275,7 +275,6 @@ const CASES: &[Case] = &[
     ("simulate scene.fits --psf model.fits -o out.fits --blur 3", 2, &["'--blur'"]),
     ("simulate scene.fits --psf= -o out.fits", 2, &["required for '--psf"]),
     ("simulate --shape 61,51 --wcs scene.fits --psf model.fits -o out.fits", 2, &["nothing to convolve", "--catalog"]),
-    ("simulate --catalog stars.csv --wcs scene.fits --psf model.fits -o out.fits", 2, &["--shape NX,NY"]),
     ("simulate scene.fits --wcs scene.fits --psf model.fits -o out.fits", 2, &["cannot be used with '--wcs"]),
     ("simulate --catalog stars.csv --shape 61,51 --wcs none.fits --psf model.fits -o out.fits", 1, &["none.fits", "cannot read"]),
     ("simulate --catalog stars.csv --shape 61,51 --wcs text.fits --psf model.fits -o out.fits", 1, &["text.fits", "not a FITS file"]),

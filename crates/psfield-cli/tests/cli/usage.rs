@@ -93,7 +93,6 @@ fn scenes_that_are_not_there() {
         2,
         &["nothing to convolve", "--catalog"],
     );
-    desk.refused(&format!("{to} --catalog stars.csv"), 2, &["--shape NX,NY"]);
     desk.refused(
         &format!("{to} --catalog stars.csv --shape 61,0"),
         2,

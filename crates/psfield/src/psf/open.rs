@@ -24,6 +24,10 @@ pub struct PsfFileOptions {
     pub detector: Option<usize>,
     /// The order of the planes, which determines the position of each plane (STPSF).
     pub plane_order: Option<PlaneOrder>,
+    /// Leaves out planes without positive flux. Without this setting they are an error (STPSF,
+    /// STDPSF). If the other planes do not form a regular grid, the default interpolation is that
+    /// of scattered positions.
+    pub skip_invalid: bool,
     /// Chooses one of several wavelengths, in micrometres (ScopeSim).
     pub wavelength_um: Option<f64>,
     /// The size of a frame pixel in arcseconds (ScopeSim).
@@ -59,6 +63,12 @@ impl PsfFileOptions {
                 &[Stpsf],
                 "plane_order",
                 "STPSF libraries",
+            ),
+            (
+                self.skip_invalid,
+                &[Stpsf, Stdpsf],
+                "skip_invalid",
+                "STPSF and STDPSF libraries",
             ),
             (
                 self.wavelength_um.is_some(),
@@ -175,7 +185,7 @@ impl Psf {
     /// | [PSF samples](psf_io::samples) | unit flux | all of `choices` |
     /// | [PSF model](psf_io::model) | the file's own setting | `outside` and `normalisation` of `choices` |
     /// | [PSFEx model](psf_io::psfex) | unit flux | `outside` and `normalisation` of `choices`; `file.extension` |
-    /// | [STPSF](psf_io::stpsf), [STDPSF](psf_io::stdpsf) library | none | all of `choices` (by default every component, interpolated bilinearly); `file.plane_order`, `file.detector`, `file.extension` |
+    /// | [STPSF](psf_io::stpsf), [STDPSF](psf_io::stdpsf) library | none | all of `choices` (by default every component, interpolated bilinearly); `file.plane_order`, `file.detector`, `file.extension`, `file.skip_invalid` |
     /// | [ScopeSim's field-varying PSF](psf_io::scopesim) | unit flux | `outside` and `normalisation` of `choices`; `file.pixel_scale_arcsec`, `file.field_centre`, `file.wavelength_um` |
     /// | cube without positions | unit flux | all of `choices`; `file.positions`, `file.oversampling`, `file.centre`, `file.extension` |
     /// | single stamp: one PSF everywhere | unit flux | all of `choices` (by default nearest interpolation); `file.oversampling`, `file.centre`, `file.extension` |
@@ -267,7 +277,14 @@ fn read(path: &Path, file: &PsfFileOptions) -> Result<(Origin, FileKind, SourceF
         return Err(PsfieldError::of_setting(setting, message));
     }
     let of_library = |library: psf_io::GriddedPsf| {
-        let notes = library.notes().iter().map(plain_note).collect();
+        let mut notes: Vec<Note> = library.notes().iter().map(plain_note).collect();
+        let scattered = FitOptions::of_gridded_library(library.samples().positions()).interpolation;
+        if !library.left_out().is_empty() && scattered != Interpolation::Bilinear {
+            notes.push(plain_note(format!(
+                "interpolation: without the planes left out, the positions form no regular grid, so that the default \
+                 is {scattered}, not bilinear"
+            )));
+        }
         (unfitted(library.into_samples()), notes)
     };
     let mut psfex = None;
@@ -283,8 +300,14 @@ fn read(path: &Path, file: &PsfFileOptions) -> Result<(Origin, FileKind, SourceF
             path,
             choice,
             file.plane_order.unwrap_or_default(),
+            file.skip_invalid,
         )?),
-        FileKind::Stdpsf => of_library(psf_io::read_stdpsf_hdu(path, choice, file.detector)?),
+        FileKind::Stdpsf => of_library(psf_io::read_stdpsf_hdu(
+            path,
+            choice,
+            file.detector,
+            file.skip_invalid,
+        )?),
         FileKind::Scopesim => {
             let psf = psf_io::read_scopesim(path, &scopesim_options(path, file)?)?;
             (
@@ -302,6 +325,7 @@ fn read(path: &Path, file: &PsfFileOptions) -> Result<(Origin, FileKind, SourceF
         None => origin,
     };
     let source = SourceFile {
+        path: Some(path.to_owned()),
         kind: Some(kind),
         notes,
         psfex,

@@ -4,11 +4,11 @@ use std::fmt;
 
 use conv_core::{ConvReal, Direct, RowStream};
 use ndarray::{Array2, ArrayView2};
-use psf_types::{Image, PointSource, Progress};
+use psf_types::{Image, PointSource, Position, Progress};
 
 use super::stream::SceneRows;
 use super::{Simulator, has_extended_light};
-use crate::{PixelPicker, PsfieldError, Scene, SpotCheck};
+use crate::{EvaluateOptions, OutputGrid, PixelPicker, PsfieldError, Scene, SpotCheck, evaluate_stamps};
 
 /// The largest number of image rows whose light a streamed check keeps in memory at once.
 const BAND: usize = 512;
@@ -24,6 +24,12 @@ const MIN_STAMP_OVERSAMPLING: f64 = 2.0;
 /// The largest distance along x and along y, in pixels, at which a star counts as lying on the
 /// centre of a pixel.
 const ON_PIXEL: f64 = 1e-9;
+
+/// A frame may extend beyond the range of the PSF's polynomials by this part of the range. Stars of
+/// a frame, to which polynomials are fitted, reach less far than the frame.
+const BEYOND_RANGE: f64 = 0.1;
+/// The number of sub-pixel phases along x and along y at which the flux of a star is measured.
+const PHASES: usize = 4;
 
 /// Beyond this number of half-light radii, a galaxy counts as dark.
 const HALF_LIGHT_RADII: f64 = 10.0;
@@ -190,9 +196,48 @@ impl<T: ConvReal> Simulator<T> {
         Ok((!picked).then_some(SimulationWarning::InterpolatedStamps))
     }
 
-    /// Returns warnings about a scene's stars and galaxies.
+    /// Returns a warning if the PSF is a polynomial that the frame extrapolates far beyond the range
+    /// to which it was fitted.
+    fn range_warning(&self) -> Option<SimulationWarning> {
+        let [x, y] = self.psf().polynomial_range()?;
+        let shape = self.geometry.frame.shape();
+        let beyond = |(low, high): (f64, f64), pixels: usize| {
+            low.max((pixels - 1) as f64 - high).max(0.0) / (high - low)
+        };
+        let (of_x, of_y) = (beyond(x, shape.nx()), beyond(y, shape.ny()));
+        (of_x.max(of_y) > BEYOND_RANGE).then(|| SimulationWarning::BeyondPolynomial {
+            file: self.psf().file_name(),
+            range: [x, y],
+            frame: [shape.nx(), shape.ny()],
+            beyond: [of_x, of_y],
+        })
+    }
+
+    /// Returns the smallest and the largest flux that a star of flux 1 in the middle of the frame
+    /// gets, at different sub-pixel phases.
+    fn flux_over_phases(&self) -> Result<(f64, f64), PsfieldError> {
+        let (model, shape) = (self.psf().model()?, self.geometry.frame.shape());
+        let middle = |pixels: usize, phase: usize| (pixels / 2) as f64 + phase as f64 / PHASES as f64;
+        let positions: Vec<Position> = (0..PHASES * PHASES)
+            .map(|i| Position::new(middle(shape.nx(), i % PHASES), middle(shape.ny(), i / PHASES)))
+            .collect::<Result<_, _>>()?;
+        let options = EvaluateOptions {
+            grid: OutputGrid::Native,
+            size: None,
+            sub_pixel: true,
+        };
+        let (stamps, _) = evaluate_stamps(model, &positions, options)?;
+        let mut range = (f64::INFINITY, f64::NEG_INFINITY);
+        for (stamp, &position) in stamps.outer_iter().zip(&positions) {
+            let flux = stamp.sum() / model.psf_at(position)?.flux();
+            range = (range.0.min(flux), range.1.max(flux));
+        }
+        Ok(range)
+    }
+
+    /// Returns warnings about a scene's stars and galaxies, and about the PSF at them.
     pub fn warnings(&self, scene: &Scene<'_, T>) -> Vec<SimulationWarning> {
-        let mut warnings = Vec::new();
+        let mut warnings: Vec<_> = self.range_warning().into_iter().collect();
         let grid = self.psf().grid();
         let stamp = grid.nx().max(grid.ny()) as f64 / grid.oversampling();
         let stars = scene.stars().iter().map(|star| (star.position(), stamp));
@@ -208,7 +253,8 @@ impl<T: ConvReal> Simulator<T> {
         let off = |v: f64| (v - v.round()).abs() > ON_PIXEL;
         let between = |star: &PointSource| off(star.position().x()) || off(star.position().y());
         if self.psf().grid().oversampling() < MIN_STAMP_OVERSAMPLING && scene.stars().iter().any(between) {
-            warnings.push(SimulationWarning::StarsBetweenPixels);
+            let flux = self.flux_over_phases().ok();
+            warnings.push(SimulationWarning::StarsBetweenPixels { flux });
         }
         let s = self.geometry.oversample;
         // A PSF of a single pixel adds no second blur.
@@ -226,7 +272,7 @@ impl<T: ConvReal> Simulator<T> {
 
 /// Warns of an error that the spot check cannot detect. If the error can be avoided, the text says
 /// how.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub enum SimulationWarning {
     /// The image in the scene is convolved with interpolated stamps.
@@ -237,7 +283,22 @@ pub enum SimulationWarning {
         count: usize,
     },
     /// Stars lie between pixels, and the stamps are too coarse for an accurate interpolation.
-    StarsBetweenPixels,
+    StarsBetweenPixels {
+        /// The smallest and the largest flux that a star of flux 1 in the middle of the frame gets
+        /// at different sub-pixel phases. None if the PSF is not known there.
+        flux: Option<(f64, f64)>,
+    },
+    /// The frame reaches far beyond the range over which the polynomials of the PSF were fitted.
+    BeyondPolynomial {
+        /// The PSF file.
+        file: Option<String>,
+        /// The smallest and the largest coordinate of the range, for x and y.
+        range: [(f64, f64); 2],
+        /// Columns and rows of the frame.
+        frame: [usize; 2],
+        /// How far the frame reaches beyond the range, in parts of the range, along x and y.
+        beyond: [f64; 2],
+    },
     /// Galaxies are blurred by the pixels on which they are drawn.
     BlurredGalaxies {
         /// Number of galaxies.
@@ -246,9 +307,14 @@ pub enum SimulationWarning {
 }
 
 impl SimulationWarning {
-    /// The field of [`SimulateOptions`](crate::SimulateOptions) that avoids the error, if one does.
+    /// The field of [`SimulateOptions`](crate::SimulateOptions), or of
+    /// [`FitChoices`](crate::FitChoices), that avoids the error, if one does.
     pub fn setting(&self) -> Option<&'static str> {
-        matches!(self, Self::BlurredGalaxies { .. }).then_some("oversample")
+        match self {
+            Self::BlurredGalaxies { .. } => Some("oversample"),
+            Self::BeyondPolynomial { .. } => Some("outside"),
+            _ => None,
+        }
     }
 }
 
@@ -263,11 +329,45 @@ impl fmt::Display for SimulationWarning {
                 f,
                 "no light of the stars and galaxies ({count} in all) reaches the frame: check their positions (0-based pixels)"
             ),
-            Self::StarsBetweenPixels => f.write_str(
-                "stars lie between pixels, and the PSF stamps are oversampled by a factor below 2: the stamps are \
-                 interpolated, with errors of a few percent where the PSF is under-sampled. The spot check does not \
-                 detect this",
-            ),
+            Self::StarsBetweenPixels { flux } => {
+                f.write_str(
+                    "stars lie between pixels, and the PSF stamps are oversampled by a factor below 2: the stamps are \
+                     interpolated, with errors of a few percent where the PSF is under-sampled. The spot check does not \
+                     detect this",
+                )?;
+                let Some((least, most)) = flux else {
+                    return Ok(());
+                };
+                write!(
+                    f,
+                    ". In the middle of the frame, the image of a star has {least:.4} to {most:.4} of its flux, depending on \
+                     its position within a pixel"
+                )
+            }
+            Self::BeyondPolynomial {
+                file,
+                range: [x, y],
+                frame: [nx, ny],
+                beyond,
+            } => {
+                if let Some(file) = file {
+                    write!(f, "{file}: ")?;
+                }
+                let [of_x, of_y] = beyond.map(|part| (100.0 * part).round());
+                write!(
+                    f,
+                    "the polynomials of the PSF were fitted to x = {:.0} to {:.0} and y = {:.0} to {:.0}, but the frame has \
+                     x = 0 to {} and y = 0 to {}. The PSF is extrapolated by {of_x} % of the range in x and {of_y} % in y, where it may \
+                     be wrong. Check whether columns and rows of the frame are exchanged, or use the PSF at the edge of the range \
+                     (nearest)",
+                    x.0,
+                    x.1,
+                    y.0,
+                    y.1,
+                    nx - 1,
+                    ny - 1
+                )
+            }
             Self::BlurredGalaxies { count } => write!(
                 f,
                 "{count} {} blurred twice: by the pixel response in the PSF, and by the scene pixels used for drawing. \

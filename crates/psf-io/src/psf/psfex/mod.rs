@@ -40,12 +40,14 @@ pub(crate) mod file;
 use std::f64::consts::PI;
 
 use ndarray::{Array2, Array3, ArrayView3};
-use psf_types::{DataError, Position, Quantity, Stamp, StampGrid, StampInterpolation};
+use psf_types::{DataError, FrameShape, Position, Quantity, Stamp, StampGrid, StampInterpolation};
 
 /// The usual name of the table.
 const EXTENSION: &str = "PSF_DATA";
 /// The column that holds the planes.
 const COLUMN: &str = "PSF_MASK";
+/// The longest side of a frame in pixels. Longer sides come from damaged files.
+const LONGEST_FRAME: f64 = 1e6;
 
 /// One coordinate of a PSFEx polynomial: `t = (v - zero) / scale` with `v` in 0-based pixels of the
 /// frame.
@@ -154,6 +156,26 @@ impl PsfexPolynomial {
     /// The total degree.
     pub fn degree(&self) -> usize {
         self.degree
+    }
+
+    /// The frame that fits the stars of the model, which lie at `zero +- scale / 2` along each axis.
+    /// The frame begins at pixel (0, 0) and reaches as far beyond the last star as the first star is
+    /// from the first pixel. None if no frame from pixel (0, 0) holds the stars.
+    ///
+    /// ```
+    /// use psf_io::{PsfexAxis, PsfexPolynomial};
+    /// let (x, y) = (PsfexAxis::new("X_IMAGE", 1023.5, 2003.1)?, PsfexAxis::new("Y_IMAGE", 2047.3, 4051.2)?);
+    /// let shape = PsfexPolynomial::new(x, y, 2)?.frame_shape().expect("a frame");
+    /// assert_eq!((shape.nx(), shape.ny()), (2048, 4096));
+    /// # Ok::<(), psf_types::DataError>(())
+    /// ```
+    pub fn frame_shape(&self) -> Option<FrameShape> {
+        let pixels = |axis: &PsfexAxis| {
+            let last = (2.0 * axis.zero).max(axis.zero + 0.5 * axis.scale.abs());
+            let pixels = last.round() + 1.0;
+            (1.0..=LONGEST_FRAME).contains(&pixels).then_some(pixels as usize)
+        };
+        FrameShape::new(pixels(&self.x)?, pixels(&self.y)?).ok()
     }
 
     /// Number of terms for a total degree: `(d+1)(d+2)/2`.
