@@ -15,8 +15,9 @@ const STORED: f64 = 1e-7;
 /// Rounding in single precision: transforms of a few thousand values, and sums over the modes of a
 /// tile.
 const SINGLE: f64 = 1e-6;
-/// Rounding in double precision, relative to the norm of the compared pixels and to the peak.
-const EXACT: f64 = 1e-12;
+/// Rounding in double precision, relative to the norm of the compared pixels and to the peak. The
+/// documentation states this number.
+const EXACT: f64 = 1e-14;
 
 pub(crate) fn trials() -> Vec<Trial> {
     let mut trials = Vec::new();

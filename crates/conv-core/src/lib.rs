@@ -94,5 +94,7 @@ pub use image_memory::zeros;
 pub use plan::{Paths, Plan, PlanOptions, PlanSummary};
 pub use reference::{BasisConvolution, ConvolutionMethod, Direct, PatchConvolution};
 pub use simd::ConvReal;
-pub use stamp_interpolator::{StampInterpolator, grid_with_pixel_response, native_grid, resample_samples};
+pub use stamp_interpolator::{
+    StampInterpolator, edge_reach, edge_reach_of, grid_with_pixel_response, native_grid, resample_samples,
+};
 pub use stars::{StarPainter, StarPlan};

@@ -11,8 +11,11 @@ use common::{
     model_with, noise, options, peak, region, scene, single,
 };
 use conv_core::{ConvError, Direct, LowRank, Paths, Plan, PlanOptions, RowStream};
-use ndarray::{Array2, s};
-use psf_types::{Anchor, CoefficientField, FieldError, Image, NoProgress, Normalisation, Position, PsfModel};
+use ndarray::{Array2, Axis, s};
+use psf_types::{
+    Anchor, CoefficientField, FieldError, Image, NoProgress, Normalisation, Position, PsfBasis, PsfModel,
+    StampGrid,
+};
 
 /// Rounding of transforms of a few thousand values, and of the modes, in f64.
 const ROUNDING_F64: f64 = 1e-12;
@@ -67,6 +70,50 @@ fn at_tolerance_0_it_is_the_double_sum() {
                     let error = largest_difference(&image.pixels().mapv(f64::from), &truth) / scale;
                     assert!(error <= ROUNDING_F32, "f32, {case}: {error:e}");
                 }
+            }
+        }
+    }
+}
+
+/// Rounding of f64 on images of PSFs that are not scaled and have nearly equal fluxes.
+const STATED_F64: f64 = 1e-14;
+
+/// PSFs whose fluxes differ from 1 by up to 8e-13 are not treated as PSFs of unit flux.
+#[test]
+fn small_differences_of_fluxes_are_kept() {
+    const FLUXES: f64 = 8e-13;
+    #[derive(Debug)]
+    struct Ramp;
+    impl CoefficientField for Ramp {
+        fn component_count(&self) -> usize {
+            1
+        }
+        fn evaluate_into(&self, p: Position, a: &mut [f64]) -> Result<(), FieldError> {
+            a[0] = (p.x() - 20.0) / 20.0;
+            Ok(())
+        }
+    }
+    let bell = |y: usize, x: usize| (-((y as f64 - 3.0).powi(2) + (x as f64 - 3.0).powi(2)) / 4.0).exp();
+    let mean = Array2::from_shape_fn((7, 7), |(y, x)| bell(y, x));
+    let mean = &mean / mean.sum();
+    // All but a small part of the component is antisymmetric and holds no flux.
+    let odd = Array2::from_shape_fn((7, 7), |(y, x)| (x as f64 - 3.0) * bell(y, x));
+    let component = &odd / odd.mapv(|v| v * v).sum().sqrt() + &(&mean * FLUXES);
+    let grid = StampGrid::new(7, 7).unwrap();
+    let basis = PsfBasis::new(Some(mean), component.insert_axis(Axis(0)), grid).unwrap();
+    let model = PsfModel::new(&basis, Arc::new(Ramp), Normalisation::Keep, None).unwrap();
+    for x in [3, 37] {
+        // Light that lies where the fluxes differ from 1 the most.
+        let mut light = Array2::zeros((24, 41));
+        light.slice_mut(s![.., x - 3..x + 4]).fill(1.0);
+        let scene = Scene::new(light);
+        for anchor in ANCHORS {
+            let truth = double_sum(&model, &scene, anchor);
+            for paths in PATHS {
+                let engine = LowRank::new(options(0.0, anchor, paths));
+                let image = scene.through(&model, &engine).unwrap().into_pixels();
+                let error = (image.sum() / truth.sum() - 1.0).abs();
+                assert!(error < STATED_F64, "{anchor} {paths:?}: {error:e}");
             }
         }
     }

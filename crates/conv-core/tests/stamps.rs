@@ -1,7 +1,7 @@
 //! Tests of stamps that are interpolated between their pixels, resampled, and averaged over a frame
 //! pixel.
 
-use conv_core::{StampInterpolator, grid_with_pixel_response, native_grid};
+use conv_core::{StampInterpolator, edge_reach, grid_with_pixel_response, native_grid};
 use ndarray::Array2;
 use psf_types::{StampGrid, StampInterpolation};
 
@@ -46,7 +46,7 @@ fn a_shifted_gaussian_is_the_gaussian_of_the_shifted_source() {
 fn native_pixels_of_an_oversampled_stamp_are_its_own_pixels() {
     let fine = grid(20, 20).with_oversampling(4.0).unwrap();
     let stamp = Array2::from_shape_fn((20, 20), |(y, x)| ((y * 5 + x * 3) % 17) as f64);
-    let native = native_grid(fine).unwrap();
+    let native = native_grid(fine, 0).unwrap();
     // Centre 10, so 10 / 4 = 2 native pixels fit below and (19 - 10) / 4 = 2 above.
     assert_eq!(
         (native.nx(), native.centre_x(), native.oversampling()),
@@ -56,7 +56,7 @@ fn native_pixels_of_an_oversampled_stamp_are_its_own_pixels() {
     for ((y, x), value) in coarse.indexed_iter() {
         assert!((value - stamp[[2 + 4 * y, 2 + 4 * x]]).abs() < 1e-12);
     }
-    assert_eq!(native_grid(grid(64, 63)).unwrap(), grid(64, 63));
+    assert_eq!(native_grid(grid(64, 63), 0).unwrap(), grid(64, 63));
 }
 
 #[test]
@@ -102,7 +102,7 @@ fn the_pixel_response_is_the_average_over_a_frame_pixel() {
         (StampInterpolation::Lanczos3, 3e-4),
     ] {
         let fine = fine.with_interpolation(kernel);
-        let target = grid_with_pixel_response(fine).unwrap();
+        let target = grid_with_pixel_response(fine, 0).unwrap();
         assert_eq!((target.nx(), target.centre_x()), (65, 32.0));
         let with = StampInterpolator::new(stamp.view(), fine).resample((0.0, 0.0), target);
         for (j, i) in [(32, 32), (30, 37), (36, 26)] {
@@ -115,6 +115,136 @@ fn the_pixel_response_is_the_average_over_a_frame_pixel() {
         }
         assert!((target.flux_of_sum(with.sum()) - fine.flux_of_sum(stamp.sum())).abs() < 1e-6);
         // A second call changes nothing.
-        assert_eq!(grid_with_pixel_response(target).unwrap(), target);
+        assert_eq!(grid_with_pixel_response(target, 5).unwrap(), target);
+    }
+}
+
+/// The values of a stamp whose edges are bright and vary from pixel to pixel.
+fn bright(ny: usize, nx: usize) -> Array2<f64> {
+    Array2::from_shape_fn((ny, nx), |(y, x)| 1.0 + ((y * 13 + x * 7) % 11) as f64)
+}
+
+/// Of the light of the outermost pixels, less than this is left more than 12 pixels beyond them, on
+/// all four sides together.
+const TAIL: f64 = 3e-7;
+
+/// The sum over the frame's pixels does not depend on where they lie. At oversampling 1, it is the
+/// sum over the stamp.
+#[test]
+fn no_light_is_lost_at_the_edges() {
+    for kernel in [StampInterpolation::CubicSpline, StampInterpolation::Lanczos3] {
+        for (ny, nx) in [(1, 1), (2, 5), (17, 16)] {
+            let own = grid(nx, ny).with_interpolation(kernel);
+            let stamp = StampInterpolator::new(bright(ny, nx).view(), own);
+            for shift in [(0.0, 0.0), (1e-6, 0.0), (0.3, -0.45), (0.5, 1e-12)] {
+                let flux = stamp.resample(shift, grid(nx + 28, ny + 28)).sum();
+                let lost = flux / bright(ny, nx).sum() - 1.0;
+                assert!(lost.abs() < TAIL, "{kernel} {ny} x {nx} {shift:?}: {lost:e}");
+            }
+        }
+        // The average over a frame pixel, too.
+        let own = grid(9, 8).with_oversampling(3.0).unwrap();
+        let own = own.with_pixel_response_included(false).with_interpolation(kernel);
+        let target = grid_with_pixel_response(own, 12).unwrap();
+        let with = StampInterpolator::new(bright(8, 9).view(), own).resample((0.0, 0.0), target);
+        let lost = with.sum() / bright(8, 9).sum() - 1.0;
+        // Gauss's rule integrates the pieces of a Lanczos kernel with an error of 1e-7.
+        assert!(lost.abs() < TAIL, "{kernel}: {lost:e}");
+    }
+}
+
+/// The cubic spline of period `s` through the `s` by `s` sums over the pixels of a stamp that lie
+/// `s` pixels apart, at a phase. A star of this phase has this flux. The linear system of the
+/// spline is solved by relaxation, which converges because each step halves the error.
+fn flux_of_phase(stamp: &Array2<f64>, s: usize, (px, py): (f64, f64)) -> f64 {
+    let mut sums = vec![vec![0.0; s]; s];
+    for ((y, x), value) in stamp.indexed_iter() {
+        sums[y % s][x % s] += value;
+    }
+    let at = |line: &[f64], t: f64| {
+        let mut c = line.to_vec();
+        for _ in 0..120 {
+            let old = c.clone();
+            for r in 0..s {
+                c[r] = (6.0 * line[r] - old[(r + 1) % s] - old[(r + s - 1) % s]) / 4.0;
+            }
+        }
+        let spline = |d: f64| match d.abs() {
+            d if d < 1.0 => 2.0 / 3.0 - d * d + d * d * d / 2.0,
+            d if d < 2.0 => (2.0 - d).powi(3) / 6.0,
+            _ => 0.0,
+        };
+        let t = t.rem_euclid(s as f64);
+        let near = -2..s as i64 + 3;
+        near.map(|j| c[j.rem_euclid(s as i64) as usize] * spline(t - j as f64))
+            .sum::<f64>()
+    };
+    let rows: Vec<f64> = sums.iter().map(|line| at(line, px)).collect();
+    at(&rows, py)
+}
+
+/// The flux of a star changes with its phase only if the stamp's pixels that a star uses have
+/// another sum at another phase.
+#[test]
+fn the_flux_changes_with_the_phase_as_the_sums_over_the_stamp_do() {
+    let stamp = bright(14, 15);
+    for s in [1, 2, 3, 4] {
+        let own = grid(15, 14).with_oversampling(s as f64).unwrap();
+        let stamp_at = StampInterpolator::new(stamp.view(), own);
+        let mut range = (f64::INFINITY, 0.0f64);
+        for (i, j) in [(0.0, 0.0), (1e-6, 0.0), (1.0, 2.0), (0.3, 0.9), (1.5, 2.4)] {
+            let shift = (-i / s as f64, -j / s as f64);
+            let flux = stamp_at.resample(shift, grid(47, 47)).sum();
+            let expected = flux_of_phase(&stamp, s, (own.centre_x() + i, own.centre_y() + j));
+            let change = flux / expected - 1.0;
+            assert!(change.abs() < TAIL, "{s} {i} {j}: {change:e}");
+            range = (range.0.min(flux), range.1.max(flux));
+        }
+        assert!(s == 1 || range.1 > 1.001 * range.0, "the test must see a change");
+    }
+}
+
+#[test]
+fn dark_edges_need_no_reach_and_bright_edges_do() {
+    let gauss = |sigma: f64| {
+        let at = |i: usize| (i as f64 - 16.0).powi(2) / (2.0 * sigma * sigma);
+        Array2::from_shape_fn((1, 33 * 33), |(_, k)| (-at(k / 33) - at(k % 33)).exp())
+            .into_shape_with_order((1, 33, 33))
+            .unwrap()
+    };
+    for kernel in [StampInterpolation::CubicSpline, StampInterpolation::Lanczos3] {
+        let own = grid(33, 33).with_interpolation(kernel);
+        let reach = [2.0, 3.2, 4.0, 8.0].map(|sigma| edge_reach(None, gauss(sigma).view(), None, own));
+        assert_eq!(reach[0], 0, "{kernel}");
+        assert!(reach[3] > 0 && reach.is_sorted(), "{kernel} {reach:?}");
+        // As weights of one component, or as a mean.
+        let stamps = gauss(4.0);
+        let one = Array2::ones((1, 1));
+        assert_eq!(edge_reach(None, stamps.view(), Some(one.view()), own), reach[2]);
+        let (mean, none) = (stamps.index_axis(ndarray::Axis(0), 0), Array2::zeros((700, 1)));
+        assert_eq!(
+            edge_reach(Some(mean), stamps.view(), Some(none.view()), own),
+            reach[2]
+        );
+    }
+}
+
+/// A native grid with the reach of the stamps loses no light.
+#[test]
+fn native_grids_hold_all_light() {
+    for kernel in [StampInterpolation::CubicSpline, StampInterpolation::Lanczos3] {
+        let at = |i: usize| (i as f64 - 7.5).powi(2) / 32.0;
+        let stamp = Array2::from_shape_fn((16, 16), |(y, x)| (-at(x) - at(y)).exp());
+        let own = grid(16, 16)
+            .with_centre(7.5, 7.5)
+            .unwrap()
+            .with_interpolation(kernel);
+        let reach = edge_reach(None, stamp.view().insert_axis(ndarray::Axis(0)), None, own);
+        let native = native_grid(own, reach).unwrap();
+        let flux = StampInterpolator::new(stamp.view(), own)
+            .resample((0.0, 0.0), native)
+            .sum();
+        let lost = flux / stamp.sum() - 1.0;
+        assert!(lost.abs() < 1e-6, "{kernel}: {lost:e}");
     }
 }

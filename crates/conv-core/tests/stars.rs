@@ -175,13 +175,96 @@ fn every_star_is_within_the_tolerance() {
                 largest = largest.max(l2(&(&a - &b)) / l2(&b));
             }
         }
-        // The tolerance holds for all pixels of the stamps together. A star uses only every third
-        // pixel along each axis, and these may have more of the error than the others.
-        assert!(largest < 3.0 * tolerance, "{tolerance}: {largest}");
+        assert!(largest <= tolerance, "{tolerance}: {largest}");
         assert!(
             largest > 0.0 || tolerance < 0.1,
             "the test must be able to see an error"
         );
+    }
+}
+
+/// PSFs of a smooth bell and of components that differ from 0 only at every `s`-th pixel of the
+/// stamp: only stars of one sub-pixel phase see the components fully. The components become
+/// fainter, so that a tolerance leaves out some of them. They change from row to row, so that no
+/// block knows all its PSFs.
+fn model_of_one_phase(s: usize, kernel: StampInterpolation) -> PsfModel {
+    const COUNT: usize = 24;
+    #[derive(Debug)]
+    struct Fainter;
+    impl CoefficientField for Fainter {
+        fn component_count(&self) -> usize {
+            COUNT
+        }
+        fn evaluate_into(&self, p: Position, a: &mut [f64]) -> Result<(), FieldError> {
+            for (k, value) in a.iter_mut().enumerate() {
+                let (u, v) = (p.x() / (20.0 + k as f64), p.y() / (2.0 + 0.1 * k as f64));
+                *value = 0.2 * 0.75_f64.powi(k as i32) * (u + v + k as f64).sin();
+            }
+            Ok(())
+        }
+    }
+    let n = 9 * s;
+    let at = |i: usize| (i as f64 - (n / 2) as f64) / s as f64;
+    let bell = |y: usize, x: usize| (-(at(x).powi(2) + at(y).powi(2)) / 1.5).exp();
+    let mean = Array2::from_shape_fn((n, n), |(y, x)| bell(y, x));
+    let mean = &mean / mean.mapv(|v| v * v).sum().sqrt();
+    let mut components = Array3::<f64>::zeros((COUNT, n, n));
+    for k in 0..COUNT {
+        let mut stamp = Array2::from_shape_fn((n, n), |(y, x)| {
+            let on = x % s == 0 && y % s == 0;
+            let wave = ((1 + k) as f64 * at(x) + (2 + k / 3) as f64 * at(y)).sin();
+            if on { bell(y, x) * wave } else { 0.0 }
+        });
+        for earlier in components.outer_iter().take(k) {
+            let along = (&stamp * &earlier).sum();
+            stamp.scaled_add(-along, &earlier);
+        }
+        let norm = stamp.mapv(|v| v * v).sum().sqrt();
+        components
+            .index_axis_mut(ndarray::Axis(0), k)
+            .assign(&(stamp / norm));
+    }
+    let grid = StampGrid::new(n, n)
+        .and_then(|g| g.with_oversampling(s as f64))
+        .unwrap()
+        .with_interpolation(kernel);
+    let basis = PsfBasis::new(Some(mean), components, grid).unwrap();
+    PsfModel::new(&basis, Arc::new(Fainter), Normalisation::Keep, None).unwrap()
+}
+
+/// The tolerance applies to the frame's pixels that a star lights, at the star's own phase.
+#[test]
+fn stars_of_every_phase_are_within_the_tolerance() {
+    let mut rng = ChaCha8Rng::seed_from_u64(17);
+    let l2 = |v: &Array2<f64>| v.mapv(|v| v * v).sum().sqrt();
+    for kernel in [StampInterpolation::CubicSpline, StampInterpolation::Lanczos3] {
+        for s in [1, 2, 4] {
+            let model = model_of_one_phase(s, kernel);
+            for tolerance in [3e-2, 1e-2, 2e-3] {
+                let plan = StarPlan::<f64>::new(&model, PlanOptions::new(tolerance).unwrap(), None).unwrap();
+                let (mut largest, mut by_modes) = (0.0f64, 0);
+                for i in 0..400 {
+                    // Half of the stars lie at phases that use the stamp's pixels.
+                    let mut place = |count: f64| {
+                        let v: f64 = rng.random_range(15.0..count - 15.0);
+                        if i % 2 == 0 {
+                            (v * s as f64).round() / s as f64
+                        } else {
+                            v
+                        }
+                    };
+                    let position = Position::new(place(FRAME.0 as f64), place(FRAME.1 as f64)).unwrap();
+                    let star = [PointSource::new(position, 1.0).unwrap()];
+                    let exact = painted(&model, &star, frame(), Anchor::Source, None);
+                    let error = l2(&(&drawn(&plan, &star, frame()) - &exact)) / l2(&exact);
+                    largest = largest.max(error);
+                    by_modes += usize::from(error > SAME);
+                }
+                println!("{kernel} {s} {tolerance:e}: largest {largest:.2e}, {by_modes} by modes");
+                assert!(largest <= tolerance, "{kernel} {s} {tolerance}: {largest}");
+                assert!(by_modes > 300, "the test must see the modes: {by_modes}");
+            }
+        }
     }
 }
 
@@ -270,5 +353,56 @@ fn a_star_without_pixels_is_an_error() {
         let options = PlanOptions::default().with_anchor(anchor);
         let plan = StarPlan::<f32>::new(&model, options, Some(0));
         assert!(matches!(plan, Err(ConvError::StampSize)));
+    }
+}
+
+/// A star may lose this fraction of its flux at the edges of its stamp.
+const LOST: f64 = 1e-6;
+
+#[derive(Debug)]
+struct Nothing;
+impl CoefficientField for Nothing {
+    fn component_count(&self) -> usize {
+        0
+    }
+    fn evaluate_into(&self, _: Position, _: &mut [f64]) -> Result<(), FieldError> {
+        Ok(())
+    }
+}
+
+/// Stars are drawn beyond stamps whose edges are bright, so that no light is lost. The sums over
+/// every `s`-th pixel of these stamps are equal, so the flux does not depend on the sub-pixel
+/// position.
+#[test]
+fn no_star_loses_light_at_the_edges_of_its_stamp() {
+    for (kernel, s) in [
+        (StampInterpolation::CubicSpline, 1.0),
+        (StampInterpolation::CubicSpline, 3.0),
+        (StampInterpolation::Lanczos3, 1.0),
+    ] {
+        // The outermost columns hold 1e-3 of the flux.
+        let n = 33 * s as usize;
+        let middle = (n / 2) as f64;
+        let bell = |i: usize| (-((i as f64 - middle) / (2.0 * s)).powi(2) / 2.0).exp() + 1e-3 / (2.0 * s);
+        let stamp = Array2::from_shape_fn((n, n), |(y, x)| bell(y) * bell(x));
+        let grid = StampGrid::new(n, n).and_then(|g| g.with_oversampling(s)).unwrap();
+        let whole = grid.flux_of_sum(stamp.sum());
+        let basis = PsfBasis::new(
+            Some(stamp / whole),
+            Array3::zeros((0, n, n)),
+            grid.with_interpolation(kernel),
+        );
+        let model = PsfModel::new(&basis.unwrap(), Arc::new(Nothing), Normalisation::Keep, None).unwrap();
+        for (x, y) in [(44.0, 44.0), (44.000_001, 44.0), (44.4, 43.7), (44.5, 44.000_001)] {
+            let star = [PointSource::new(Position::new(x, y).unwrap(), 1.0).unwrap()];
+            for image in [
+                planned::<f64>(&model, &star, PlanOptions::default(), None),
+                painted(&model, &star, frame(), Anchor::Source, None),
+                painted(&model, &star, frame(), Anchor::Output, None),
+            ] {
+                let lost = 1.0 - image.sum();
+                assert!(lost.abs() < LOST, "{kernel} {s} {x} {y}: {lost:e}");
+            }
+        }
     }
 }

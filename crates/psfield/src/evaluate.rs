@@ -1,10 +1,11 @@
 //! Evaluates the PSF of a model at given positions.
 
-use conv_core::{StampInterpolator, grid_with_pixel_response, native_grid};
+use conv_core::{StampInterpolator, edge_reach_of};
 use ndarray::{Array2, Array3};
 use psf_types::{DataError, FrameShape, Position, PsfModel, PsfSamples, SamplePositions, StampGrid};
 use rayon::prelude::*;
 
+use crate::psf::native_grid_of;
 use crate::{ErrorKind, Psf, PsfieldError, check_stack};
 
 /// The pixels at which PSFs are evaluated.
@@ -159,7 +160,7 @@ fn stamps_at(
     positions: &[Position],
     options: EvaluateOptions,
 ) -> Result<(Array3<f64>, StampGrid), PsfieldError> {
-    let target = target_grid(model.grid(), options)?;
+    let target = target_grid(model, options)?;
     check_stack(positions.len(), target)?;
     let stamps: Vec<Result<Array2<f64>, PsfieldError>> = positions
         .par_iter()
@@ -185,10 +186,14 @@ fn stamps_at(
     Ok((cube, target))
 }
 
-fn target_grid(grid: StampGrid, options: EvaluateOptions) -> Result<StampGrid, PsfieldError> {
+fn target_grid(model: &PsfModel, options: EvaluateOptions) -> Result<StampGrid, PsfieldError> {
+    let grid = model.grid();
     let base = match options.grid {
         OutputGrid::Model => grid,
-        OutputGrid::Native => native_grid(grid_with_pixel_response(grid)?)?,
+        OutputGrid::Native => {
+            let shift = if options.sub_pixel { 0.5 } else { 0.0 };
+            native_grid_of(grid, 1.0, shift, || edge_reach_of(model))?
+        }
     };
     let Some(size) = options.size else { return Ok(base) };
     // A centre between pixels stays between pixels, so that values need no interpolation.

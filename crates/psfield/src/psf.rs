@@ -3,6 +3,7 @@
 mod format_records;
 mod open;
 mod resample;
+pub(crate) use resample::native_grid_of;
 
 use std::path::PathBuf;
 use std::sync::{Arc, OnceLock};

@@ -52,8 +52,9 @@ pub(crate) enum Values<T> {
     Dense(Vec<T>),
 }
 
-/// Fluxes count as equal if they differ by at most this fraction.
-const SAME_FLUX: f64 = 4e-16;
+/// Fluxes count as equal if they differ by at most this fraction: the rounding of their sums. The
+/// error of their mean is then half of it.
+const SAME_FLUX: f64 = 4e-15;
 
 impl FluxRole {
     /// Returns the role of the flux in a region, and the flux to which the reference is scaled: the
@@ -75,10 +76,8 @@ impl FluxRole {
         }
         match range {
             None => (Self::Constant, 1.0),
-            Some((low, high)) if high - low <= SAME_FLUX * high.abs().max(low.abs()) => (Self::Constant, low),
-            // Fluxes are 1 up to the rounding of their sums.
-            Some((low, high)) if (low - 1.0).abs() <= 1e-12 && (high - 1.0).abs() <= 1e-12 => {
-                (Self::Constant, 1.0)
+            Some((low, high)) if high - low <= SAME_FLUX * high.abs().max(low.abs()) => {
+                (Self::Constant, f64::midpoint(low, high))
             }
             Some(_) => (Self::Weight, 1.0),
         }

@@ -223,6 +223,16 @@ impl LocalModes {
         }
     }
 
+    /// The mean PSF of a region, `[direction]`, not scaled to unit flux.
+    pub(crate) fn mean(space: &PsfSpace, cells: &RegionCells) -> Array1<f64> {
+        let mut mean = space.mean.clone();
+        let weights = Support::of(cells).mean_weights(cells.nodes.len());
+        for (&weight, &node) in weights.iter().zip(&cells.nodes) {
+            mean.scaled_add(weight, &space.node(node));
+        }
+        mean
+    }
+
     /// The number of modes, without the reference.
     pub(crate) fn rank(&self) -> usize {
         self.modes.nrows()

@@ -92,9 +92,14 @@ impl PlanOptions {
     /// The tolerance, but at least the rounding of the working precision `T`: no mode is kept for
     /// PSF errors that are only rounding.
     pub(crate) fn tolerance_in<T: ConvReal>(&self) -> f64 {
+        self.tolerance.max(Self::rounding_in::<T>())
+    }
+
+    /// PSF errors up to this fraction are only rounding of the working precision `T`.
+    pub(crate) fn rounding_in<T: ConvReal>() -> f64 {
         // The rounding is a sixteenth of epsilon in f32. In f64 it is 1e-15, because modes are
         // computed in f64, and the PSFs' coordinates are only accurate to a few epsilon.
-        self.tolerance.max((T::epsilon().as_f64() / 16.0).max(1e-15))
+        (T::epsilon().as_f64() / 16.0).max(1e-15)
     }
 
     /// The position at which the PSF is evaluated: source or output pixel.

@@ -3,16 +3,27 @@
 
 use std::f64::consts::PI;
 
-use ndarray::{Array2, ArrayView2};
+use ndarray::{Array2, ArrayView2, Axis, s};
 use psf_types::StampInterpolation;
-use psf_types::maths::{mirrored_index, spline_coefficients};
+use psf_types::maths::spline_weights;
 
-/// A rule of interpolation, along one axis.
+/// A rule of interpolation, along one axis. Pixels beyond the outermost ones count as 0.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Kernel {
-    CubicSpline,
+    /// Interpolated values up to `reach` pixels beyond the outermost pixels are kept.
+    CubicSpline {
+        reach: usize,
+    },
     Lanczos3,
 }
+
+/// The coefficient of a spline beyond the outermost pixel is the coefficient before it times this
+/// pole of the spline's filter, `sqrt(3) - 2`.
+pub(super) const POLE: f64 = -0.267_949_192_431_122_7;
+
+/// The largest [`Kernel::CubicSpline`] reach, in pixels. Farther out, less than 1e-7 of the light
+/// of the outermost pixels is left.
+pub(super) const MOST_REACH: usize = 12;
 
 /// The most coefficients that contribute to an interpolated value along one axis.
 pub(crate) const MOST_TAPS: usize = 6;
@@ -22,25 +33,48 @@ pub(crate) const MOST_TAPS: usize = 6;
 const EDGE: f64 = 1e-9;
 
 impl Kernel {
-    pub(crate) fn of(interpolation: StampInterpolation) -> Self {
+    /// The kernel of an interpolation. `reach` is that of a spline.
+    pub(crate) fn of(interpolation: StampInterpolation, reach: usize) -> Self {
         match interpolation {
             StampInterpolation::Lanczos3 => Self::Lanczos3,
-            _ => Self::CubicSpline,
+            _ => Self::CubicSpline { reach },
         }
     }
 
-    /// Computes, from the values of a stamp, the coefficients that the weights multiply.
+    /// Computes, from the values of a stamp, the coefficients that the weights multiply. On every
+    /// side there are [`margin`](Self::margin) more coefficients than pixels.
     pub(crate) fn coefficients(self, values: ArrayView2<'_, f64>) -> Array2<f64> {
+        let margin = self.margin();
+        if margin == 0 {
+            return values.to_owned();
+        }
+        let (ny, nx) = values.dim();
+        let mut coefficients = Array2::zeros((ny + 2 * margin, nx + 2 * margin));
+        coefficients
+            .slice_mut(s![margin..margin + ny, margin..margin + nx])
+            .assign(&values);
+        for axis in [Axis(0), Axis(1)] {
+            for mut lane in coefficients.lanes_mut(axis) {
+                let mut line = lane.to_vec();
+                spline_filter(&mut line, margin);
+                lane.iter_mut().zip(line).for_each(|(c, v)| *c = v);
+            }
+        }
+        coefficients
+    }
+
+    /// The number of coefficients before the first pixel and after the last one.
+    fn margin(self) -> usize {
         match self {
-            Self::CubicSpline => spline_coefficients(values),
-            Self::Lanczos3 => values.to_owned(),
+            Self::CubicSpline { reach } => reach + 1,
+            Self::Lanczos3 => 0,
         }
     }
 
     /// The number of coefficients that contribute to a value.
     pub(crate) fn tap_count(self) -> usize {
         match self {
-            Self::CubicSpline => 4,
+            Self::CubicSpline { .. } => 4,
             Self::Lanczos3 => MOST_TAPS,
         }
     }
@@ -55,16 +89,9 @@ impl Kernel {
     /// coordinate that lies a fraction `u` (0 to 1) of a pixel above a pixel.
     pub(crate) fn weights(self, u: f64) -> [f64; MOST_TAPS] {
         match self {
-            Self::CubicSpline => {
-                let v = 1.0 - u;
-                [
-                    v * v * v / 6.0,
-                    2.0 / 3.0 - u * u * (2.0 - u) / 2.0,
-                    2.0 / 3.0 - v * v * (2.0 - v) / 2.0,
-                    u * u * u / 6.0,
-                    0.0,
-                    0.0,
-                ]
+            Self::CubicSpline { .. } => {
+                let [a, b, c, d] = spline_weights(u);
+                [a, b, c, d, 0.0, 0.0]
             }
             Self::Lanczos3 => {
                 let weights: [f64; MOST_TAPS] = std::array::from_fn(|tap| {
@@ -79,38 +106,54 @@ impl Kernel {
 
     /// The coordinates at which a stamp of `length` pixels has values.
     pub(crate) fn domain(self, length: usize) -> std::ops::RangeInclusive<f64> {
-        let last = (length - 1) as f64;
-        match self {
-            Self::CubicSpline => -EDGE..=last + EDGE,
-            Self::Lanczos3 => -3.0..=last + 3.0,
-        }
+        let beyond = self.reach() + EDGE;
+        -beyond..=(length - 1) as f64 + beyond
     }
 
-    /// The distance from the outermost pixels up to which values are not zero, in pixels.
+    /// The distance from the outermost pixels up to which there are values, in pixels. Values at
+    /// this distance are 0, unless the distance is 0.
     pub(crate) fn reach(self) -> f64 {
         match self {
-            Self::CubicSpline => 0.0,
+            Self::CubicSpline { reach } => reach as f64,
             Self::Lanczos3 => 3.0,
         }
     }
 
-    /// Converts an index that may lie outside the stamp to the index of a coefficient. `None` if
-    /// the coefficient is zero.
+    /// Converts the index of a pixel, which may lie outside the stamp, to the index of its
+    /// coefficient. `None` if the coefficient is not used.
     pub(crate) fn index(self, index: i64, length: usize) -> Option<usize> {
-        match self {
-            Self::CubicSpline => Some(mirrored_index(index, length)),
-            Self::Lanczos3 => usize::try_from(index).ok().filter(|&i| i < length),
-        }
+        let margin = self.margin();
+        let index = usize::try_from(index + margin as i64).ok();
+        index.filter(|&i| i < length + 2 * margin)
     }
 
     /// The pixel at or below a coordinate, and the fraction of a pixel from there to the
     /// coordinate.
     pub(crate) fn split(self, t: f64, length: usize) -> (i64, f64) {
-        let t = match self {
-            Self::CubicSpline => t.clamp(0.0, (length - 1) as f64),
-            Self::Lanczos3 => t,
-        };
+        let t = t.clamp(-self.reach(), (length - 1) as f64 + self.reach());
         (t.floor() as i64, t - t.floor())
+    }
+}
+
+/// Converts values to the coefficients of their cubic B-spline, in place. The line starts and ends
+/// with `margin` zeros. It continues by zeros at both ends, so the recursive filter starts from 0,
+/// and the coefficients of the margins fall by the factor [`POLE`] from pixel to pixel.
+fn spline_filter(line: &mut [f64], margin: usize) {
+    let (from, to) = (margin, line.len() - margin);
+    let mut before = 0.0;
+    for c in &mut line[from..to] {
+        before = *c + POLE * before;
+        *c = before;
+    }
+    // The sum over the zeros beyond the last pixel, to which the filter leaves a falling tail.
+    let mut after = POLE * POLE / (POLE * POLE - 1.0) * before;
+    for c in line[from..to].iter_mut().rev() {
+        after = POLE * (after - *c);
+        *c = 6.0 * after;
+    }
+    for k in 0..margin {
+        line[from - 1 - k] = POLE * line[from - k];
+        line[to + k] = POLE * line[to + k - 1];
     }
 }
 
@@ -220,9 +263,15 @@ impl Taps {
 mod tests {
     use super::*;
 
+    const KERNELS: [Kernel; 3] = [
+        Kernel::CubicSpline { reach: 0 },
+        Kernel::CubicSpline { reach: 2 },
+        Kernel::Lanczos3,
+    ];
+
     #[test]
     fn weights_add_up_to_one_and_pick_pixels() {
-        for kernel in [Kernel::CubicSpline, Kernel::Lanczos3] {
+        for kernel in KERNELS {
             for i in 0..=20 {
                 let sum: f64 = kernel.weights(f64::from(i) / 20.0).iter().sum();
                 assert!((sum - 1.0).abs() < 1e-14, "{kernel:?}");
@@ -234,7 +283,7 @@ mod tests {
 
     #[test]
     fn the_weights_are_symmetric() {
-        for kernel in [Kernel::CubicSpline, Kernel::Lanczos3] {
+        for kernel in KERNELS {
             let count = kernel.tap_count();
             let (a, b) = (kernel.weights(0.3), kernel.weights(0.7));
             for tap in 0..count {
@@ -245,7 +294,7 @@ mod tests {
 
     #[test]
     fn an_average_over_whole_pixels_keeps_a_constant() {
-        for kernel in [Kernel::CubicSpline, Kernel::Lanczos3] {
+        for kernel in KERNELS {
             for width in [0.0, 1.0, 2.1, 4.0] {
                 let taps = Taps::new(kernel, 20, width, 1, |_| 9.37);
                 let sum: f64 = taps.of(0).iter().map(|t| t.1).sum();
@@ -256,7 +305,7 @@ mod tests {
 
     #[test]
     fn values_beyond_the_stamp_have_no_taps() {
-        for kernel in [Kernel::CubicSpline, Kernel::Lanczos3] {
+        for kernel in KERNELS {
             let taps = Taps::new(kernel, 5, 0.0, 2, |i| [-3.5, 7.5][i]);
             assert!(taps.of(0).is_empty() && taps.of(1).is_empty());
         }

@@ -13,6 +13,7 @@
 
 mod draw;
 mod painter;
+mod phase_norms;
 mod phases;
 mod star_block;
 mod star_plan;

@@ -8,7 +8,7 @@ use rayon::prelude::*;
 
 use super::phases::Window;
 use crate::overlap::{Piece, add_in_order, overlap};
-use crate::stamp_interpolator::{Kernel, StampInterpolator, grid_reaching};
+use crate::stamp_interpolator::{Kernel, StampInterpolator, edge_reach_of, grid_reaching};
 use crate::{ConvError, ConvReal};
 
 /// The number of sources that one task draws.
@@ -22,11 +22,18 @@ const SOURCES_IN_MEMORY: usize = 1024;
 pub struct StarPainter<'a> {
     model: &'a PsfModel,
     frame: PixelRegion,
+    pub(crate) kernel: Kernel,
     /// The interpolators of all stamps, for output-anchored painters.
     pub(crate) splines: Option<StampSplines>,
     /// A grid at the frame's scale that holds the stamp for any position of the source in its
     /// pixel, truncated to the painter's `size` if there is one.
-    target: StampGrid,
+    pub(crate) target: StampGrid,
+}
+
+/// The kernel that interpolates the PSFs of a model's stars. It reaches as far beyond the stamps as
+/// their edges require ([`edge_reach_of`]).
+fn star_kernel(model: &PsfModel) -> Kernel {
+    Kernel::of(model.grid().interpolation(), edge_reach_of(model))
 }
 
 /// The interpolators of all stamps, computed when first needed. Clones share them, so the painters
@@ -35,12 +42,12 @@ pub struct StarPainter<'a> {
 pub(crate) struct StampSplines(Arc<OnceLock<Vec<StampInterpolator>>>);
 
 impl StampSplines {
-    fn of(&self, model: &PsfModel) -> &[StampInterpolator] {
+    fn of(&self, model: &PsfModel, kernel: Kernel) -> &[StampInterpolator] {
         self.0.get_or_init(|| {
             let stamps = model.stamps();
             let splines = stamps.axis_iter(Axis(0));
             splines
-                .map(|stamp| StampInterpolator::new(stamp, model.grid()))
+                .map(|stamp| StampInterpolator::with_kernel(stamp, model.grid(), kernel))
                 .collect()
         })
     }
@@ -60,6 +67,17 @@ impl<'a> StarPainter<'a> {
         anchor: Anchor,
         size: Option<usize>,
     ) -> Result<Self, ConvError> {
+        Self::with_kernel(model, frame, anchor, size, star_kernel(model))
+    }
+
+    /// A painter with a kernel that was computed by [`star_kernel`].
+    pub(crate) fn with_kernel(
+        model: &'a PsfModel,
+        frame: PixelRegion,
+        anchor: Anchor,
+        size: Option<usize>,
+        kernel: Kernel,
+    ) -> Result<Self, ConvError> {
         let grid = model.grid();
         if !grid.pixel_response_included() {
             return Err(ConvError::PixelResponse);
@@ -68,15 +86,15 @@ impl<'a> StarPainter<'a> {
             return Err(ConvError::StampSize);
         }
         let splines = (anchor == Anchor::Output).then(StampSplines::default);
-        let beyond = Kernel::of(grid.interpolation()).reach();
         let reach = |room: f64, side: usize| {
-            let reach = ((room + beyond) / grid.oversampling() + 0.5).ceil() as usize;
+            let reach = ((room + kernel.reach()) / grid.oversampling() + 0.5).ceil() as usize;
             size.map_or(reach, |size| reach.min([size / 2, size - 1 - size / 2][side]))
         };
         let target = grid_reaching(grid, reach).map_err(ConvError::Result)?;
         Ok(Self {
             model,
             frame,
+            kernel,
             splines,
             target,
         })
@@ -212,12 +230,13 @@ impl<'a> StarPainter<'a> {
             None => {
                 let position = Position::new(x, y).map_err(ConvError::Result)?;
                 let psf = self.model.psf_at(position)?;
-                StampInterpolator::new(psf.values(), self.model.grid()).resample(shift, self.target)
+                let stamp = StampInterpolator::with_kernel(psf.values(), self.model.grid(), self.kernel);
+                stamp.resample(shift, self.target)
             }
             Some(splines) => {
                 let mut values = Array2::zeros((ny, nx));
                 let planes: Vec<Array2<f64>> = splines
-                    .of(self.model)
+                    .of(self.model, self.kernel)
                     .iter()
                     .map(|s| s.resample(shift, self.target))
                     .collect();

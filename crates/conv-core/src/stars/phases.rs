@@ -18,7 +18,7 @@ const ON_PIXEL: f64 = 1e-9;
 /// every pixel of the frame, and neighbouring pixels use neighbouring `q`.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct PhasedAxis {
-    kernel: Kernel,
+    pub(super) kernel: Kernel,
     length: usize,
     centre: f64,
     pub(super) oversampling: usize,
@@ -48,12 +48,11 @@ pub(super) struct Phase {
 impl PhasedAxis {
     /// The columns and the rows of a grid, for stars that light only the pixels of a window. `None`
     /// if the oversampling is not a whole number of at most 65535.
-    pub(super) fn both(grid: StampGrid, window: Window) -> Option<[Self; 2]> {
+    pub(super) fn both(grid: StampGrid, kernel: Kernel, window: Window) -> Option<[Self; 2]> {
         let s = grid.oversampling();
         if s.fract() != 0.0 || s > f64::from(u16::MAX) {
             return None;
         }
-        let kernel = Kernel::of(grid.interpolation());
         let axis = |length: usize, centre: f64, window: (i64, i64)| {
             let domain = kernel.domain(length);
             let reached = |pixel: i64, side: f64| centre + s * (pixel as f64 + side);
@@ -222,7 +221,11 @@ mod tests {
     /// Pixel by pixel, coefficients and weights equal those of [`Taps`].
     #[test]
     fn phases_are_the_taps_of_every_pixel() {
-        for interpolation in [StampInterpolation::CubicSpline, StampInterpolation::Lanczos3] {
+        for (interpolation, reach) in [
+            (StampInterpolation::CubicSpline, 0),
+            (StampInterpolation::CubicSpline, 3),
+            (StampInterpolation::Lanczos3, 0),
+        ] {
             for (length, s, centre) in [
                 (25, 4, 12.0),
                 (24, 3, 11.5),
@@ -230,6 +233,7 @@ mod tests {
                 (7, 8, 3.0),
                 (1, 1, 0.0),
             ] {
+                let kernel = Kernel::of(interpolation, reach);
                 let grid = StampGrid::new(length, 3)
                     .and_then(|g| g.with_oversampling(f64::from(s)))
                     .and_then(|g| g.with_centre(centre, 1.0))
@@ -245,14 +249,15 @@ mod tests {
                         columns: lit,
                         rows: lit,
                     };
-                    let [axis, _] = PhasedAxis::both(grid, lit).unwrap();
-                    let taps = Taps::new(Kernel::of(interpolation), length, 0.0, 80, |i| {
+                    let [axis, _] = PhasedAxis::both(grid, kernel, lit).unwrap();
+                    let taps = Taps::new(kernel, length, 0.0, 80, |i| {
                         centre + f64::from(s) * ((i as f64 + from as f64) - shift)
                     });
                     let phase = axis.phase(shift);
                     assert!(phase.is_none_or(|phase| phase.from >= window.start && phase.to <= window.end));
                     for pixel in window.clone() {
-                        let mut dense = vec![0.0; length];
+                        // As many coefficients as any kernel has.
+                        let mut dense = vec![0.0; length + 8];
                         for &(index, weight) in taps.of((pixel - window.start) as usize) {
                             dense[index] += weight;
                         }
@@ -289,6 +294,6 @@ mod tests {
             columns: (-4, 5),
             rows: (-4, 5),
         };
-        assert!(PhasedAxis::both(fractional, lit).is_none());
+        assert!(PhasedAxis::both(fractional, Kernel::Lanczos3, lit).is_none());
     }
 }

@@ -6,6 +6,7 @@ use std::sync::{Arc, Mutex};
 use ndarray::{Array1, Array2, ArrayView1, ArrayView2};
 use psf_types::{PixelRegion, PsfModel, StampGrid};
 
+use super::phase_norms::{AlongMean, PhaseNorms};
 use super::phases::PhasedAxis;
 use crate::ConvReal;
 use crate::plan::local_modes::{LocalModes, PsfSpace};
@@ -17,6 +18,7 @@ use crate::stamp_interpolator::Kernel;
 #[derive(Debug)]
 pub(super) struct StarBlock<T> {
     pub(super) modes: LocalModes,
+    pub(super) along_mean: AlongMean,
     /// `[row, kernel, chunk, residue, pixel]`. `row` counts the rows of coefficients of the
     /// oversampled stamp, in the order of the stamp. Rows that no star can use are left out
     /// ([`PhasedAxis`]). `kernel` counts the PSFs of the local basis. [`RowLayout`] explains the
@@ -27,6 +29,8 @@ pub(super) struct StarBlock<T> {
 /// Modes are chosen from a few rows of a block for this fraction of the tolerance, so that few
 /// stars between these rows exceed the tolerance.
 const MARGIN: f64 = 0.5;
+/// Modes are not chosen for a tolerance below the rounding of f64.
+const ROUNDING: f64 = 2e-16;
 
 /// The layout of the coefficients of a kernel's row: `[chunk, residue, pixel]`, with the pixels of
 /// the frame in chunks. With an oversampling of `s`, coefficient `s q + residue` belongs to pixel
@@ -76,17 +80,21 @@ impl<T: ConvReal> StarBlock<T> {
         space: &PsfSpace,
         region: PixelRegion,
         [columns, rows]: &[PhasedAxis; 2],
+        norms: &PhaseNorms,
         tolerance: f64,
     ) -> Self {
         let cells = RegionCells::sampled(model.field(), region);
-        let modes = LocalModes::new(space, &cells, MARGIN * tolerance);
+        let mean = LocalModes::mean(space, &cells);
+        let of_modes = MARGIN * tolerance * norms.share(mean.view());
+        let modes = LocalModes::new(space, &cells, of_modes.max(ROUNDING));
         let modes_alone = &modes.modes;
         let directions = modes.reference().into_iter().chain(modes_alone.outer_iter());
         let kernels: Vec<Array2<f64>> = directions
-            .map(|direction| coefficients_of(space.stamps.view(), direction, model.grid()))
+            .map(|direction| coefficients_of(space.stamps.view(), direction, model.grid(), columns.kernel))
             .collect();
         Self {
             values: by_phases(&kernels, columns, rows),
+            along_mean: norms.along_mean(mean.view(), &modes),
             modes,
         }
     }
@@ -96,7 +104,7 @@ impl<T: ConvReal> StarBlock<T> {
     }
 
     pub(super) fn bytes(&self) -> usize {
-        size_of_val(self.values.get())
+        size_of_val(self.values.get()) + self.along_mean.len() * size_of::<f64>()
     }
 
     pub(super) fn values(&self) -> &[T] {
@@ -127,6 +135,7 @@ fn coefficients_of(
     stamps: ArrayView2<'_, f64>,
     direction: ArrayView1<'_, f64>,
     grid: StampGrid,
+    kernel: Kernel,
 ) -> Array2<f64> {
     let mut values = Array1::zeros(grid.pixel_count());
     for (&a, stamp) in direction.iter().zip(stamps.outer_iter()) {
@@ -135,7 +144,7 @@ fn coefficients_of(
     let values = values
         .into_shape_with_order(grid.dim())
         .expect("the size of a stamp");
-    Kernel::of(grid.interpolation()).coefficients(values.view())
+    kernel.coefficients(values.view())
 }
 
 /// Row and column of a block of the field. The row is first, so that blocks are sorted by rows.

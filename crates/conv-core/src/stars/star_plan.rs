@@ -6,20 +6,22 @@ use rayon::prelude::*;
 
 use super::draw::{DrawGroups, Group, StarKey};
 use super::painter::{StampSplines, StarPainter};
+use super::phase_norms::PhaseNorms;
 use super::phases::{PhasedAxis, PhasedStar, Star, Window};
 use super::star_block::{BlockCache, BlockKey, RowLayout, StarBlock};
 use crate::image_memory::{check_shape, with_rows_in_memory};
 use crate::plan::PlanOptions;
 use crate::plan::local_modes::{LocalModes, PsfSpace};
+use crate::stamp_interpolator::Kernel;
 use crate::{ConvError, ConvReal};
 
 /// A plan for drawing point sources through one model.
 ///
 /// If the plan is source-anchored and the stamps' oversampling is a whole number, stars are drawn
 /// from local bases in the working precision `T`. Each block of the field has a local basis: the
-/// few PSFs that the tolerance requires. The relative L2 error of a star's PSF, at the stamps' own
-/// sampling, is at most the tolerance. Every star is tested. A star that would exceed the tolerance
-/// is drawn from all components in f64. This choice depends only on the star's position, so the
+/// few PSFs that the tolerance requires. The relative L2 error of a star's PSF, on the pixels of the
+/// frame that the star lights, is at most the tolerance. Every star is tested at its own sub-pixel
+/// position. A star that would exceed the tolerance is drawn from all components in f64. This choice depends only on the star's position, so the
 /// image is linear in the fluxes. Other plans draw all stars from all components in f64. The image
 /// is the same, bit by bit, for any number of threads.
 ///
@@ -69,6 +71,7 @@ pub struct StarPlan<T> {
     options: PlanOptions,
     size: Option<usize>,
     window: Window,
+    kernel: Kernel,
     splines: Option<StampSplines>,
     /// `None` if all stars are drawn from all components.
     phased: Option<Phased<T>>,
@@ -79,7 +82,10 @@ struct Phased<T> {
     axes: [PhasedAxis; 2],
     layout: RowLayout,
     space: PsfSpace,
+    norms: PhaseNorms,
     tolerance: f64,
+    /// Errors of PSFs up to this fraction count as rounding.
+    rounding: f64,
     blocks: BlockCache<T>,
 }
 
@@ -117,18 +123,27 @@ impl<T: ConvReal> StarPlan<T> {
             options.anchor(),
             size,
         )?;
-        let axes =
-            PhasedAxis::both(model.grid(), painter.window()).filter(|_| options.anchor() != Anchor::Output);
+        let axes = PhasedAxis::both(model.grid(), painter.kernel, painter.window())
+            .filter(|_| options.anchor() != Anchor::Output);
         Ok(Self {
             window: painter.window(),
+            kernel: painter.kernel,
             splines: painter.splines.clone(),
-            phased: axes.map(|axes| Phased {
-                layout: RowLayout::new(&axes[0]),
-                axes,
-                space: PsfSpace::new(model),
-                tolerance: options.tolerance_in::<T>(),
-                blocks: BlockCache::new(options.memory_bytes()),
-            }),
+            phased: axes
+                .map(|axes| -> Result<_, ConvError> {
+                    let space = PsfSpace::new(model);
+                    Ok(Phased {
+                        layout: RowLayout::new(&axes[0]),
+                        axes,
+                        norms: PhaseNorms::new(&space, model.grid(), painter.kernel, painter.target)
+                            .map_err(ConvError::Result)?,
+                        space,
+                        tolerance: options.tolerance_in::<T>(),
+                        rounding: PlanOptions::rounding_in::<T>(),
+                        blocks: BlockCache::new(options.memory_bytes()),
+                    })
+                })
+                .transpose()?,
             model: model.clone(),
             options,
             size,
@@ -270,7 +285,8 @@ impl<T: ConvReal> StarPlan<T> {
         catalogue.progress.check_cancelled()?;
         let key = stars[0].block;
         let (region, space, axes) = (region_of(key), &phased.space, &phased.axes);
-        let make = || StarBlock::new(&self.model, space, region, axes, phased.tolerance);
+        let (norms, tolerance) = (&phased.norms, phased.tolerance);
+        let make = || StarBlock::new(&self.model, space, region, axes, norms, tolerance);
         let block = phased.blocks.get(key, make);
         let mut vectors = StarVectors::new(&self.model, &phased.space);
         let mut coefficients = Vec::with_capacity(block.kernel_count());
@@ -290,7 +306,15 @@ impl<T: ConvReal> StarPlan<T> {
             let scale = vectors.set(position)?;
             let whole = vectors.norm();
             vectors.project(&block.modes, &mut coefficients);
-            if vectors.norm() > phased.tolerance * whole {
+            let error = vectors.norm();
+            let within = error <= phased.rounding * whole
+                || norms.is_surely_within(tolerance, star.shift, error, &coefficients, &block.along_mean)
+                || {
+                    let error = vectors.psf.clone();
+                    vectors.set(position)?;
+                    norms.is_within(tolerance, star.shift, error.view(), vectors.psf.view())
+                };
+            if !within {
                 missed.push(star.index);
                 continue;
             }
@@ -321,7 +345,8 @@ impl<T: ConvReal> StarPlan<T> {
         if catalogue.stars.is_empty() {
             return Ok(());
         }
-        let mut painter = StarPainter::new(&self.model, catalogue.frame, self.options.anchor(), self.size)?;
+        let (frame, anchor) = (catalogue.frame, self.options.anchor());
+        let mut painter = StarPainter::with_kernel(&self.model, frame, anchor, self.size, self.kernel)?;
         painter.splines.clone_from(&self.splines);
         painter.draw_into(catalogue.stars, region, image, catalogue.progress)
     }

@@ -1,6 +1,6 @@
 //! Converts a PSF to a gridded library.
 
-use conv_core::resample_samples;
+use conv_core::{edge_reach, resample_samples};
 use ndarray::{Array2, Zip};
 use psf_types::{Interpolation, Position, PsfSamples, StampGrid, StampInterpolation};
 
@@ -154,7 +154,9 @@ fn resampled(samples: PsfSamples, notes: &mut Vec<String>) -> Result<PsfSamples,
         return by_spline(&samples);
     }
     let ratio = whole / grid.oversampling();
-    let reach = |centre: f64, n: usize| (centre.max((n - 1) as f64 - centre) * ratio).floor() as usize;
+    let beyond = edge_reach(None, samples.stamps(), None, grid) as f64;
+    let reach =
+        |centre: f64, n: usize| ((centre.max((n - 1) as f64 - centre) + beyond) * ratio).floor() as usize;
     let (rx, ry) = (
         reach(grid.centre_x(), grid.nx()),
         reach(grid.centre_y(), grid.ny()),

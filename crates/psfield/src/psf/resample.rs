@@ -1,6 +1,6 @@
 //! Resamples a PSF to other pixels.
 
-use conv_core::{StampInterpolator, grid_with_pixel_response, native_grid};
+use conv_core::{StampInterpolator, edge_reach, grid_with_pixel_response, native_grid};
 use ndarray::{Array2, Array3, ArrayView2, ArrayView3};
 use psf_types::{
     Anchor, FrameShape, Position, PsfModelRecord, PsfSamples, SampleCoefficients, SamplePositions, StampGrid,
@@ -35,15 +35,25 @@ impl Psf {
     /// checked.
     pub fn native_is_exact(&self, size: Option<usize>) -> Result<bool, PsfieldError> {
         let grid = self.grid();
-        let picks = grid.whole_centre().is_some()
-            && grid.oversampling().fract() == 0.0
-            && grid.pixel_response_included();
-        Ok(picks || self.native_target(size)? == grid)
+        Ok(native_picks(grid) || self.native_target(size)? == grid)
+    }
+
+    /// The distance beyond the stamps, in stamp pixels, up to which interpolated PSFs hold light
+    /// ([`edge_reach`]).
+    fn edge_reach(&self) -> usize {
+        match &self.0.origin {
+            Origin::Samples(samples, _) => edge_reach(None, samples.stamps(), None, samples.grid()),
+            Origin::Record(record) => {
+                let (basis, weights) = (record.basis(), record.coefficients().values());
+                edge_reach(basis.mean(), basis.components(), Some(weights), basis.grid())
+            }
+            Origin::Model(..) => 0,
+        }
     }
 
     fn native_target(&self, size: Option<usize>) -> Result<StampGrid, PsfieldError> {
         let base = match size {
-            None => native_grid(grid_with_pixel_response(self.grid())?)?,
+            None => native_grid_of(self.grid(), 1.0, 0.0, || self.edge_reach())?,
             Some(n) => StampGrid::new(n, n)?,
         };
         Ok(base
@@ -57,10 +67,10 @@ impl Psf {
     /// # Errors
     /// The errors of [`native`](Self::native).
     pub fn with_pixel_response(&self) -> Result<Self, PsfieldError> {
-        let target = grid_with_pixel_response(self.grid())?;
-        if target == self.grid() {
+        if self.grid().pixel_response_included() {
             return Ok(self.clone());
         }
+        let target = grid_with_pixel_response(self.grid(), self.edge_reach())?;
         self.resampled(&Resampling::at_same_places(target))
     }
 
@@ -79,16 +89,16 @@ impl Psf {
         anchor: Anchor,
     ) -> Result<Self, PsfieldError> {
         let s = finer as f64;
-        let own = grid_with_pixel_response(self.grid())?;
+        // If `finer` is even, the centre of a frame pixel lies between two scene pixels.
+        let between = (s - 1.0) / 2.0 - ((finer - 1) / 2) as f64;
+        let own = self.grid();
         let target = match size {
-            None => native_grid(own.with_oversampling(own.oversampling() / s)?)?,
+            None => native_grid_of(own, s, between, || self.edge_reach())?,
             Some(n) => StampGrid::new(n.saturating_mul(finer), n.saturating_mul(finer))?,
         };
         let target = target
             .with_pixel_response_included(true)
             .with_interpolation(own.interpolation());
-        // If `finer` is even, the centre of a frame pixel lies between two scene pixels.
-        let between = (s - 1.0) / 2.0 - ((finer - 1) / 2) as f64;
         let offset_of_field = if anchor == Anchor::Output {
             (s - 1.0) / 2.0 - between
         } else {
@@ -146,6 +156,36 @@ impl Psf {
             }
         }
     }
+}
+
+/// Returns whether the native pixels of stamps are some of their own pixels.
+pub(crate) fn native_picks(grid: StampGrid) -> bool {
+    grid.whole_centre().is_some() && grid.oversampling().fract() == 0.0 && grid.pixel_response_included()
+}
+
+/// The grid of native stamps of a scene whose pixels are `finer` times smaller than the frame's,
+/// with the pixel response. It is wide enough for all light of PSFs with this [`edge_reach`],
+/// shifted by at most `shift` of the scene's pixels.
+pub(crate) fn native_grid_of(
+    grid: StampGrid,
+    finer: f64,
+    shift: f64,
+    reach: impl FnOnce() -> usize,
+) -> Result<StampGrid, PsfieldError> {
+    let scaled = |grid: StampGrid| grid.with_oversampling(grid.oversampling() / finer);
+    let own = scaled(grid)?;
+    if shift == 0.0 && native_picks(own) {
+        return Ok(native_grid(own, 0)?);
+    }
+    let reach = match reach() {
+        0 => 0,
+        reach => reach + (shift * own.oversampling()).ceil() as usize,
+    };
+    Ok(if grid.pixel_response_included() {
+        native_grid(own, reach)?
+    } else {
+        native_grid(scaled(grid_with_pixel_response(grid, reach)?)?, 0)?
+    })
 }
 
 /// Resamples stamps to other pixels. For a finer scene, also converts positions from the frame (the
