@@ -12,6 +12,7 @@ class Defaults(NamedTuple):
     """The default of each argument, by its name."""
 
     tolerance: float
+    tolerance_on: Literal["l2", "aperture"]
     precision: Literal["f32", "f64"]
     device: Literal["auto", "cpu", "gpu"]
     anchor: Literal["source", "output"]

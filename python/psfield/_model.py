@@ -875,6 +875,7 @@ class PsfModel:
         *,
         frame: tuple[int, int, int, int] | None = None,
         region: tuple[int, int, int, int] | None = None,
+        tolerance_on: Literal["l2", "aperture"] = DEFAULTS.tolerance_on,
         anchor: Literal["source", "output"] = DEFAULTS.anchor,
         method: Literal["auto", "lowrank"] = DEFAULTS.method,
         memory: int = DEFAULTS.memory,
@@ -907,6 +908,10 @@ class PsfModel:
             on one or many machines. The pieces together equal the image of the whole frame except
             for rounding, at any tolerance. A scene needs light only within `Plan.light_region`.
             `Plan.for_region` makes the plans for the other regions.
+        tolerance_on : {'l2', 'aperture'}
+            Errors that the tolerance bounds. ``l2``: the relative L2 error of a PSF. ``aperture``:
+            also the error of the flux in every circle about the source, relative to the total flux
+            of the PSF.
         anchor : {'source', 'output'}
             Position at which the PSF is evaluated. ``source``: each source spreads with the PSF at
             its own position. ``output``: each pixel gathers light with the PSF at its own position.
@@ -942,6 +947,7 @@ class PsfModel:
             device=device,
             frame=frame,
             region=region,
+            tolerance_on=tolerance_on,
             anchor=anchor,
             method=method,
             memory=memory,

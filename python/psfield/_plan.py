@@ -551,6 +551,7 @@ _CHECKS: dict[str, Callable[[Any, str], Any]] = {
     "device": partial(choice, known=("auto", "cpu", "gpu")),
     "frame": region_of,
     "region": region_of,
+    "tolerance_on": partial(choice, known=("l2", "aperture")),
     "anchor": partial(choice, known=("source", "output")),
     "method": partial(choice, known=("auto", "lowrank")),
     "memory": integer,

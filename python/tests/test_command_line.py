@@ -41,6 +41,10 @@ def files(tmp_path_factory):
     [
         ([], {}),
         (["--tolerance", "1e-2", "--precision", "f64"], {"tolerance": 1e-2, "precision": "f64"}),
+        (
+            ["--tolerance", "1e-2", "--tolerance-on", "l2"],
+            {"tolerance": 1e-2, "tolerance_on": "l2"},
+        ),
         (["--anchor", "output", "--method", "lowrank"], {"anchor": "output", "method": "lowrank"}),
         (
             ["--frame", "8,5,100,80", "--stamp-size", "11"],

@@ -219,6 +219,7 @@ class TestSettings:
             ({"precision": "f16"}, ValueError, "precision must be f32 or f64"),
             ({"device": "tpu"}, ValueError, "device must be auto, cpu or gpu, got tpu"),
             ({"anchor": "middle"}, ValueError, "source or output"),
+            ({"tolerance_on": "flux"}, ValueError, "l2 or aperture"),
             ({"method": "direct"}, ValueError, "method must be auto or lowrank"),
             ({"method": "fast"}, ValueError, "method must be auto or lowrank, got fast"),
             ({"oversample": 0}, ValueError, "oversample must be at least 1"),

@@ -1,10 +1,11 @@
 //! The tolerance of the fast engine, pixel by pixel. With light everywhere, the PSF of each pixel
 //! must be within the tolerance.
 
+use integration_tests::circles::circle_errors;
 use libtest_mimic::{Failed, Trial};
 use ndarray::Array2;
 use psfield::conv_core::{ConvReal, Engine, Paths, Plan, PlanOptions};
-use psfield::psf_types::{Anchor, FrameShape, PsfModel};
+use psfield::psf_types::{Anchor, FrameShape, PsfModel, ToleranceOn};
 
 use crate::data::{Field, ROMAN, STRONG, ensure, trial};
 use crate::responses::{Probes, ResponseErrors, lit_everywhere};
@@ -39,6 +40,12 @@ pub(crate) fn trials() -> Vec<Trial> {
                 trials.push(trial(label("f32"), move || of_field::<f32>(field, anchor, paths)));
             }
         }
+    }
+    for field in [STRONG, ROMAN] {
+        trials.push(trial(
+            format!("{}: the flux in circles about every pixel and star", field.name),
+            move || in_circles(field),
+        ));
     }
     trials.push(trial(
         "strong: every pixel's PSF where nothing else is lit".to_owned(),
@@ -104,6 +111,21 @@ pub(crate) fn within<T: ConvReal>(
 fn of_field<T: ConvReal>(field: Field, anchor: Anchor, paths: Paths) -> Result<(), Failed> {
     let model = field.model(FULL)?;
     within::<T>(field.name, &model, field.frame()?, anchor, paths)
+}
+
+/// The tolerance on apertures, for lit pixels and stars.
+fn in_circles(field: Field) -> Result<(), Failed> {
+    let (model, frame) = (field.model(FULL)?, field.frame()?);
+    for tolerance in TOLERANCES {
+        let options = PlanOptions::new(tolerance)?.with_tolerance_on(ToleranceOn::Aperture);
+        let found = circle_errors(&model, frame, options, PIXELS)?;
+        println!("{} at {tolerance:.0e}: {found:?}", field.name);
+        let limit = tolerance + ROUNDING_F64;
+        ensure(found.circle <= limit && found.l2 <= limit, || {
+            format!("{} at {tolerance:.0e}: {found:?}", field.name)
+        })?;
+    }
+    Ok(())
 }
 
 /// Single lit pixels: their stamps are also made from the modes of a tile.

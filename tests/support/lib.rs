@@ -1,6 +1,7 @@
 //! Shared parts of the integration tests: PSF sources with a known field, errors of PSFs, and the
 //! cases of the stability suite.
 
+pub mod circles;
 pub mod stability;
 
 use ndarray::{Array2, ArrayViewMut2};

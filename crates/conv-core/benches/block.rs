@@ -9,7 +9,7 @@ use std::hint::black_box;
 use conv_core::ConvReal;
 use conv_core::internals::{CoefficientTable, FluxRole, Lanes, LocalModes, PsfSpace, RegionCells, WithIsa};
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
-use psf_types::{FrameShape, PixelRegion, PsfModel};
+use psf_types::{FrameShape, PixelRegion, PsfModel, ToleranceOn};
 
 /// Pixels along each side of a block.
 const BLOCKS: [usize; 3] = [64, 128, 256];
@@ -32,7 +32,7 @@ struct BlockSteps<T: ConvReal> {
 impl<T: ConvReal> BlockSteps<T> {
     /// The steps for a region of a model's field, with each step done once.
     fn new(model: &PsfModel, region: PixelRegion, tolerance: f64) -> Self {
-        let space = PsfSpace::new(model);
+        let space = PsfSpace::new(model, ToleranceOn::default());
         let cells = RegionCells::new(model.field(), region);
         let modes = LocalModes::new(&space, &cells, tolerance);
         let (role, _) = FluxRole::of(model, &modes, &cells);

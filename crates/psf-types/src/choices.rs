@@ -1,4 +1,5 @@
-//! Settings that the stages apply. Models store all of them except [`Anchor`].
+//! Settings that the stages apply. Models store all of them except [`Anchor`] and
+//! [`ToleranceOn`].
 
 use std::str::FromStr;
 
@@ -138,6 +139,20 @@ pub enum Anchor {
     Output,
 }
 
+/// The errors of a PSF that the tolerance of a convolution bounds.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(try_from = "String", into = "String")]
+#[non_exhaustive]
+pub enum ToleranceOn {
+    /// The L2 error of the PSF, relative to the L2 norm of the PSF.
+    L2,
+    /// The L2 error, and the error of the flux in every circle about the source, relative to the
+    /// total flux of the PSF: `|sum_{|u| <= R} dh(u)| <= tolerance |sum_u h(u)|` for every radius
+    /// `R`. This bounds the error of aperture photometry.
+    #[default]
+    Aperture,
+}
+
 /// The interpolation between the pixels of a stamp.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
@@ -187,6 +202,7 @@ named!(OutsidePolicy, "outside", "nearest, extend or error", "nearest" => Neares
 named!(Normalisation, "normalise", "unit or keep", "unit" => Unit, "keep" => Keep);
 named!(StampInterpolation, "stamp interpolation", "cubic-spline or lanczos3", "cubic-spline" => CubicSpline, "lanczos3" => Lanczos3);
 named!(Anchor, "anchor", "source or output", "source" => Source, "output" => Output);
+named!(ToleranceOn, "tolerance on", "l2 or aperture", "l2" => L2, "aperture" => Aperture);
 
 /// Makes serde read and write the text form of a type, so that files accept the same values as the
 /// command line.
@@ -213,6 +229,7 @@ through_text!(
     OutsidePolicy,
     Normalisation,
     Anchor,
+    ToleranceOn,
     StampInterpolation
 );
 

@@ -28,7 +28,7 @@ mod sources;
 mod stamp;
 
 pub use basis::{PsfBasis, SampleCoefficients};
-pub use choices::{Anchor, Interpolation, Normalisation, OutsidePolicy, StampInterpolation};
+pub use choices::{Anchor, Interpolation, Normalisation, OutsidePolicy, StampInterpolation, ToleranceOn};
 pub use frame::{DataError, FrameShape, PixelRegion, Position, Quantity};
 pub use image::{Image, ImageView, Real};
 pub use model::{CoefficientField, FieldError, PsfModel, PsfModelRecord, RowRun};

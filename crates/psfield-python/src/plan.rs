@@ -57,6 +57,7 @@ pub(crate) struct PlanSettings {
     /// (x0, y0, nx, ny) in pixels of the image, counted from the frame's first pixel.
     region: Option<(i64, i64, usize, usize)>,
     tolerance: f64,
+    tolerance_on: String,
     precision: String,
     anchor: String,
     method: String,
@@ -77,6 +78,7 @@ impl PlanSettings {
         Ok(SimulateOptions {
             method,
             tolerance: self.tolerance,
+            tolerance_on: parsed(&self.tolerance_on)?,
             anchor: parsed(&self.anchor)?,
             memory: self.memory,
             oversample: self.oversample,
@@ -157,6 +159,7 @@ impl Plan {
         found.set_item("frame_shape", self.frame_shape())?;
         found.set_item("precision", summary.precision)?;
         found.set_item("tolerance", summary.tolerance)?;
+        found.set_item("tolerance_on", summary.tolerance_on.to_string())?;
         found.set_item("anchor", summary.anchor.to_string())?;
         found.set_item("method", method.to_string())?;
         found.set_item("device", made.placement.to_string())?;

@@ -151,6 +151,7 @@ pub(crate) fn defaults(py: Python<'_>) -> PyResult<Bound<'_, PyDict>> {
     let grid = StampGrid::new(1, 1).map_err(Failure::from)?;
     let values = PyDict::new(py);
     values.set_item("tolerance", simulation.tolerance)?;
+    values.set_item("tolerance_on", simulation.tolerance_on.to_string())?;
     values.set_item("precision", f32::NAME)?;
     values.set_item("device", simulation.device.to_string())?;
     values.set_item("anchor", simulation.anchor.to_string())?;

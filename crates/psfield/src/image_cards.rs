@@ -66,7 +66,8 @@ fn utc(seconds: u64) -> String {
 
 impl<T: ConvReal> Simulator<T> {
     /// Returns cards that say how an image was made: method, anchor, precision, device, and the
-    /// model's number of components and normalisation. A method with a tolerance has a card for it.
+    /// model's number of components and normalisation. A method with a tolerance has cards
+    /// for it and for the errors that it bounds.
     ///
     /// The header of a simulated image holds, in this order: the scene's own cards
     /// ([`carried_header`](Self::carried_header)), the cards of [`provenance_cards`], these cards,
@@ -106,6 +107,11 @@ impl<T: ConvReal> Simulator<T> {
                 "PSFTOL",
                 options.tolerance,
                 "relative L2 error allowed for any pixel's PSF",
+            )?);
+            cards.push(Card::new(
+                "PSFTOLON",
+                options.tolerance_on.to_string(),
+                "aperture: tolerance bounds flux in circles too",
             )?);
         }
         Ok(cards)

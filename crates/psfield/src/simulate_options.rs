@@ -5,7 +5,7 @@ use std::str::FromStr;
 use conv_core::{
     BasisConvolution, ConvReal, ConvolutionMethod, Direct, PatchConvolution, Paths, PlanOptions,
 };
-use psf_types::{Anchor, PixelRegion, named};
+use psf_types::{Anchor, PixelRegion, ToleranceOn, named};
 
 use crate::PsfieldError;
 
@@ -27,6 +27,10 @@ pub struct SimulateOptions {
     /// from 0 to below 1 ([`PlanOptions::new`]). Applies to the methods with a plan
     /// ([`Method::has_plan`]).
     pub tolerance: f64,
+    /// The errors that the tolerance bounds: only the L2 error of a PSF, or also the error of the
+    /// flux in every circle about the source ([`PlanOptions::with_tolerance_on`]). Applies to the
+    /// methods with a plan.
+    pub tolerance_on: ToleranceOn,
     /// Chooses whether the PSF is evaluated at the position of each source or of each pixel of the
     /// image.
     pub anchor: Anchor,
@@ -65,6 +69,7 @@ impl Default for SimulateOptions {
         Self {
             method: Method::default(),
             tolerance: PlanOptions::DEFAULT_TOLERANCE,
+            tolerance_on: ToleranceOn::default(),
             anchor: Anchor::default(),
             memory: PlanOptions::DEFAULT_MEMORY_BYTES,
             oversample: 1,
@@ -89,6 +94,7 @@ impl SimulateOptions {
     /// methods without a plan.
     pub fn plan_options(&self) -> Result<Option<PlanOptions>, PsfieldError> {
         let options = PlanOptions::new(self.tolerance)?
+            .with_tolerance_on(self.tolerance_on)
             .with_anchor(self.anchor)
             .with_memory(self.memory);
         Ok(match self.method {

@@ -48,6 +48,7 @@ def batch(
     threads: int | None = None,
     progress: Progress | None = None,
     frame: tuple[int, int, int, int] | None = None,
+    tolerance_on: Literal["l2", "aperture"] = DEFAULTS.tolerance_on,
     anchor: Literal["source", "output"] = DEFAULTS.anchor,
     method: Literal["auto", "lowrank"] = DEFAULTS.method,
     memory: int = DEFAULTS.memory,
@@ -99,7 +100,7 @@ def batch(
         worker, or ``RAYON_NUM_THREADS`` in its environment.
     progress : callable or tqdm bar, optional
         ``progress(done, total)``. For a generator, the total is the number of jobs taken so far.
-    frame, anchor, method, memory, oversample, stamp_size
+    frame, tolerance_on, anchor, method, memory, oversample, stamp_size
         As for `PsfModel.plan`. Each plan keeps up to ``memory`` bytes, and a worker keeps the four
         plans that it used last.
 
@@ -148,6 +149,7 @@ def batch(
         precision=precision,
         device=device,
         frame=frame,
+        tolerance_on=tolerance_on,
         anchor=anchor,
         method=method,
         memory=memory,

@@ -18,8 +18,8 @@ from psfield._native import __version__
 #: Keywords that are not copied from the scene: those of its storage, and those of this module.
 _OWN = re.compile(
     r"SIMPLE|XTENSION|BITPIX|NAXIS\d*|EXTEND|PCOUNT|GCOUNT|GROUPS|EXTNAME|EXTVER|EXTLEVEL|INHERIT"
-    r"|BSCALE|BZERO|BLANK|DATAMIN|DATAMAX|CHECKSUM|DATASUM|PSFIELD|PSFCMD|PSFTOL|PSFANCH|PSFPREC"
-    r"|PSFSEED|PSFMETH|PSFDEV|PSFRANK|PSFNORM|PSFJOB|PSFCHK."
+    r"|BSCALE|BZERO|BLANK|DATAMIN|DATAMAX|CHECKSUM|DATASUM|PSFIELD|PSFCMD|PSFTOL|PSFTOLON"
+    r"|PSFANCH|PSFPREC|PSFSEED|PSFMETH|PSFDEV|PSFRANK|PSFNORM|PSFJOB|PSFCHK."
 )
 #: Name of an unfinished file: the output, the batch, the machine and the process.
 _UNFINISHED = re.compile(r"\.(.+)\.psfield-[0-9a-f]{12}-.+-\d+")
@@ -96,6 +96,8 @@ class FitsFiles:
         header["PSFPREC"] = (self.settings["precision"], "working precision")
         allowed = "relative L2 error allowed for any pixel's PSF"
         header["PSFTOL"] = (self.settings["tolerance"], allowed)
+        on = "aperture: tolerance bounds flux in circles too"
+        header["PSFTOLON"] = (self.settings["tolerance_on"], on)
         if job.get("seed") is not None:
             header["PSFSEED"] = (int(job["seed"]), "seed of the scene and of the noise")
         with warnings.catch_warnings():

@@ -31,6 +31,7 @@ def simulate(
     *,
     catalog: Any = None,
     frame: tuple[int, int, int, int] | None = None,
+    tolerance_on: Literal["l2", "aperture"] = DEFAULTS.tolerance_on,
     anchor: Literal["source", "output"] = DEFAULTS.anchor,
     method: Literal["auto", "lowrank"] = DEFAULTS.method,
     memory: int = DEFAULTS.memory,
@@ -62,7 +63,7 @@ def simulate(
     frame : (int, int, int, int), optional
         Part of the scene that the image shows, as for `PsfModel.plan`. The chunks of the image are
         those of the scene, cut at its edges.
-    anchor, method
+    tolerance_on, anchor, method
         As for `PsfModel.plan`.
     memory : int
         Largest number of bytes that each plan keeps. A worker keeps the four plans that it used
@@ -106,6 +107,7 @@ def simulate(
         precision=precision,
         device=device,
         frame=frame,
+        tolerance_on=tolerance_on,
         anchor=anchor,
         method=method,
         memory=memory,

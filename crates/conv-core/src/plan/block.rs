@@ -79,7 +79,7 @@ impl<T: ConvReal> Block<T> {
 
     /// The kernels as vectors `[kernel, direction]` in a [`PsfSpace`]: the reference, if there is
     /// one, then the modes.
-    fn directions(&self) -> Array2<f64> {
+    pub(crate) fn directions(&self) -> Array2<f64> {
         let modes = self.modes.modes.view();
         match self.modes.reference() {
             None => modes.to_owned(),

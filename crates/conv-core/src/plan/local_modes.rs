@@ -1,9 +1,10 @@
 //! The few modes whose linear combinations represent all PSFs of a region.
 
-use nalgebra::{DMatrix, SymmetricEigen};
+use nalgebra::{Cholesky, DMatrix, SymmetricEigen};
 use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis, s};
-use psf_types::PsfModel;
+use psf_types::{PsfModel, ToleranceOn};
 
+use super::growth_curves::{GrowthCurves, TailGrowth};
 use super::region_cells::{CORNERS, RegionCells};
 
 /// Coordinates in which the norm of a vector is the L2 norm of its PSF.
@@ -21,6 +22,8 @@ pub struct PsfSpace {
     pub(crate) mean: Array1<f64>,
     /// The flux of each orthonormal stamp.
     pub(crate) fluxes: Array1<f64>,
+    /// The flux in circles. `None` if the tolerance only bounds the L2 error.
+    growth: Option<GrowthCurves>,
 }
 
 /// The part of the mean outside the components' span is ignored if its norm is below this fraction
@@ -28,8 +31,8 @@ pub struct PsfSpace {
 const NEGLIGIBLE_REMAINDER: f64 = 1e-14;
 
 impl PsfSpace {
-    /// The space of a model's PSFs.
-    pub fn new(model: &PsfModel) -> Self {
+    /// The space of a model's PSFs. Plans that use this space bound the errors that `on` names.
+    pub fn new(model: &PsfModel, on: ToleranceOn) -> Self {
         let (count, ny, nx) = model.stamps().dim();
         let flat = model
             .stamps()
@@ -72,18 +75,46 @@ impl PsfSpace {
             .outer_iter()
             .map(|stamp| model.grid().flux_of_sum(stamp.sum()))
             .collect();
+        let growth = (on == ToleranceOn::Aperture).then(|| {
+            // Without a mean, the nodes are usually PSFs.
+            let of_nodes = nodes.mean_axis(Axis(0)).filter(|_| first == 0);
+            let typical = of_nodes.as_ref().unwrap_or(&mean);
+            GrowthCurves::new(stamps.view(), model.grid(), typical.view())
+        });
         Self {
             stamps,
             nodes,
             mean,
             fluxes,
+            growth,
         }
+    }
+
+    /// Returns whether an error is within the tolerance. `error` is the error of a PSF with the
+    /// given norm and flux.
+    pub(crate) fn is_within(
+        &self,
+        tolerance: f64,
+        error: ArrayView1<'_, f64>,
+        psf_norm: f64,
+        flux: f64,
+    ) -> bool {
+        let size = norm(error);
+        let Some(growth) = &self.growth else {
+            return size <= tolerance * psf_norm;
+        };
+        size <= tolerance * psf_norm
+            && (size <= ROUNDING_NORM * psf_norm || growth.largest_flux(error) <= tolerance * flux.abs())
     }
 
     pub(crate) fn node(&self, node: usize) -> ArrayView1<'_, f64> {
         self.nodes.row(node)
     }
 }
+
+/// An error is rounding if its norm is at most this fraction of the PSF's norm. Its flux in circles
+/// is then not tested.
+const ROUNDING_NORM: f64 = 1e-15;
 
 pub(crate) fn norm(v: ArrayView1<'_, f64>) -> f64 {
     v.dot(&v).sqrt()
@@ -103,6 +134,13 @@ pub(crate) fn norm(v: ArrayView1<'_, f64>) -> f64 {
 /// this limit is linear. So if the norm is within the limit at both ends, it is also within the
 /// limit in between. The projection is at most the PSF's norm, so the relative error is within the
 /// tolerance.
+///
+/// With [`ToleranceOn::Aperture`], the flux of the error in every circle is bounded too
+/// (`GrowthCurves`). The largest of these fluxes is also convex, and its limit, the tolerance
+/// times the PSF's flux, is also linear along a row or column. So the corners are enough here, too.
+/// The modes are then orthonormal in another scalar product, `<u, v> + weight sum_R u(R) v(R)`. In
+/// this sum, `u(R)` is the flux of `u` in the circle of radius `R`. So the first modes represent
+/// both the PSFs and their curves of growth. The norm of this product is at least the L2 norm.
 #[derive(Debug)]
 pub struct LocalModes {
     /// The region's mean PSF, scaled to unit flux, `[direction]`. `None` if it holds too little
@@ -110,6 +148,9 @@ pub struct LocalModes {
     reference: Option<Array1<f64>>,
     /// `[mode, direction]`.
     pub(crate) modes: Array2<f64>,
+    /// `[mode, direction]`. The scalar product of a row and a PSF's vector is the PSF's coefficient
+    /// of the mode. `None` if these rows equal the modes.
+    duals: Option<Array2<f64>>,
     /// The part of flux and coefficients that does not depend on the nodes.
     offset: Array1<f64>,
     /// Flux and coefficients of the region's nodes, `[node, 1 + mode]`.
@@ -174,42 +215,60 @@ impl LocalModes {
         // The modes must represent these remainders of the nodes and of the offset.
         let span = span(nodes.view(), offset.view(), ROUNDING * scale);
         let (nodes, offset) = (nodes.dot(&span.t()), span.dot(&offset));
+        // From here on, the scalar product of coordinates is that in which modes are orthonormal.
+        let metric = space.growth.as_ref().and_then(|growth| {
+            let psf_norm = reference.as_ref().map_or(0.0, |reference| norm(reference.view()));
+            Metric::new(growth.circles.dot(&span.t()), psf_norm)
+        });
+        let (nodes, offset) = match &metric {
+            None => (nodes, offset),
+            Some(metric) => (nodes.dot(&metric.root), offset.dot(&metric.root)),
+        };
         let covariance = support.covariance(nodes.view(), offset.view());
-        let beside = |axis: &Array1<f64>| {
-            let rest = complement(axis);
-            rest.dot(&principal_axes(&rest.t().dot(&covariance).dot(&rest)))
-        };
-        let (rotation, forced) = match flux_axis(&span, space.fluxes.view()) {
-            None => (principal_axes(&covariance), 0),
-            // Without a reference, the mode along the flux axis carries all flux and must be kept.
-            Some(axis) if reference.is_none() => {
-                let rest = beside(&axis);
-                let axis = axis.insert_axis(Axis(1));
-                (
-                    ndarray::concatenate(Axis(1), &[axis.view(), rest.view()]).expect("equally many rows"),
-                    1,
-                )
+        let flux_axis = flux_axis(&span, space.fluxes.view()).map(|axis| match &metric {
+            None => axis,
+            Some(metric) => {
+                let axis = metric.inverse.dot(&axis);
+                let length = norm(axis.view());
+                axis / length
             }
-            // With a reference, the nodes have no part along the flux direction, except for
-            // rounding. If this rounding is small, the modes are chosen without such a part.
-            Some(axis) => {
-                let along = nodes
-                    .dot(&axis)
-                    .iter()
-                    .fold(offset.dot(&axis).abs(), |m, v| m.max(v.abs()));
-                if along <= NO_FLUX * scale {
-                    (beside(&axis), 0)
-                } else {
-                    (principal_axes(&covariance), 0)
-                }
-            }
-        };
+        });
+        let (rotation, forced) = mode_axes(
+            &covariance,
+            flux_axis,
+            (nodes.view(), offset.view()),
+            reference.is_some(),
+            NO_FLUX * scale,
+        );
         let (nodes, offset) = (nodes.dot(&rotation), offset.dot(&rotation));
-        let rank = forced.max(needed(cells, nodes.view(), offset.view(), |end| {
-            let sum: f64 = end.iter().map(|&(n, w)| w * beta[n]).sum();
-            tolerance * (sum + beta_offset).max(0.0)
-        }));
-        let modes = rotation.slice(s![.., ..rank]).t().dot(&span);
+        // The span in the coordinates of the metric, `[coordinate, direction]`.
+        let axes = match &metric {
+            None => span.clone(),
+            Some(metric) => metric.inverse.dot(&span),
+        };
+        let growth = space.growth.as_ref().map(|growth| {
+            let circles = rotation.t().dot(&axes).dot(&growth.circles.t());
+            TailGrowth::new(circles, growth.remainder)
+        });
+        let at = |end: &[(usize, f64)], values: &Array1<f64>, offset: f64| {
+            end.iter().map(|&(n, w)| w * values[n]).sum::<f64>() + offset
+        };
+        let limits = |end: &[(usize, f64)]| Limits {
+            norm: tolerance * at(end, &beta, beta_offset).max(0.0),
+            flux: tolerance * (flux.signum() * at(end, &fluxes, flux_offset)).max(0.0),
+        };
+        let rounding = ROUNDING_NORM / tolerance;
+        let rank = forced.max(needed(
+            cells,
+            nodes.view(),
+            offset.view(),
+            limits,
+            growth,
+            rounding,
+        ));
+        let kept = rotation.slice(s![.., ..rank]);
+        let modes = kept.t().dot(&axes);
+        let duals = metric.map(|metric| kept.t().dot(&metric.root.t()).dot(&span));
         let with_flux = |flux: ArrayView2<'_, f64>, values: ArrayView2<'_, f64>| {
             ndarray::concatenate(Axis(1), &[flux, values]).expect("equally many rows")
         };
@@ -218,6 +277,7 @@ impl LocalModes {
         Self {
             reference,
             modes,
+            duals,
             offset: offset.row(0).to_owned(),
             node_values: with_flux(fluxes.view().insert_axis(Axis(1)), nodes.slice(s![.., ..rank])),
         }
@@ -238,6 +298,12 @@ impl LocalModes {
         self.modes.nrows()
     }
 
+    /// `[mode, direction]`. The scalar product of a row and the vector of a PSF is the coefficient
+    /// of the mode. If there is a reference, the vector must hold no flux.
+    pub(crate) fn duals(&self) -> &Array2<f64> {
+        self.duals.as_ref().unwrap_or(&self.modes)
+    }
+
     pub(crate) fn reference(&self) -> Option<ArrayView1<'_, f64>> {
         self.reference.as_ref().map(|r| r.view())
     }
@@ -251,6 +317,39 @@ impl LocalModes {
                 *value += weight * node_value;
             }
         }
+    }
+}
+
+/// A scalar product of coordinates: their ordinary scalar product plus a multiple of the scalar
+/// product of their fluxes in circles.
+struct Metric {
+    /// The lower triangular matrix `L` of Cholesky's decomposition `L L^T` of the product's matrix.
+    /// The coordinates `L^T v` have the ordinary scalar product.
+    root: Array2<f64>,
+    /// `L^-1`.
+    inverse: Array2<f64>,
+}
+
+impl Metric {
+    /// `circles` holds the flux of each coordinate in circles, `[circle, coordinate]`. `psf_norm`
+    /// is the norm of a PSF of unit flux. `None` if the norm is 0, or a matrix overflows.
+    fn new(circles: Array2<f64>, psf_norm: f64) -> Option<Self> {
+        // The tolerance allows a norm of `psf_norm` and a flux of 1. Scaled in this way, both have
+        // similar weights.
+        let weight = psf_norm * psf_norm / circles.nrows() as f64;
+        let mut product = circles.t().dot(&circles) * weight;
+        if weight == 0.0 || product.iter().any(|v| !v.is_finite()) {
+            return None;
+        }
+        product.diag_mut().mapv_inplace(|v| v + 1.0);
+        let n = product.nrows();
+        let root = Cholesky::new(DMatrix::from_fn(n, n, |i, j| product[[i, j]]))?.unpack();
+        let inverse = root.solve_lower_triangular(&DMatrix::identity(n, n))?;
+        let array = |matrix: DMatrix<f64>| Array2::from_shape_fn((n, n), |(i, j)| matrix[(i, j)]);
+        Some(Self {
+            root: array(root),
+            inverse: array(inverse),
+        })
     }
 }
 
@@ -351,6 +450,47 @@ fn span(nodes: ArrayView2<'_, f64>, offset: ArrayView1<'_, f64>, least: f64) -> 
     rows
 }
 
+/// Returns the directions of the modes as columns, and how many of them must be kept: 1 if the
+/// first mode carries all flux, otherwise 0. `nodes` and `offset` have no flux if it is at most
+/// `no_flux`.
+fn mode_axes(
+    covariance: &Array2<f64>,
+    flux_axis: Option<Array1<f64>>,
+    (nodes, offset): (ArrayView2<'_, f64>, ArrayView1<'_, f64>),
+    has_reference: bool,
+    no_flux: f64,
+) -> (Array2<f64>, usize) {
+    let beside = |axis: &Array1<f64>| {
+        let rest = complement(axis);
+        rest.dot(&principal_axes(&rest.t().dot(covariance).dot(&rest)))
+    };
+    match flux_axis {
+        None => (principal_axes(covariance), 0),
+        // Without a reference, the mode along the flux axis carries all flux and must be kept.
+        Some(axis) if !has_reference => {
+            let rest = beside(&axis);
+            let axis = axis.insert_axis(Axis(1));
+            (
+                ndarray::concatenate(Axis(1), &[axis.view(), rest.view()]).expect("equally many rows"),
+                1,
+            )
+        }
+        // With a reference, the nodes have no part along the flux direction, except for
+        // rounding. If this rounding is small, the modes are chosen without such a part.
+        Some(axis) => {
+            let along = nodes
+                .dot(&axis)
+                .iter()
+                .fold(offset.dot(&axis).abs(), |m, v| m.max(v.abs()));
+            if along <= no_flux {
+                (beside(&axis), 0)
+            } else {
+                (principal_axes(covariance), 0)
+            }
+        }
+    }
+}
+
 /// The direction of flux in the coordinates of a span, if the span has any flux.
 fn flux_axis(span: &Array2<f64>, fluxes: ArrayView1<'_, f64>) -> Option<Array1<f64>> {
     let axis = span.dot(&fluxes);
@@ -383,13 +523,25 @@ fn principal_axes(covariance: &Array2<f64>) -> Array2<f64> {
     Array2::from_shape_fn((n, n), |(i, j)| eigen.eigenvectors[(i, order[j])])
 }
 
-/// Returns the smallest number of leading coordinates to keep, so that for every PSF the norm of
-/// the other coordinates is within the PSF's limit.
+/// The largest errors that the tolerance allows for a PSF.
+#[derive(Clone, Copy)]
+struct Limits {
+    norm: f64,
+    /// The flux in any circle.
+    flux: f64,
+}
+
+/// Returns the smallest number of leading coordinates to keep, so that for every PSF the other
+/// coordinates are within the PSF's limits: their norm and, if `growth` is given, their flux in
+/// every circle. The flux is not tested if the norm is at most the fraction `rounding` of its
+/// limit.
 fn needed(
     cells: &RegionCells,
     nodes: ArrayView2<'_, f64>,
     offset: ArrayView1<'_, f64>,
-    limit: impl Fn(&[(usize, f64)]) -> f64,
+    limits: impl Fn(&[(usize, f64)]) -> Limits,
+    mut growth: Option<TailGrowth>,
+    rounding: f64,
 ) -> usize {
     let n = offset.len();
     let (nodes, offset) = (nodes.as_standard_layout(), offset.as_standard_layout());
@@ -398,10 +550,11 @@ fn needed(
     let mut value = vec![0.0; n];
     let mut needed = 0;
     for corners in cells.all_corners() {
-        let least = corners
-            .iter()
-            .map(|corner| limit(corner))
-            .fold(f64::INFINITY, f64::min);
+        // A limit that is linear along rows and columns is nowhere in the cell below its least
+        // value at the corners.
+        let limits = corners.map(&limits);
+        let least = limits.iter().map(|l| l.norm).fold(f64::INFINITY, f64::min);
+        let least_flux = limits.iter().map(|l| l.flux).fold(f64::INFINITY, f64::min);
         let least = least.powi(2);
         for (i, corner) in corners.iter().enumerate() {
             if corners[..i].iter().any(|before| std::ptr::eq(*before, *corner)) {
@@ -423,6 +576,16 @@ fn needed(
                     needed = i + 1;
                     break;
                 }
+            }
+            let Some(growth) = &mut growth else { continue };
+            while needed < n {
+                let tail = &value[needed..];
+                if tail.iter().map(|v| v * v).sum::<f64>() <= rounding.powi(2) * least
+                    || growth.is_within(needed, tail, least_flux)
+                {
+                    break;
+                }
+                needed += 1;
             }
         }
     }

@@ -11,9 +11,12 @@
 
 pub(crate) mod axis_cuts;
 pub(crate) mod block;
+#[cfg(test)]
+mod certificate;
 pub(crate) mod coefficient_table;
 mod cost_model;
 pub(crate) mod geometry;
+mod growth_curves;
 pub(crate) mod local_modes;
 mod options;
 pub(crate) mod region_cells;
@@ -359,6 +362,7 @@ impl<T: ConvReal> Plan<T> {
             region: self.region,
             precision: T::NAME,
             tolerance: self.options.tolerance(),
+            tolerance_on: self.options.tolerance_on(),
             anchor: self.options.anchor(),
             paths: self.options.paths(),
             tile,

@@ -1,6 +1,6 @@
 //! Options of a plan.
 
-use psf_types::Anchor;
+use psf_types::{Anchor, ToleranceOn};
 
 use crate::{ConvError, ConvReal};
 
@@ -16,7 +16,8 @@ pub enum Paths {
     Transforms,
 }
 
-/// Tolerance, anchoring, methods for tiles and memory limit of a [`Plan`](crate::Plan). A
+/// Tolerance and the errors that it bounds, anchoring, methods for tiles and memory limit of a
+/// [`Plan`](crate::Plan). A
 /// [`StarPlan`](crate::StarPlan) uses these options too, except for the methods for tiles.
 ///
 /// ```
@@ -30,6 +31,7 @@ pub enum Paths {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PlanOptions {
     tolerance: f64,
+    tolerance_on: ToleranceOn,
     anchor: Anchor,
     paths: Paths,
     memory_bytes: usize,
@@ -44,6 +46,8 @@ impl PlanOptions {
     /// Options for a tolerance: the largest relative L2 error of the PSF of any single pixel,
     /// `|h_engine(.; x) - h(.; x)| <= tolerance |h(.; x)|`. At 0 a tile keeps every mode above
     /// rounding. The rounding of the working precision is added to the error.
+    /// [`with_tolerance_on`](Self::with_tolerance_on) chooses whether the tolerance also bounds the
+    /// error of the flux in circles.
     ///
     /// # Errors
     /// [`ConvError::Tolerance`] unless the tolerance is a number of at least 0 and below 1.
@@ -56,6 +60,14 @@ impl PlanOptions {
         } else {
             Err(ConvError::Tolerance { got: tolerance })
         }
+    }
+
+    /// Sets the errors that the tolerance bounds. For [`ToleranceOn::Aperture`], the PSFs need a
+    /// total flux: where positive and negative values nearly cancel, a tile keeps every mode above
+    /// rounding.
+    #[must_use]
+    pub fn with_tolerance_on(self, tolerance_on: ToleranceOn) -> Self {
+        Self { tolerance_on, ..self }
     }
 
     /// Sets the position at which the PSF is evaluated: source or output pixel.
@@ -87,6 +99,11 @@ impl PlanOptions {
     /// The tolerance.
     pub fn tolerance(&self) -> f64 {
         self.tolerance
+    }
+
+    /// The errors that the tolerance bounds.
+    pub fn tolerance_on(&self) -> ToleranceOn {
+        self.tolerance_on
     }
 
     /// The tolerance, but at least the rounding of the working precision `T`: no mode is kept for
@@ -122,6 +139,7 @@ impl Default for PlanOptions {
     fn default() -> Self {
         Self {
             tolerance: Self::DEFAULT_TOLERANCE,
+            tolerance_on: ToleranceOn::default(),
             anchor: Anchor::default(),
             paths: Paths::default(),
             memory_bytes: Self::DEFAULT_MEMORY_BYTES,

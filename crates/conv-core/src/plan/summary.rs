@@ -1,6 +1,6 @@
 //! A plan in numbers.
 
-use psf_types::{Anchor, FrameShape, PixelRegion};
+use psf_types::{Anchor, FrameShape, PixelRegion, ToleranceOn};
 
 use super::options::Paths;
 use crate::view::in_words;
@@ -18,6 +18,8 @@ pub struct PlanSummary {
     pub precision: &'static str,
     /// The tolerance.
     pub tolerance: f64,
+    /// The errors that the tolerance bounds.
+    pub tolerance_on: ToleranceOn,
     /// The position at which the PSF is evaluated: source or output pixel.
     pub anchor: Anchor,
     /// The allowed methods for tiles.
@@ -77,6 +79,16 @@ impl std::fmt::Display for PlanSummary {
             "{} pixels in {}, tolerance {:e}, {}-anchored",
             self.frame, self.precision, self.tolerance, self.anchor
         )?;
+        match self.tolerance_on {
+            ToleranceOn::Aperture => writeln!(
+                f,
+                "guaranteed for the PSF of every position: relative L2 error and flux error in every circle within the tolerance"
+            )?,
+            _ => writeln!(
+                f,
+                "guaranteed for the PSF of every position: relative L2 error within the tolerance"
+            )?,
+        }
         writeln!(
             f,
             "tiles: {}, of up to {} x {} pixels; blocks: {}; transforms of {} x {}",

@@ -242,7 +242,7 @@ impl WholeFrame {
     ) -> Result<Self, ConvError> {
         let (reach, anchor) = (Reach::of(model.grid())?, options.anchor());
         let (_, geometry) = sides(view, view.frame.shape().region(), reach, anchor)?;
-        let space = PsfSpace::new(model);
+        let space = PsfSpace::new(model, options.tolerance_on());
         let tiling = best_tiling::<T>(model, &space, &geometry, options, progress)?;
         Ok(Self {
             view,

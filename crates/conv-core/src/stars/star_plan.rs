@@ -20,8 +20,10 @@ use crate::{ConvError, ConvReal};
 /// If the plan is source-anchored and the stamps' oversampling is a whole number, stars are drawn
 /// from local bases in the working precision `T`. Each block of the field has a local basis: the
 /// few PSFs that the tolerance requires. The relative L2 error of a star's PSF, on the pixels of the
-/// frame that the star lights, is at most the tolerance. Every star is tested at its own sub-pixel
-/// position. A star that would exceed the tolerance is drawn from all components in f64. This choice depends only on the star's position, so the
+/// frame that the star lights, is at most the tolerance. With
+/// [`ToleranceOn::Aperture`](psf_types::ToleranceOn::Aperture), so is the error of its flux in every
+/// circle. Every star is tested at its own sub-pixel position. A star that would exceed the tolerance
+/// is drawn from all components in f64. This choice depends only on the star's position, so the
 /// image is linear in the fluxes. Other plans draw all stars from all components in f64. The image
 /// is the same, bit by bit, for any number of threads.
 ///
@@ -131,7 +133,7 @@ impl<T: ConvReal> StarPlan<T> {
             splines: painter.splines.clone(),
             phased: axes
                 .map(|axes| -> Result<_, ConvError> {
-                    let space = PsfSpace::new(model);
+                    let space = PsfSpace::new(model, options.tolerance_on());
                     Ok(Phased {
                         layout: RowLayout::new(&axes[0]),
                         axes,
@@ -306,14 +308,22 @@ impl<T: ConvReal> StarPlan<T> {
             let scale = vectors.set(position)?;
             let whole = vectors.norm();
             vectors.project(&block.modes, &mut coefficients);
+            let on_circles = vectors.is_within(tolerance, whole);
             let error = vectors.norm();
-            let within = error <= phased.rounding * whole
-                || norms.is_surely_within(tolerance, star.shift, error, &coefficients, &block.along_mean)
-                || {
-                    let error = vectors.psf.clone();
-                    vectors.set(position)?;
-                    norms.is_within(tolerance, star.shift, error.view(), vectors.psf.view())
-                };
+            let within = on_circles
+                && (error <= phased.rounding * whole
+                    || norms.is_surely_within(
+                        tolerance,
+                        star.shift,
+                        error,
+                        &coefficients,
+                        &block.along_mean,
+                    )
+                    || {
+                        let error = vectors.psf.clone();
+                        vectors.set(position)?;
+                        norms.is_within(tolerance, star.shift, error.view(), vectors.psf.view())
+                    });
             if !within {
                 missed.push(star.index);
                 continue;
@@ -409,6 +419,12 @@ impl<'a> StarVectors<'a> {
         self.psf.dot(&self.psf).sqrt()
     }
 
+    /// Returns whether the remainder of [`project`](Self::project) is within the tolerance. `whole`
+    /// is the norm of the PSF before.
+    pub(super) fn is_within(&self, tolerance: f64, whole: f64) -> bool {
+        self.space.is_within(tolerance, self.psf.view(), whole, self.flux)
+    }
+
     /// Computes the coefficients of a block's kernels for this PSF. Replaces the PSF by the
     /// remainder that the kernels do not represent.
     pub(super) fn project(&mut self, modes: &LocalModes, coefficients: &mut Vec<f64>) {
@@ -417,8 +433,8 @@ impl<'a> StarVectors<'a> {
             self.psf.scaled_add(-self.flux, &reference);
             coefficients.push(self.flux);
         }
-        for mode in modes.modes.outer_iter() {
-            let c = mode.dot(&self.psf);
+        for (mode, dual) in modes.modes.outer_iter().zip(modes.duals().outer_iter()) {
+            let c = dual.dot(&self.psf);
             self.psf.scaled_add(-c, &mode);
             coefficients.push(c);
         }

@@ -10,7 +10,7 @@ use std::path::PathBuf;
 
 use conv_core::{ConvReal, PlanSummary};
 use psf_io::Card;
-use psf_types::Anchor;
+use psf_types::{Anchor, ToleranceOn};
 use psfield::{
     ErrorKind, JOB_KEYWORD, Method, PSF_FILE_KEYWORD, Preparation, PsfieldError, SimulateOptions, Simulator,
 };
@@ -65,6 +65,17 @@ pub(crate) struct SimulateArgs {
         )
     )]
     tolerance: Option<f64>,
+    #[arg(
+        long,
+        value_name = "l2|aperture",
+        help_heading = ACCURACY,
+        help = tolerance_on_help(),
+        long_help = format!(
+            "{}\n\nl2: the relative L2 error of the PSF.\naperture: also the error of the flux in every circle about the source, relative to the total flux of the PSF. Choose it for aperture photometry of PSFs with faint wide wings.\nApplies only to the methods auto and lowrank.",
+            tolerance_on_help()
+        )
+    )]
+    tolerance_on: Option<ToleranceOn>,
     /// Check N random pixels against the direct sum in double precision (0: no check)
     ///
     /// Half of them are bright pixels. If the relative r.m.s. difference is above 3 x --tolerance
@@ -176,6 +187,13 @@ fn tolerance_help() -> String {
     )
 }
 
+fn tolerance_on_help() -> String {
+    format!(
+        "Errors of the PSF that --tolerance bounds [default: {}]",
+        SimulateOptions::default().tolerance_on
+    )
+}
+
 fn memory_help() -> String {
     format!(
         "Upper limit of the memory for the plan, the prepared PSF data (bytes, or with K, M or G) [default: {}]",
@@ -238,6 +256,8 @@ impl SimulateArgs {
         let planned = self.method.has_plan();
         let first = if self.tolerance.is_some() && !planned {
             Some("--tolerance applies only to the methods auto and lowrank")
+        } else if self.tolerance_on.is_some() && !planned {
+            Some("--tolerance-on applies only to the methods auto and lowrank")
         } else if self.memory.is_some() && !planned {
             Some("--memory applies only to the methods auto and lowrank")
         } else if self.stream && self.scene.scene.is_none() {
@@ -258,6 +278,7 @@ impl SimulateArgs {
         self.device.applied_to(SimulateOptions {
             method: self.method,
             tolerance: self.tolerance.unwrap_or(defaults.tolerance),
+            tolerance_on: self.tolerance_on.unwrap_or(defaults.tolerance_on),
             anchor: self.anchor,
             memory: self.memory.unwrap_or(defaults.memory),
             oversample: self.scene.finer(),
@@ -315,6 +336,7 @@ impl SimulateArgs {
             anchor: self.anchor,
             precision: T::NAME,
             tolerance: options.method.has_plan().then_some(options.tolerance),
+            tolerance_on: options.method.has_plan().then_some(options.tolerance_on),
             rank: made.model.rank(),
             modes: plan.map_or(made.model.stamp_count() as f64, PlanSummary::mean_modes),
             normalise: made.model.normalisation(),

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use conv_core::{PlanSummary, TileCounts};
 use detector::ExposureReport;
-use psf_types::{Anchor, Normalisation};
+use psf_types::{Anchor, Normalisation, ToleranceOn};
 use psfield::{Placement, SpotCheck};
 use serde::{Serialize, Serializer};
 
@@ -19,6 +19,8 @@ pub(crate) struct Report {
     pub(super) precision: &'static str,
     /// The tolerance, for methods that have one.
     pub(super) tolerance: Option<f64>,
+    /// The errors that the tolerance bounds.
+    pub(super) tolerance_on: Option<ToleranceOn>,
     /// Components of the model, the mean not counted.
     pub(super) rank: usize,
     /// With a plan, the mean number of modes per block of tiles (a tile needs one convolution per

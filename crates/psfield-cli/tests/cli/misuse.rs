@@ -318,6 +318,8 @@ const CASES: &[Case] = &[
     ("simulate scene.fits --psf model.fits -o out.fits --tolerance 1", 2, &["'1' for '--tolerance", "below 1"]),
     ("simulate scene.fits --psf model.fits -o out.fits --tolerance nan", 2, &["'nan' for '--tolerance"]),
     ("simulate scene.fits --psf model.fits -o out.fits --tolerance=", 2, &["'' for '--tolerance"]),
+    ("simulate scene.fits --psf model.fits -o out.fits --tolerance-on flux", 2, &["'flux' for '--tolerance-on", "l2 or aperture"]),
+    ("simulate scene.fits --psf model.fits -o out.fits --tolerance-on l2 --method basis", 2, &["--tolerance-on", "auto and lowrank"]),
     ("simulate scene.fits --psf model.fits -o out.fits --tolerance 1e-3 --method basis", 2, &["--tolerance", "auto and lowrank"]),
     ("simulate scene.fits --psf model.fits -o out.fits --memory 1G --method basis", 2, &["--memory", "auto and lowrank"]),
     ("simulate scene.fits --psf model.fits -o out.fits --stream --method direct", 2, &["--stream", "auto and lowrank"]),

@@ -178,6 +178,7 @@ fn headers_say_how_to_repeat_the_result() {
     assert_eq!(value("PSFANCH"), text("output"));
     assert_eq!(value("PSFMETH"), text("auto"));
     assert_eq!(value("PSFTOL"), CardValue::Real(1e-4));
+    assert_eq!(value("PSFTOLON"), text("aperture"));
     assert_eq!(value("PSFRANK"), CardValue::Integer(3));
     assert_eq!(value("PSFPREC"), text("f32"));
     assert_eq!(value("PSFNORM"), text("unit"));
@@ -208,12 +209,18 @@ fn the_report_counts_what_was_done() {
             "method",
             "anchor",
             "tolerance",
+            "tolerance_on",
             "tiles",
             "plan",
         ],
     );
     assert_keys(&report["seconds"], &["read", "fit", "plan", "execute", "write"]);
     assert_eq!(report["rank"], 3);
+    assert_eq!(report["tolerance_on"], "aperture");
+    let l2 = desk
+        .done("simulate scene.fits --psf samples.fits -o l2.fits --rank 3 --tolerance-on l2 --json")
+        .json();
+    assert_eq!(l2["tolerance_on"], "l2");
     let modes = report["modes"].as_f64().unwrap();
     assert!((1.0..=4.0).contains(&modes), "{modes}");
     let tiles = &report["tiles"];
@@ -230,7 +237,7 @@ fn the_report_counts_what_was_done() {
         .done("simulate scene.fits --psf samples.fits -o basis.fits --rank 3 --method basis --spot-check 50 --json")
         .json();
     assert_eq!(basis["modes"], 4.0);
-    assert!(basis["tiles"].is_null() && basis["tolerance"].is_null());
+    assert!(basis["tiles"].is_null() && basis["tolerance"].is_null() && basis["tolerance_on"].is_null());
     assert!(basis["spot_check"]["max_over_peak"].as_f64().unwrap() <= SINGLE);
     // Patches are not exact, and the check says so.
     let report = desk

@@ -4,7 +4,7 @@ use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, OnceLock};
 
 use conv_core::{ConvReal, ConvolutionMethod};
-use psf_types::{Anchor, FrameShape, PixelRegion};
+use psf_types::{Anchor, FrameShape, PixelRegion, ToleranceOn};
 
 use super::geometry::Geometry;
 use super::{REGION, Shared, Simulator};
@@ -101,6 +101,13 @@ impl SimulatorBuilder {
     #[must_use]
     pub fn tolerance(mut self, tolerance: f64) -> Self {
         self.options.tolerance = tolerance;
+        self
+    }
+
+    /// Chooses the errors that the tolerance bounds.
+    #[must_use]
+    pub fn tolerance_on(mut self, tolerance_on: ToleranceOn) -> Self {
+        self.options.tolerance_on = tolerance_on;
         self
     }
 

@@ -1,0 +1,243 @@
+//! A certificate of plans, without any transform: at every pixel of a frame, the coefficients that
+//! the plan stores give the model's PSF within the tolerance. The tests cover every interpolator.
+
+use std::sync::Arc;
+
+use coeff_field::{InterpolatedField, interpolation};
+use ndarray::{Array1, Array2, Array3, ArrayView1, Axis, s};
+use psf_types::{
+    Anchor, CoefficientField, FrameShape, Normalisation, OutsidePolicy, PixelRegion, Position, PsfBasis,
+    PsfModel, SampleCoefficients, SamplePositions, StampGrid, ToleranceOn,
+};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+use super::local_modes::norm;
+use super::{Block, Plan, PlanOptions};
+
+/// Text forms of all interpolators, and whether they need samples on a regular grid.
+const INTERPOLATORS: [(&str, bool); 11] = [
+    ("delaunay", false),
+    ("natural-neighbour", false),
+    ("idw", false),
+    ("idw=3.5", false),
+    ("bilinear", true),
+    ("bicubic", true),
+    ("polynomial=0", false),
+    ("polynomial=3", false),
+    ("nearest", false),
+    ("auto", true),
+    ("auto", false),
+];
+const TOLERANCES: [f64; 4] = [1e-1, 1e-2, 1e-4, 0.0];
+const BOTH: [ToleranceOn; 2] = [ToleranceOn::L2, ToleranceOn::Aperture];
+/// Rounding of coefficients and of weights, relative to the PSF.
+const ROUNDING: f64 = 2e-13;
+
+const FRAME: (usize, usize) = (70, 50);
+const STAMP: (usize, usize) = (24, 23);
+/// Column and row of the centre.
+const CENTRE: (f64, f64) = (12.0, 11.0);
+const COMPONENTS: usize = 6;
+
+/// A model with a bright core and a faint wide part that both vary, from 25 samples.
+fn model(name: &str, on_grid: bool, normalisation: Normalisation) -> PsfModel {
+    let mut rng = ChaCha8Rng::seed_from_u64(31);
+    let (nx, ny) = STAMP;
+    let gauss = |sigma: f64| {
+        let value = |d: f64| (-d * d / (2.0 * sigma * sigma)).exp();
+        Array2::from_shape_fn((ny, nx), |(y, x)| {
+            value(y as f64 - CENTRE.1) * value(x as f64 - CENTRE.0)
+        })
+    };
+    let [narrow, middle, wide] = [0.8, 3.0, 8.0].map(|sigma| {
+        let value = gauss(sigma);
+        let flux = value.sum();
+        value / flux
+    });
+    let mean = &narrow * 0.93 + &wide * 0.07;
+    // Orthonormal components: light that moves within the wide part, then noise times the core.
+    let mut rows = Array2::zeros((COMPONENTS, nx * ny));
+    for k in 0..COMPONENTS {
+        let part = if k == 0 {
+            &wide - &middle
+        } else {
+            narrow.mapv(|v| v * rng.random_range(-1.0..1.0))
+        };
+        let mut row: Array1<f64> = part.flatten().to_owned();
+        for _ in 0..2 {
+            for earlier in rows.slice(s![..k, ..]).outer_iter() {
+                let along = row.dot(&earlier);
+                row.scaled_add(-along, &earlier);
+            }
+        }
+        row /= norm(row.view());
+        rows.row_mut(k).assign(&row);
+    }
+    let components: Array3<f64> = rows.into_shape_with_order((COMPONENTS, ny, nx)).unwrap();
+    let grid = StampGrid::new(nx, ny)
+        .unwrap()
+        .with_centre(CENTRE.0, CENTRE.1)
+        .unwrap();
+    let basis = PsfBasis::new(Some(mean), components, grid).unwrap();
+
+    let at = |i: usize| {
+        let (x, y) = ((i % 5) as f64 * 17.3, (i / 5) as f64 * 12.4);
+        if on_grid {
+            (x, y)
+        } else {
+            ((x + 5.3 * y) % 69.0, (y + 3.1 * x) % 49.0)
+        }
+    };
+    let positions = (0..25)
+        .map(|i| Position::new(at(i).0, at(i).1).unwrap())
+        .collect();
+    let positions = SamplePositions::new(positions, None).unwrap();
+    let coefficients = Array2::from_shape_fn((25, COMPONENTS), |(_, k)| {
+        let scale = if k == 0 {
+            3e-3
+        } else {
+            0.03 * 0.4_f64.powi(k as i32)
+        };
+        scale * rng.random_range(-1.0..1.0)
+    });
+    let samples = SampleCoefficients::new(coefficients, positions).unwrap();
+    let method = interpolation(name.parse().unwrap()).unwrap();
+    let field: Arc<dyn CoefficientField> =
+        Arc::new(InterpolatedField::new(&samples, method.as_ref(), OutsidePolicy::Nearest).unwrap());
+    PsfModel::new(&basis, field, normalisation, None).unwrap()
+}
+
+/// The largest errors of a plan over all pixels of its tiles.
+#[derive(Debug, Default, Clone, Copy)]
+struct Errors {
+    /// The L2 error over the norm of the PSF.
+    l2: f64,
+    /// The flux of the error in any circle over the flux of the PSF.
+    circle: f64,
+}
+
+/// The sum of pixels in circles of every radius: row after row of the matrix `[circle, pixel]`.
+fn circles(grid: StampGrid) -> Array2<f64> {
+    let distance = |i: usize| {
+        let (x, y) = ((i % grid.nx()) as f64, (i / grid.nx()) as f64);
+        (x - grid.centre_x()).hypot(y - grid.centre_y())
+    };
+    let pixels = grid.pixel_count();
+    Array2::from_shape_fn((pixels, pixels), |(edge, i)| {
+        // The radius is a little larger than the distance of a pixel.
+        f64::from(u8::from(distance(i) <= distance(edge) + 1e-9))
+    })
+}
+
+/// Compares the PSF of each pixel with the sum of kernels times the coefficients that the plan
+/// stores for this pixel. `coefficient_error` is added to the last coefficient.
+fn certify(plan: &Plan<f64>, coefficient_error: f64) -> Errors {
+    let (model, space) = (plan.model(), &plan.whole.space);
+    // The flux in circles, `[circle, direction]`.
+    let in_circles = circles(model.grid()).dot(&space.stamps.t());
+    let mut errors = Errors::default();
+    let mut pixels = 0;
+    for (i, block) in plan.blocks.iter().enumerate() {
+        let across = plan.tiling.columns.len();
+        let region = plan.tiling.region(&plan.geometry, i % across, i / across);
+        pixels += region.shape().nx() * region.shape().ny();
+        for (error, psf) in errors_of_block(plan, block, region, coefficient_error) {
+            errors.l2 = errors.l2.max(norm(error.view()) / norm(psf.view()));
+            let most = in_circles.dot(&error).iter().fold(0.0_f64, |m, v| m.max(v.abs()));
+            errors.circle = errors.circle.max(most / psf.dot(&space.fluxes).abs());
+        }
+    }
+    let (nx, ny) = plan.geometry.weighted_size();
+    assert_eq!(pixels, nx * ny, "the blocks cover the frame");
+    errors
+}
+
+/// For each pixel of a block, the error and the PSF as vectors of the space.
+fn errors_of_block(
+    plan: &Plan<f64>,
+    block: &Block<f64>,
+    region: PixelRegion,
+    coefficient_error: f64,
+) -> Vec<(Array1<f64>, Array1<f64>)> {
+    let (model, space) = (plan.model(), &plan.whole.space);
+    let table = block.table_or_new(model);
+    let kernels = block.directions();
+    let (nx, ny) = (region.shape().nx(), region.shape().ny());
+    let ramp: Vec<f64> = (0..nx).map(|i| i as f64).collect();
+    let (ones, mut weighted) = (vec![1.0; nx], Array2::zeros((kernels.nrows(), nx)));
+    let first = usize::from(model.is_mean_centred());
+    let mut coefficients = vec![0.0; model.stamp_count()];
+    let mut found = Vec::with_capacity(nx * ny);
+    for row in 0..ny {
+        for (kernel, mut weighted) in weighted.outer_iter_mut().enumerate() {
+            let weighted = weighted.as_slice_mut().unwrap();
+            table.weigh(kernel, row, 0, &ones, &ramp, weighted);
+        }
+        weighted
+            .row_mut(kernels.nrows() - 1)
+            .mapv_inplace(|v| v + coefficient_error);
+        for column in 0..nx {
+            model
+                .coefficients_into(region.position(column, row), &mut coefficients)
+                .unwrap();
+            let mut psf = space.mean.clone();
+            psf.slice_mut(s![..model.rank()])
+                .scaled_add(1.0, &ArrayView1::from(&coefficients[first..]));
+            if model.needs_flux_scaling() {
+                let flux = psf.dot(&space.fluxes);
+                psf /= flux;
+            }
+            let planned = weighted.index_axis(Axis(1), column).dot(&kernels);
+            found.push((&psf - &planned, psf));
+        }
+    }
+    found
+}
+
+fn plan(model: &PsfModel, tolerance: f64, on: ToleranceOn, anchor: Anchor) -> Plan<f64> {
+    let options = PlanOptions::new(tolerance)
+        .unwrap()
+        .with_tolerance_on(on)
+        .with_anchor(anchor);
+    let shape = FrameShape::new(FRAME.0, FRAME.1).unwrap();
+    Plan::new(model, shape, shape.region(), options).unwrap()
+}
+
+#[test]
+fn every_pixel_of_every_interpolator_is_within_the_tolerance() {
+    let mut coarsest = Errors::default();
+    // The largest error in a circle, over the tolerance, if only the L2 error is bounded.
+    let mut unbounded: f64 = 0.0;
+    for (n, (name, on_grid)) in INTERPOLATORS.into_iter().enumerate() {
+        let normalisation = [Normalisation::Unit, Normalisation::Keep][n % 2];
+        let anchor = [Anchor::Source, Anchor::Output][n / 2 % 2];
+        let model = model(name, on_grid, normalisation);
+        for on in BOTH {
+            for tolerance in TOLERANCES {
+                let found = certify(&plan(&model, tolerance, on, anchor), 0.0);
+                let case = format!("{name}, {normalisation}, {on}, {tolerance:e}: {found:?}");
+                assert!(found.l2 <= tolerance + ROUNDING, "{case}");
+                if on == ToleranceOn::Aperture {
+                    assert!(found.circle <= tolerance + ROUNDING, "{case}");
+                    coarsest.circle = coarsest.circle.max(found.circle);
+                } else if tolerance > 0.0 {
+                    unbounded = unbounded.max(found.circle / tolerance);
+                    coarsest.l2 = coarsest.l2.max(found.l2);
+                }
+            }
+        }
+    }
+    // Without errors close to the tolerance, the test would prove nothing.
+    println!("largest errors {coarsest:?}, in circles without a bound {unbounded} times the tolerance");
+    assert!(coarsest.l2 > 1e-2 && coarsest.circle > 1e-2, "{coarsest:?}");
+    assert!(unbounded > 1.2, "{unbounded}");
+}
+
+#[test]
+fn a_wrong_coefficient_is_noticed() {
+    let model = model("bicubic", true, Normalisation::Keep);
+    let plan = plan(&model, 1e-4, ToleranceOn::Aperture, Anchor::Source);
+    let wrong = certify(&plan, 1e-3);
+    assert!(wrong.l2 > 1e-3, "{wrong:?}");
+}
