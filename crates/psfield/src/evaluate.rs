@@ -118,7 +118,9 @@ pub fn evaluate(
 /// of their pixels. Positions may be repeated, and there may be none.
 ///
 /// With [`OutputGrid::Native`] and `sub_pixel`, each stamp is the image that
-/// [`Simulator`](crate::Simulator) draws of a star of unit flux at this position.
+/// [`Simulator`](crate::Simulator) draws of a star of unit flux at this position. All stamps have
+/// the size of centred ones. If the edges of the model's stamps are bright, the simulator draws
+/// also pixels farther out.
 ///
 /// # Errors
 /// [`ErrorKind::Field`] for a position outside the model's field, or where the model has no value.
@@ -190,10 +192,7 @@ fn target_grid(model: &PsfModel, options: EvaluateOptions) -> Result<StampGrid, 
     let grid = model.grid();
     let base = match options.grid {
         OutputGrid::Model => grid,
-        OutputGrid::Native => {
-            let shift = if options.sub_pixel { 0.5 } else { 0.0 };
-            native_grid_of(grid, 1.0, shift, || edge_reach_of(model))?
-        }
+        OutputGrid::Native => native_grid_of(grid, 1.0, 0.0, || edge_reach_of(model))?,
     };
     let Some(size) = options.size else { return Ok(base) };
     // A centre between pixels stays between pixels, so that values need no interpolation.
