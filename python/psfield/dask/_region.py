@@ -88,7 +88,7 @@ def _near(
     None if there are no such sources.
     """
     x0, y0, nx, ny = region
-    (below, above), (left, right) = reach(model, 1, settings["stamp_size"])
+    (below, above), (left, right) = reach(model, 1, settings["stamp_size"], of_stars=True)
     # A star between pixels is up to one pixel away from the pixel about which it is drawn.
     x, y = catalog["x"], catalog["y"]
     near = (x > x0 - left - 2) & (x < x0 + nx + right + 1)
