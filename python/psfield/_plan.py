@@ -80,12 +80,11 @@ class Plan:
 
     Examples
     --------
-    >>> import numpy as np
     >>> import psfield
     >>> model = psfield.PsfModel.from_samples([[0, 1, 0], [1, 4, 1], [0, 1, 0]], (0, 0))
     >>> plan = model.plan((3, 4), tolerance=1e-4)
     >>> image = plan.simulate(catalog={"x": [1], "y": [1], "flux": [8]})
-    >>> np.abs(image).round(2).tolist()
+    >>> (image.round(2) + 0.0).tolist()  # + 0.0 turns -0.0 into 0.0
     [[0.0, 1.0, 0.0, 0.0], [1.0, 4.0, 1.0, 0.0], [0.0, 1.0, 0.0, 0.0]]
     """
 
@@ -323,7 +322,7 @@ class Plan:
         >>> plan.simulate(scene).round(2).tolist()
         [[0.0, 0.0, 1.0, 0.0], [0.0, 1.0, 4.0, 1.0], [0.0, 0.0, 1.0, 0.0]]
         >>> image = plan.simulate(catalog={"x": [0, 3], "y": [1, 1], "flux": 8})
-        >>> np.abs(image).round(2).tolist()
+        >>> (image.round(2) + 0.0).tolist()  # + 0.0 turns -0.0 into 0.0
         [[1.0, 0.0, 0.0, 1.0], [4.0, 1.0, 1.0, 4.0], [1.0, 0.0, 0.0, 1.0]]
         """
         if scene is None and catalog is None:
