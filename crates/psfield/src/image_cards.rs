@@ -66,8 +66,8 @@ fn utc(seconds: u64) -> String {
 
 impl<T: ConvReal> Simulator<T> {
     /// Returns cards that say how an image was made: method, anchor, precision, device, and the
-    /// model's number of components and normalisation. A method with a tolerance has cards
-    /// for it and for the errors that it bounds.
+    /// model's number of components and normalisation. A method with a tolerance has cards for it
+    /// and for the errors that it bounds.
     ///
     /// The header of a simulated image holds, in this order: the scene's own cards
     /// ([`carried_header`](Self::carried_header)), the cards of [`provenance_cards`], these cards,

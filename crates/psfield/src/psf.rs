@@ -3,7 +3,6 @@
 mod format_records;
 mod open;
 mod resample;
-pub(crate) use resample::native_grid_of;
 
 use std::path::PathBuf;
 use std::sync::{Arc, OnceLock};
@@ -21,6 +20,7 @@ use crate::{ErrorKind, FitOptions, PsfieldError};
 
 pub use format_records::record_of_psfex;
 pub use open::{FitChoices, PsfFileOptions};
+pub(crate) use resample::native_grid_of;
 
 /// A PSF over a field, from samples, a model, or a PSF file of any format. Samples are fitted when
 /// the model is first needed, and the fit is kept. Cloning is cheap: clones share the fit.

@@ -93,6 +93,9 @@ struct Shared<T: ConvReal> {
     /// The model on the scene's pixels, and the seconds that its fit took.
     image_model: OnceLock<(PsfModel, f64)>,
     stars: OnceLock<Stars<T>>,
+    /// The smallest and the largest flux that a star of flux 1 gets at different sub-pixel phases.
+    /// The inner value is None if the PSF is not known in the middle of the frame.
+    star_flux: OnceLock<Option<(f64, f64)>>,
 }
 
 /// Convolves extended light: the image of the scene and the galaxies.

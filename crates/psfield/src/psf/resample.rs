@@ -159,7 +159,7 @@ impl Psf {
 }
 
 /// Returns whether the native pixels of stamps are some of their own pixels.
-pub(crate) fn native_picks(grid: StampGrid) -> bool {
+fn native_picks(grid: StampGrid) -> bool {
     grid.whole_centre().is_some() && grid.oversampling().fract() == 0.0 && grid.pixel_response_included()
 }
 

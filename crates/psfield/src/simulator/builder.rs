@@ -202,6 +202,7 @@ impl SimulatorBuilder {
                 method,
                 image_model: OnceLock::new(),
                 stars: OnceLock::new(),
+                star_flux: OnceLock::new(),
             }),
             options,
             geometry,

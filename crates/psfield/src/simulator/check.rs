@@ -253,7 +253,8 @@ impl<T: ConvReal> Simulator<T> {
         let off = |v: f64| (v - v.round()).abs() > ON_PIXEL;
         let between = |star: &PointSource| off(star.position().x()) || off(star.position().y());
         if self.psf().grid().oversampling() < MIN_STAMP_OVERSAMPLING && scene.stars().iter().any(between) {
-            let flux = self.flux_over_phases().ok();
+            // Computed once, because every simulated scene asks for warnings.
+            let flux = *self.shared.star_flux.get_or_init(|| self.flux_over_phases().ok());
             warnings.push(SimulationWarning::StarsBetweenPixels { flux });
         }
         let s = self.geometry.oversample;
@@ -296,7 +297,8 @@ pub enum SimulationWarning {
         range: [(f64, f64); 2],
         /// Columns and rows of the frame.
         frame: [usize; 2],
-        /// How far the frame reaches beyond the range, in parts of the range, along x and y.
+        /// Distance of the frame's farthest pixel from the range, in parts of the range, along x
+        /// and y.
         beyond: [f64; 2],
     },
     /// Galaxies are blurred by the pixels on which they are drawn.
