@@ -9,10 +9,10 @@ use psfield::conv_core::{
 };
 use psfield::psf_basis::{Centring, RankSelection};
 use psfield::psf_types::{
-    Anchor, FieldError, FrameShape, Image, Interpolation, OutsidePolicy, Position, PsfModel, PsfSamples,
-    PsfSource, SamplePositions,
+    Anchor, FieldError, FrameShape, Image, Interpolation, NoProgress, OutsidePolicy, Position, PsfModel,
+    PsfSamples, PsfSource, SamplePositions,
 };
-use psfield::{FitOptions, SpotCheck};
+use psfield::{FitOptions, Method, Psf, Scene};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -96,17 +96,19 @@ fn the_adjoint_is_the_transpose_of_the_operator() {
 
 #[test]
 fn the_spot_check_detects_a_wrong_image() {
-    let scene = test_scene(160, 120, 0);
-    let model = model(RankSelection::Auto, Centring::Mean);
+    let light = test_scene(160, 120, 0);
+    let psf = Psf::from(model(RankSelection::Auto, Centring::Mean));
+    let scene = Scene::from(&light);
+    let simulator = psf.simulator((120, 160)).method(Method::Basis).build().unwrap();
     let check = |image: &Image<f64>| {
-        SpotCheck::run(image, 100, 3, |pixels| {
-            Ok(direct_at(&model, &scene, Anchor::Source, pixels)?)
-        })
-        .unwrap()
+        simulator
+            .spot_check(&scene, image, (100, 3), &NoProgress)
+            .unwrap()
     };
-    let good = convolve(&BasisConvolution::default(), &model, &scene).unwrap();
-    assert!(check(&good).max_over_peak.unwrap() < ROUNDING);
-    assert_eq!(check(&good).judged(ROUNDING).passed, Some(true));
+    let good = simulator.simulate(&scene).unwrap();
+    let judged = check(&good);
+    assert!(judged.max_over_peak.unwrap() < ROUNDING);
+    assert_eq!(judged.passed, Some(true), "{judged:?}");
     // An engine whose error is one part in a thousand, at one pixel in ten.
     let mut perturbed = good.pixels().to_owned();
     for ((y, x), value) in perturbed.indexed_iter_mut() {
@@ -114,11 +116,19 @@ fn the_spot_check_detects_a_wrong_image() {
             *value *= 1.001;
         }
     }
-    let judged = check(&Image::new(perturbed).unwrap()).judged(ROUNDING);
+    let judged = check(&Image::new(perturbed).unwrap());
     assert_eq!(judged.passed, Some(false), "{judged:?}");
-    let patches = PatchConvolution::new(32, Anchor::Source).unwrap();
-    let patched = convolve(&patches, &model, &scene).unwrap();
-    assert!(check(&patched).max_over_peak.unwrap() > 1e-4);
+    // Patches promise nothing.
+    let patches = psf
+        .simulator((120, 160))
+        .method(Method::Patch(32))
+        .build::<f64>()
+        .unwrap();
+    let patched = patches.simulate(&scene).unwrap();
+    let found = patches
+        .spot_check(&scene, &patched, (100, 3), &NoProgress)
+        .unwrap();
+    assert!(found.max_over_peak.unwrap() > 1e-4 && found.passed.is_none());
 }
 
 fn engine(anchor: Anchor, paths: Paths) -> LowRank {

@@ -18,10 +18,9 @@ import psfield
 
 #: Rows and columns of the frame.
 SHAPE = (512, 768)
-#: Stamp pixels per frame pixel. Stars between pixels need a PSF that is sampled more finely.
+#: Stamp pixels per frame pixel. Stars between pixels and galaxies need a PSF that is sampled more
+#: finely than the frame.
 OVERSAMPLING = 2
-#: Scene pixels along each side of a frame pixel. Coarser pixels would blur the galaxies.
-FINER = 4
 SEED = 1
 
 
@@ -62,15 +61,14 @@ def main(folder: Path) -> None:
 
     # 2. The plan: everything that does not depend on the light. The tolerance bounds the error that
     #    the engine adds to any single PSF.
-    plan = model.plan((FINER * ny, FINER * nx), tolerance=1e-4, oversample=FINER)
+    plan = model.plan(SHAPE, tolerance=1e-4)
     print(plan.describe())
 
     # 3. Light: an image (here a faint nebula), a catalogue, or both. Sources with a half-light
-    #    radius "re" are galaxies, and re = 0 means a star. The image has the fine pixels of the
-    #    scene, but a catalogue counts in pixels of the frame.
+    #    radius "re" are galaxies, and re = 0 means a star.
     rng = np.random.default_rng(SEED)
-    y, x = (np.mgrid[: FINER * ny, : FINER * nx] - (FINER - 1) / 2) / FINER
-    nebula = 5 / FINER**2 * np.exp(-0.5 * (((x - 300) / 60) ** 2 + ((y - 200) / 40) ** 2))
+    y, x = np.mgrid[:ny, :nx]
+    nebula = 5 * np.exp(-0.5 * (((x - 300) / 60) ** 2 + ((y - 200) / 40) ** 2))
     stars, galaxies = 300, 40
     count = stars + galaxies
     is_star = np.arange(count) < stars

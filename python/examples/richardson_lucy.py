@@ -27,6 +27,8 @@ import psfield
 SHAPE = (256, 256)
 ITERATIONS = 20
 SEED = 5
+#: Stamp pixels per frame pixel, for the PSF that is only the response of a pixel.
+FINE = 4
 
 Image = NDArray[np.float64]
 
@@ -53,7 +55,7 @@ def telescope() -> psfield.PsfModel:
 
 
 def scene() -> Image:
-    """Return the truth: stars and a faint sky, and galaxies, drawn by a PSF of one pixel."""
+    """Return the truth: stars, a faint sky, and the flux of galaxies in each pixel."""
     rng = np.random.default_rng(SEED)
     count = 25
     galaxies = {
@@ -65,12 +67,14 @@ def scene() -> Image:
         "q": rng.uniform(0.3, 1, count),
         "angle": rng.uniform(0, 180, count),
     }
-    sky = np.full(SHAPE, 20.0)
-    truth = (
-        psfield.PsfModel.from_samples([[[1.0]]], [(0, 0)])
-        .plan(SHAPE, precision="f64")
-        .simulate(sky, galaxies)
+    # A point without pixel response is given the response of a pixel. This PSF draws the flux of a
+    # galaxy in each pixel.
+    point = np.zeros((2 * FINE + 1, 2 * FINE + 1))
+    point[FINE, FINE] = FINE**2
+    pixel = psfield.PsfModel.from_samples(
+        [point], [(0, 0)], oversampling=FINE, pixel_response_included=False
     )
+    truth = 20.0 + pixel.plan(SHAPE, precision="f64").simulate(catalog=galaxies)
     np.add.at(
         truth, (rng.integers(10, 246, 40), rng.integers(10, 246, 40)), rng.uniform(1e3, 1e4, 40)
     )

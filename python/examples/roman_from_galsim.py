@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import sys
 import time
-import warnings
 from pathlib import Path
 
 import galsim
@@ -122,9 +121,6 @@ def main(folder: Path) -> None:
         "q": np.where(is_star, 1, rng.uniform(0.3, 1, count)),
         "angle": rng.uniform(0, 180, count),
     }
-    # The pixels of the frame blur galaxies by percents of their peaks. oversample=4 would avoid
-    # that with sixteen times as many pixels.
-    warnings.filterwarnings("ignore", r"\d+ galax(y is|ies are) blurred", psfield.PsfieldWarning)
     plan = model.plan(SHAPE, tolerance=1e-3)
     began = time.perf_counter()
     image = plan.simulate(catalog=catalog)

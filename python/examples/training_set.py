@@ -25,6 +25,8 @@ PAIRS = 1000
 SHAPE = (64, 64)
 STARS, GALAXIES = 12, 6
 SEED = 2024
+#: Stamp pixels per frame pixel, for the PSF that is only the response of a pixel.
+FINE = 4
 
 
 def telescope() -> psfield.PsfModel:
@@ -58,10 +60,16 @@ def main(folder: Path) -> None:
     """Run the example and write its files to a folder."""
     folder.mkdir(parents=True, exist_ok=True)
 
-    # Plans are made once. A PSF of one pixel draws galaxies without any blur.
+    # Plans are made once. A point without pixel response is given the response of a pixel. This
+    # PSF draws the flux of a galaxy in each pixel.
     began = time.perf_counter()
     plan = telescope().plan(SHAPE, tolerance=1e-3)
-    drawing = psfield.PsfModel.from_samples([[[1.0]]], [(0, 0)]).plan(SHAPE)
+    point = np.zeros((2 * FINE + 1, 2 * FINE + 1))
+    point[FINE, FINE] = FINE**2
+    pixel = psfield.PsfModel.from_samples(
+        [point], [(0, 0)], oversampling=FINE, pixel_response_included=False
+    )
+    drawing = pixel.plan(SHAPE)
     print(f"plans made in {time.perf_counter() - began:.2f} s")
 
     sharp = open_memmap(folder / "sharp.npy", "w+", np.float32, (PAIRS, *SHAPE))

@@ -19,6 +19,7 @@ class Defaults(NamedTuple):
     method: Literal["auto", "lowrank"]
     memory: int
     oversample: int
+    scene_pixels: Literal["point", "integrated"]
     interpolation: str
     outside: Literal["nearest", "extend", "error"]
     normalise: Literal["unit", "keep"]

@@ -4,7 +4,7 @@
 class PsfieldWarning(UserWarning):
     """A warning about a result that may be wrong, or about input that was skipped.
 
-    For example, stars lie between pixels and the PSF stamps are not oversampled.
+    For example, stars between pixels or galaxies are drawn from stamps that are not oversampled.
 
     Examples
     --------
@@ -18,5 +18,5 @@ class PsfieldWarning(UserWarning):
     ...     plan.simulate(catalog={"x": [2.5], "y": [1], "flux": 10})
     Traceback (most recent call last):
         ...
-    psfield._errors.PsfieldWarning: stars lie between pixels...
+    psfield._errors.PsfieldWarning: stars between pixels and galaxies need...
     """

@@ -880,6 +880,7 @@ class PsfModel:
         method: Literal["auto", "lowrank"] = DEFAULTS.method,
         memory: int = DEFAULTS.memory,
         oversample: int = DEFAULTS.oversample,
+        scene_pixels: Literal["point", "integrated"] = DEFAULTS.scene_pixels,
         stamp_size: int | None = None,
         gpu_adapter: str | None = None,
         gpu_memory: int | None = None,
@@ -891,13 +892,14 @@ class PsfModel:
         shape : (int, int)
             Rows and columns of the scenes.
         tolerance : float
-            Largest relative L2 error that the engine may add to the PSF of any single pixel or
-            star, from 0 (limited only by rounding) to below 1.
+            Largest relative L2 error that the engine may add to the PSF of any single pixel, star
+            or galaxy, from 0 (limited only by rounding) to below 1.
         precision : {'f32', 'f64'} or dtype
             Precision of the computation and of the images. Also ``'float64'``, ``numpy.float64``
             or any other spelling of these types.
         device : {'auto', 'cpu', 'gpu'}
-            Device that convolves. ``auto`` uses a GPU if that is predicted to be faster.
+            Device that convolves scenes. ``auto`` uses a GPU if that is predicted to be faster.
+            Stars and galaxies are drawn on the CPU.
         frame : (int, int, int, int), optional
             Part of the scene that the image shows: first column, first row, columns, rows, in
             pixels of the image. Field positions count from the first pixel of the frame. Light from
@@ -920,7 +922,14 @@ class PsfModel:
         memory : int
             Largest number of bytes that the plan keeps.
         oversample : int
-            Scene pixels along each side of a pixel of the image.
+            Scene pixels along each side of a pixel of the image. Stars and galaxies of a catalogue
+            do not depend on it.
+        scene_pixels : {'point', 'integrated'}
+            Meaning of the values of the scene's image. ``point``: light at the centres of the
+            scene's pixels. ``integrated``: light that is already integrated over the scene's
+            pixels. The response of these pixels is then taken out, for detail that the pixels can
+            hold. This amplifies noise in the scene by at most 2.47 before the PSF. Stars and
+            galaxies of a catalogue do not depend on it.
         stamp_size : int, optional
             Cut or pad stamps to this number of pixels of the image along each side.
         gpu_adapter : str, optional
@@ -952,6 +961,7 @@ class PsfModel:
             method=method,
             memory=memory,
             oversample=oversample,
+            scene_pixels=scene_pixels,
             stamp_size=stamp_size,
             gpu_adapter=gpu_adapter,
             gpu_memory=gpu_memory,

@@ -47,8 +47,16 @@ class SpotCheck:
         ``rms``, divided by the root mean square of the direct sum at the same pixels.
     limit : float or None
         Largest ``relative_rms`` that passes the check.
+    worst_pixel : float or None
+        Largest difference in a pixel, divided by the largest that the tolerance allows there.
+    sources : int
+        Number of stars, galaxies and pixels of the scene around which 7 x 7 pixels were compared.
+    worst_source : float or None
+        Largest difference around a source (the root of the sum of its squares), divided by the
+        largest that the tolerance allows there.
     passed : bool or None
-        True if ``relative_rms`` is within the limit.
+        True if ``relative_rms`` is within the limit, and ``worst_pixel`` and ``worst_source`` are
+        at most 1. None if the method promises nothing.
 
     Examples
     --------
@@ -66,6 +74,9 @@ class SpotCheck:
     max_over_peak: float | None
     relative_rms: float | None
     limit: float | None
+    worst_pixel: float | None
+    sources: int
+    worst_source: float | None
     passed: bool | None
 
 
@@ -75,8 +86,8 @@ class Plan:
     `PsfModel.plan` makes it.
 
     A plan is a linear operator from scenes to images. It may be used from many threads at once. It
-    can be pickled. A plan that is loaded from a pickle is computed again. The parts for stars and
-    for galaxies are computed when they are first needed, and kept.
+    can be pickled. A plan that is loaded from a pickle is computed again. The part for stars and
+    galaxies is computed when it is first needed, and kept.
 
     Examples
     --------
@@ -286,7 +297,8 @@ class Plan:
             pixels, 0 for a star), ``n``, ``q`` and ``angle`` (degrees from +x towards +y), and the
             reduced shear ``g1`` and ``g2`` that is applied to this profile (as GalSim's
             ``shear(g1=, g2=)``, without it ``q`` and ``angle`` are those of the image). A number in
-            place of a column holds for all rows. Fluxes may be negative, but not 0.
+            place of a column holds for all rows. Fluxes may be negative, but not 0. Stars and
+            galaxies do not depend on the scene's pixels (``oversample``).
         out : numpy.ndarray, optional
             Array to which the image is written, with `image_shape` and `dtype`. Its content is
             undefined after an interruption.
@@ -308,8 +320,8 @@ class Plan:
         Warns
         -----
         PsfieldWarning
-            Stars lie between pixels and the stamps are not oversampled, the pixels blur galaxies
-            (``oversample`` below 4), or the catalogue has no sources.
+            The stamps are oversampled by a factor below 2 and there are galaxies, or stars between
+            pixels. Or the catalogue has no sources, or none whose light reaches the frame.
 
         Examples
         --------
@@ -410,7 +422,8 @@ class Plan:
     ) -> SpotCheck:
         """Compare an image with the direct sum in double precision at random pixels.
 
-        Half of the pixels are chosen where the image is bright.
+        Half of the pixels are chosen where the image is bright. The pixels around up to 32 stars,
+        32 galaxies and 32 pixels of the scene are compared too.
 
         Parameters
         ----------
@@ -558,6 +571,7 @@ _CHECKS: dict[str, Callable[[Any, str], Any]] = {
     "method": partial(choice, known=("auto", "lowrank")),
     "memory": integer,
     "oversample": partial(integer, least=1),
+    "scene_pixels": partial(choice, known=("point", "integrated")),
     "stamp_size": partial(integer_or_none, least=1),
     "gpu_adapter": text_or_none,
     "gpu_memory": integer_or_none,

@@ -8,11 +8,6 @@ from conftest import gaussian_stamp
 
 import psfield
 
-#: For tests in which the blur of galaxies by the pixels of the frame does not matter.
-blurred_galaxies = pytest.mark.filterwarnings(
-    r"ignore:\d+ galax(y is|ies are) blurred:psfield.PsfieldWarning"
-)
-
 
 @pytest.fixture(scope="module")
 def plan():
@@ -57,7 +52,6 @@ def test_light_from_off_the_frame_shines_in(plan):
     assert 50 < image.sum() < 500 and image[:, 20:].max() < 1e-6
 
 
-@blurred_galaxies
 def test_galaxies_have_their_flux_and_shape(plan):
     image = plan.simulate(catalog=GALAXIES)
     y, x = np.mgrid[:60, :80]
@@ -108,7 +102,6 @@ def as_masked(columns):
     return masked
 
 
-@blurred_galaxies
 @pytest.mark.parametrize(
     "form",
     [
@@ -139,7 +132,6 @@ def test_a_negative_flux_is_drawn(plan):
     assert image.min() < 0 and not (image > 1e-12).any()
 
 
-@blurred_galaxies
 def test_shear_is_applied_to_the_ellipse(plan):
     place = {"x": 40.0, "y": 30.0, "flux": 1e3, "n": 1.0}
     q = 0.8 / 1.2
@@ -198,24 +190,27 @@ def test_coarse_stamps_are_warned_of():
     model = psfield.PsfModel.from_samples([gaussian_stamp(1.5)], [(0, 0)])
     plan = model.plan((40, 40))
     plan.simulate(catalog={"x": [5.0], "y": [7.0], "flux": [1.0]})
-    with pytest.warns(psfield.PsfieldWarning, match="stars lie between pixels"):
+    with pytest.warns(psfield.PsfieldWarning, match="stars between pixels and galaxies"):
         plan.simulate(catalog={"x": [5.5], "y": [7.0], "flux": [1.0]})
 
 
-def test_galaxies_on_coarse_pixels_are_warned_of(plan):
-    def galaxy(radius):
-        return {"x": [5.0], "y": [7.0], "flux": [1.0], "re": [radius], "n": [1.0]}
+def test_galaxies_from_coarse_stamps_are_warned_of(plan):
+    galaxy = {"x": [5.0], "y": [7.0], "flux": [1.0], "re": [5.0], "n": [1.0]}
+    plan.simulate(catalog=galaxy)
+    coarse = psfield.PsfModel.from_samples([gaussian_stamp(1.5)], [(0, 0)]).plan((40, 40))
+    # Every galaxy is interpolated, also on the centre of a pixel.
+    with pytest.warns(psfield.PsfieldWarning, match="stars between pixels and galaxies need"):
+        coarse.simulate(catalog=galaxy)
 
-    for radius in (0.4, 5.0):
-        with pytest.warns(
-            psfield.PsfieldWarning,
-            match="1 galaxy is blurred twice.* at least 4 along .* \\(oversample=\\)",
-        ):
-            plan.simulate(catalog=galaxy(radius))
-    finer = plan.model.plan((240, 320), oversample=4)
-    finer.simulate(catalog=galaxy(5.0))
-    with pytest.warns(psfield.PsfieldWarning, match="1 galaxy is blurred"):
-        finer.simulate(catalog=galaxy(0.4))
+
+def test_galaxies_do_not_depend_on_the_pixels_of_the_scene(plan):
+    finer = plan.model.plan((240, 320), 1e-3, "f64", oversample=4)
+    assert np.allclose(
+        finer.simulate(catalog=GALAXIES),
+        plan.simulate(catalog=GALAXIES),
+        rtol=1e-12,
+        atol=1e-15,
+    )
 
 
 class TestFiles:
@@ -233,7 +228,6 @@ class TestFiles:
             "flux": pytest.approx([100.0, 10.0]),
         }
 
-    @blurred_galaxies
     def test_galaxies_come_after_stars(self, tmp_path, plan):
         path = tmp_path / "sources.csv"
         path.write_text("x,y,flux,re,n,q,angle\n40,30,1000,4,1,0.5,30\n10,50,10,0,,,\n")

@@ -51,6 +51,7 @@ def files(tmp_path_factory):
             {"frame": (8, 5, 100, 80), "stamp_size": 11},
         ),
         (["--oversampling", "2"], {"oversample": 2}),
+        (["--scene-pixels", "integrated"], {"scene_pixels": "integrated"}),
     ],
 )
 @pytest.mark.parametrize("catalog", [False, True])

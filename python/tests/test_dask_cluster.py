@@ -124,6 +124,7 @@ def test_fits_files(client, model, tmp_path) -> None:
         np.testing.assert_array_equal(image, expected_of(model, seed, tolerance=1e-3))
         assert header["PSFIELD"] == psfield.__version__
         assert header["PSFTOLON"] == "aperture"
+        assert header["PSFSCPIX"] == "point"
         assert (header["PSFTOL"], header["PSFANCH"], header["PSFPREC"], header["PSFSEED"]) == (
             1e-3,
             "source",

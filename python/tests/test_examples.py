@@ -218,7 +218,7 @@ def test_coming_from_galsim(tmp_path, monkeypatch):
     # The error of interpolation between a dozen positions and between thirds of a pixel. The stars
     # of GalSim have 64 pixels, those of psfield 63.
     assert over_peak(names["ours"], names["theirs"].array) < 1e-3
-    # The blur by quarters of a pixel, and the truncation of GalSim's transforms.
+    # The interpolation of the PSF as for stars, and the truncation of GalSim's transforms.
     assert over_peak(names["our_galaxy"], names["their_galaxy"]) < 2e-3
     # The first pixel is 1 in GalSim and 0 in psfield. A shift by one pixel must be detected.
     assert over_peak(names["ours"], np.roll(names["theirs"].array, 1, axis=1)) > 0.1

@@ -17,6 +17,10 @@ LANCZOS = 1e-4
 #: The error of GalSim on these stars is 1e-3 of the peak. The spline of photutils, cut to the same
 #: size, reaches 8.6e-4.
 STARS = 1.0e-3
+#: Largest error of a galaxy's image, relative to its peak, at a tolerance of 1e-5, and the error of
+#: its shear. GalSim's own errors are included.
+GALAXIES = 2e-4
+SHEAR = 1e-4
 MODEL = "psfex/DECam_00154912_12.psf"
 
 
@@ -123,6 +127,77 @@ class TestGalsim:
             assert (
                 relative_l2(model.evaluate(x, y), draw(x, y).array / draw(x, y).array.sum()) < 1e-3
             )
+
+    @pytest.mark.parametrize(
+        ("re", "n", "q", "angle"),
+        [
+            (0.1, 0.5, 1, 0),
+            (0.5, 4, 0.4, 30),
+            (1.5, 1, 0.2, 70),
+            (3, 2.5, 0.6, 120),
+            (8, 1.5, 0.7, 10),
+        ],
+    )
+    def test_galaxies(self, re, n, q, angle):
+        galsim = pytest.importorskip("galsim")
+        accurate = galsim.GSParams(
+            folding_threshold=1e-4,
+            maxk_threshold=1e-5,
+            kvalue_accuracy=1e-8,
+            stepk_minimum_hlr=20,
+            maximum_fft_size=32768,
+        )
+        size, across, place = 192, 200, (95.3, 96.8)
+        # The same stamps for both, oversampled by 4.
+        y, x = (np.mgrid[:across, :across] - across // 2) / 4
+        stamp = (1 + (x**2 + y**2) / 2.5**2) ** -2.5
+        model = psfield.PsfModel.from_samples([stamp], [(0, 0)], oversampling=4)
+        ours = model.plan((size, size), tolerance=1e-5, precision="f64").simulate(
+            catalog={
+                "x": place[0],
+                "y": place[1],
+                "flux": 1,
+                "re": re,
+                "n": n,
+                "q": q,
+                "angle": angle,
+            }
+        )
+        psf = galsim.InterpolatedImage(
+            galsim.ImageD(stamp / stamp.sum()),
+            scale=0.25,
+            x_interpolant="lanczos15",
+            use_true_center=False,
+            gsparams=accurate,
+            calculate_stepk=False,
+            calculate_maxk=False,
+        )
+        # The half-light radius of GalSim is that of the round profile of equal area.
+        light = galsim.Sersic(n=n, half_light_radius=re * np.sqrt(q), gsparams=accurate)
+        light = light.shear(q=q, beta=angle * galsim.degrees)
+        theirs = galsim.Convolve(light, psf, gsparams=accurate).drawImage(
+            nx=size,
+            ny=size,
+            scale=1,
+            method="no_pixel",
+            dtype=float,
+            offset=[at - (size - 1) / 2 for at in place],
+        )
+        assert np.abs(ours - theirs.array).max() < GALAXIES * theirs.array.max()
+
+        def shape(image):
+            """Return the reduced shear and the size by adaptive moments."""
+            found = galsim.hsm.FindAdaptiveMom(
+                galsim.ImageD(image),
+                guess_sig=3,
+                guess_centroid=galsim.PositionD(place[0] + 1, place[1] + 1),
+                hsmparams=galsim.hsm.HSMParams(convergence_threshold=1e-9, max_mom2_iter=2000),
+            )
+            return found.observed_shape.g1, found.observed_shape.g2, found.moments_sigma
+
+        (g1, g2, own_size), (h1, h2, their_size) = shape(ours), shape(theirs.array)
+        assert max(abs(g1 - h1), abs(g2 - h2)) < SHEAR
+        assert abs(own_size / their_size - 1) < 2 * SHEAR
 
 
 class TestOutsideData:

@@ -56,6 +56,20 @@ def test_a_finer_scene_keeps_its_flux(model):
     assert image.sum() == pytest.approx(7.0, rel=1e-3)
 
 
+def test_light_integrated_over_pixels_of_the_scene(model):
+    """The scene's pixel is taken out: the flux stays, and the image is sharper."""
+    scene = np.zeros((96, 128))
+    scene[50, 60] = 7.0
+    point, integrated = (
+        model.plan(scene.shape, 1e-4, "f64", scene_pixels=pixels).simulate(scene)
+        for pixels in ("point", "integrated")
+    )
+    assert integrated.sum() == pytest.approx(point.sum(), rel=1e-6)
+    assert integrated.max() > 1.01 * point.max()
+    plan = model.plan(scene.shape, scene_pixels="integrated")
+    assert plan.summary["scene_pixels"] == "integrated"
+
+
 def test_the_same_scene_gives_the_same_bytes_on_any_number_of_threads(model, scene):
     plan = model.plan(scene.shape, 1e-3)
     before = psfield.threads()
@@ -220,6 +234,7 @@ class TestSettings:
             ({"device": "tpu"}, ValueError, "device must be auto, cpu or gpu, got tpu"),
             ({"anchor": "middle"}, ValueError, "source or output"),
             ({"tolerance_on": "flux"}, ValueError, "l2 or aperture"),
+            ({"scene_pixels": "cell"}, ValueError, "point or integrated"),
             ({"method": "direct"}, ValueError, "method must be auto or lowrank"),
             ({"method": "fast"}, ValueError, "method must be auto or lowrank, got fast"),
             ({"oversample": 0}, ValueError, "oversample must be at least 1"),
@@ -325,6 +340,10 @@ def test_spot_checks_know_galaxies_frames_and_finer_scenes(model):
         for sources in (None, catalog):
             check = plan.spot_check(scene, sources, pixels=300, seed=4)
             assert check.passed is True and check.relative_rms < 1e-2, (words, check)
+    # A galaxy in the wrong place is found.
+    plan = model.plan(scene.shape, 1e-3)
+    image = plan.simulate(scene, {**catalog, "x": [5.3, 60.5, -3.0]})
+    assert plan.spot_check(scene, catalog, image=image, pixels=300, seed=4).passed is False
 
 
 @pytest.mark.filterwarnings("ignore::psfield.PsfieldWarning")

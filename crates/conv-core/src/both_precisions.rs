@@ -8,8 +8,8 @@
 use std::hint::black_box;
 
 use crate::{
-    BasisConvolution, ConvReal, ConvolutionMethod, Direct, Engine, PatchConvolution, Plan, StarPainter,
-    StarPlan,
+    BasisConvolution, ConvReal, ConvolutionMethod, Direct, Engine, GalaxyPlan, PatchConvolution, Plan,
+    StarPainter, StarPlan,
 };
 
 /// Uses every function that carries `#[inline(never)]` for this reason, so that it is compiled
@@ -20,6 +20,8 @@ fn of<T: ConvReal>() {
     black_box(Plan::<T>::of_whole as fn(_, _, _, _, _) -> _);
     black_box(StarPlan::<T>::new as fn(_, _, _) -> _);
     black_box(StarPlan::<T>::draw_into as fn(_, _, _, _, _, _) -> _);
+    black_box(GalaxyPlan::<T>::new as fn(_, _, _) -> _);
+    black_box(GalaxyPlan::<T>::draw_into as fn(_, _, _, _, _, _, _) -> _);
     black_box(StarPainter::draw_into::<T> as fn(_, _, _, _, _) -> _);
     black_box(Direct::at_pixels::<T> as fn(_, _, _, _, _, _, _) -> _);
     black_box(<Direct as ConvolutionMethod<T>>::convolve as fn(_, _, _, _, _) -> _);

@@ -65,6 +65,7 @@ mod both_precisions;
 mod cpu;
 mod engine;
 mod error;
+mod galaxies;
 #[cfg(feature = "gpu")]
 pub mod gpu;
 mod image_memory;
@@ -90,11 +91,13 @@ pub mod internals {
 
 pub use engine::{Engine, LowRank, Operation, RowStream, TileCounts};
 pub use error::ConvError;
+pub use galaxies::GalaxyPlan;
 pub use image_memory::zeros;
 pub use plan::{Paths, Plan, PlanOptions, PlanSummary};
 pub use reference::{BasisConvolution, ConvolutionMethod, Direct, PatchConvolution};
 pub use simd::ConvReal;
 pub use stamp_interpolator::{
-    StampInterpolator, edge_reach, edge_reach_of, grid_with_pixel_response, native_grid, resample_samples,
+    ScenePixelFilter, StampInterpolator, edge_reach, edge_reach_of, grid_with_pixel_response, native_grid,
+    resample_samples,
 };
 pub use stars::{StarPainter, StarPlan};

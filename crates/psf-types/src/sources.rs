@@ -43,9 +43,9 @@ impl PointSource {
 const SMALLEST_INDEX: f64 = 0.3;
 /// The largest Sersic index that is allowed. Fits of real galaxies with a larger index are not meaningful.
 const LARGEST_INDEX: f64 = 8.0;
-/// The smallest axis ratio that is allowed. Edge-on discs have a ratio a hundred times larger. The time to
-/// integrate a profile over pixels grows as the inverse of the ratio. A galaxy with the smallest
-/// ratio takes a large part of a second.
+/// The smallest axis ratio that is allowed. Edge-on discs have a ratio a hundred times larger. The light
+/// of a thinner galaxy changes within a small part of a pixel far from its centre, which takes long
+/// to draw.
 const SMALLEST_AXIS_RATIO: f64 = 1e-3;
 
 /// A Sersic profile with elliptical isophotes: the distribution of a galaxy's light.

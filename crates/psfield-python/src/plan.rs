@@ -25,7 +25,7 @@ pub(crate) struct Plan {
     simulator: AnySimulator,
     /// Locked while a thread outside the pool prepares the simulator for a new kind of scene (with
     /// or without stars or galaxies). Plans for other regions use the same lock, because they share
-    /// the plan for stars.
+    /// the plans for stars and galaxies.
     making: Arc<Mutex<()>>,
     /// The process that made this plan.
     process: u32,
@@ -63,6 +63,7 @@ pub(crate) struct PlanSettings {
     method: String,
     memory: usize,
     oversample: usize,
+    scene_pixels: String,
     stamp_size: Option<usize>,
     device: String,
     gpu_adapter: Option<String>,
@@ -82,6 +83,7 @@ impl PlanSettings {
             anchor: parsed(&self.anchor)?,
             memory: self.memory,
             oversample: self.oversample,
+            scene_pixels: parsed(&self.scene_pixels)?,
             stamp_size: self.stamp_size,
             frame: self.frame.map(region).transpose()?,
             region: self.region.map(region).transpose()?,
@@ -150,8 +152,8 @@ impl Plan {
     /// Properties of the plan by name.
     fn summary<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let made = self.preparation()?;
-        let (shape, method) =
-            in_precision!(self, simulator => (simulator.scene_shape(), simulator.options().method));
+        let (shape, options) =
+            in_precision!(self, simulator => (simulator.scene_shape(), simulator.options().clone()));
         let summary = made.plan.ok_or_else(|| invalid("this plan has no summary"))?;
         let found = PyDict::new(py);
         found.set_item("text", summary.to_string())?;
@@ -161,7 +163,8 @@ impl Plan {
         found.set_item("tolerance", summary.tolerance)?;
         found.set_item("tolerance_on", summary.tolerance_on.to_string())?;
         found.set_item("anchor", summary.anchor.to_string())?;
-        found.set_item("method", method.to_string())?;
+        found.set_item("method", options.method.to_string())?;
+        found.set_item("scene_pixels", options.scene_pixels.to_string())?;
         found.set_item("device", made.placement.to_string())?;
         found.set_item("gpu", made.placement.adapter())?;
         found.set_item("tile_shape", (summary.tile.1, summary.tile.0))?;
@@ -317,7 +320,7 @@ fn simulated<T: ConvReal>(
 }
 
 /// Builds a simulator, and makes its model and plan for scenes that contain an image. Those for
-/// stars are made later, when a scene needs them.
+/// stars and galaxies are made later, when a scene needs them.
 fn planned<T: ConvReal>(
     py: Python<'_>,
     make: impl FnOnce(&Watch) -> Result<Simulator<T>, PsfieldError> + Send + 'static,

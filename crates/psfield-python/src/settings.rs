@@ -158,6 +158,7 @@ pub(crate) fn defaults(py: Python<'_>) -> PyResult<Bound<'_, PyDict>> {
     values.set_item("method", simulation.method.to_string())?;
     values.set_item("memory", simulation.memory)?;
     values.set_item("oversample", simulation.oversample)?;
+    values.set_item("scene_pixels", simulation.scene_pixels.to_string())?;
     values.set_item("interpolation", fit.interpolation.to_string())?;
     values.set_item("outside", fit.outside.to_string())?;
     values.set_item("normalise", fit.normalisation.to_string())?;

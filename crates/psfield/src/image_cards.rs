@@ -65,9 +65,9 @@ fn utc(seconds: u64) -> String {
 }
 
 impl<T: ConvReal> Simulator<T> {
-    /// Returns cards that say how an image was made: method, anchor, precision, device, and the
-    /// model's number of components and normalisation. A method with a tolerance has cards for it
-    /// and for the errors that it bounds.
+    /// Returns cards that say how an image was made: method, anchor, meaning of the scene's pixels,
+    /// precision, device, and the model's number of components and normalisation. A method with a
+    /// tolerance has cards for it and for the errors that it bounds.
     ///
     /// The header of a simulated image holds, in this order: the scene's own cards
     /// ([`carried_header`](Self::carried_header)), the cards of [`provenance_cards`], these cards,
@@ -84,6 +84,11 @@ impl<T: ConvReal> Simulator<T> {
                 "PSFANCH",
                 options.anchor.to_string(),
                 "PSF is that of the source or output pixel",
+            )?,
+            Card::new(
+                "PSFSCPIX",
+                options.scene_pixels.to_string(),
+                "light in the scene's pixels",
             )?,
             Card::new("PSFPREC", T::NAME, "working precision")?,
             Card::new(

@@ -58,6 +58,7 @@ mod evaluate;
 mod exposure_files;
 mod fit;
 mod image_cards;
+mod light_on_pixels;
 mod measure;
 mod psf;
 mod readable;
@@ -81,11 +82,12 @@ pub use evaluate::{
 pub use exposure_files::{ExposureFiles, exposure_cards, read_bad_pixel_mask};
 pub use fit::{Fit, FitOptions, FitReport, LeaveOneOutReport, fit, fit_trained, fit_with, model_of};
 pub use image_cards::{JOB_KEYWORD, PSF_FILE_KEYWORD, provenance_cards, utc_now};
+pub use light_on_pixels::light_on_pixels;
 pub use measure::{MEASUREMENT_COLUMNS, MeasureOptions, Measurement};
 pub use psf::{FitChoices, Note, Psf, PsfFileOptions, check_stack, record_of_psfex};
 pub use readable::readable;
 pub use scene::Scene;
-pub use simulate_options::{Device, Method, SimulateOptions};
+pub use simulate_options::{Device, Method, ScenePixels, SimulateOptions};
 pub use simulator::{OwnMethodBuilder, Preparation, SimulationWarning, Simulator, SimulatorBuilder};
 pub use spot_check::{PickedPixel, PixelPicker, SpotCheck};
 

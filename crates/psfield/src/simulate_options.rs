@@ -23,8 +23,8 @@ use crate::PsfieldError;
 pub struct SimulateOptions {
     /// The convolution method.
     pub method: Method,
-    /// The largest relative L2 error that a plan may add to the PSF of any single pixel or star,
-    /// from 0 to below 1 ([`PlanOptions::new`]). Applies to the methods with a plan
+    /// The largest relative L2 error that a plan may add to the PSF of any single pixel, star
+    /// or galaxy, from 0 to below 1 ([`PlanOptions::new`]). Applies to the methods with a plan
     /// ([`Method::has_plan`]).
     pub tolerance: f64,
     /// The errors that the tolerance bounds: only the L2 error of a PSF, or also the error of the
@@ -41,9 +41,13 @@ pub struct SimulateOptions {
     /// [`MAX_OVERSAMPLE`](Self::MAX_OVERSAMPLE). Pixel `i` of the frame has its centre at
     /// the coordinate `oversample i + (oversample - 1) / 2` of the scene.
     pub oversample: usize,
+    /// The meaning of the values of the scene's image: light at points, or integrated over pixels.
+    /// Stars and galaxies do not depend on it.
+    pub scene_pixels: ScenePixels,
     /// Size of the stamps in pixels of the frame along each side, centred at `stamp_size / 2`.
     /// Stamps that convolve images are cut or padded to this size. Padding beyond the reach of the
-    /// PSF, where all values are zero, is left out. Stamps that draw stars are only cut. None: the
+    /// PSF, where all values are zero, is left out. For [`ScenePixels::Integrated`], the margin of
+    /// the filter is added afterwards. Stamps that draw stars and galaxies are only cut. None: the
     /// stamps' own size.
     pub stamp_size: Option<usize>,
     /// The part of the scene that the image shows, in pixels of the frame counted from the scene's
@@ -54,7 +58,7 @@ pub struct SimulateOptions {
     /// first pixel. None: all of it. The images of all regions together equal the image of the
     /// whole frame, to rounding. Applies to the methods with a plan.
     pub region: Option<PixelRegion>,
-    /// The device that convolves images. Stars are drawn on the processor.
+    /// The device that convolves images. Stars and galaxies are drawn on the processor.
     pub device: Device,
     /// The GPU to use: a part of its name, or its backend. No other GPU is used. None: the
     /// preferred GPU.
@@ -73,6 +77,7 @@ impl Default for SimulateOptions {
             anchor: Anchor::default(),
             memory: PlanOptions::DEFAULT_MEMORY_BYTES,
             oversample: 1,
+            scene_pixels: ScenePixels::default(),
             stamp_size: None,
             frame: None,
             region: None,
@@ -104,6 +109,24 @@ impl SimulateOptions {
         })
     }
 }
+
+/// The meaning of the values of a scene's image. Written as `point` or `integrated`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[non_exhaustive]
+pub enum ScenePixels {
+    /// Each value is light at the centre of its pixel: `image = sum_j f_j h(. - j)`.
+    #[default]
+    Point,
+    /// Each value is light already integrated over the square pixel of the scene. The response of
+    /// this pixel is taken out, by a filter that is applied to the PSF within the scene's Nyquist
+    /// frequency ([`ScenePixelFilter`](conv_core::ScenePixelFilter)). The image is then that of the
+    /// sky, if the sky has no detail beyond this frequency. Finer detail cannot be recovered. Sharp
+    /// structures get negative ripples, which the PSF dims. Noise in the scene is amplified before
+    /// the PSF: by at most 2.47 at any frequency, and white noise by 1.39 r.m.s.
+    Integrated,
+}
+
+named!(ScenePixels, "scene pixels", "point or integrated", "point" => Point, "integrated" => Integrated);
 
 /// The device that convolves images. Written as `auto`, `cpu` or `gpu`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]

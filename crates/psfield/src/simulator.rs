@@ -8,23 +8,23 @@ mod stream;
 #[cfg(test)]
 mod tests;
 
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, OnceLock};
 use std::time::Instant;
 
 use conv_core::{
-    ConvError, ConvReal, ConvolutionMethod, Engine, Operation, Plan, PlanSummary, StarPainter, StarPlan,
-    TileCounts,
+    ConvError, ConvReal, ConvolutionMethod, Engine, GalaxyPlan, Operation, Plan, PlanOptions, PlanSummary,
+    StarPainter, StarPlan, TileCounts,
 };
-use ndarray::{Array2, ArrayView2, ArrayViewMut2, s};
+use ndarray::{Array2, ArrayViewMut2};
 use psf_types::{
-    DataError, FrameShape, Image, ImageView, NoProgress, PixelRegion, PointSource, Progress, PsfModel,
-    Uncounted,
+    DataError, FrameShape, Image, ImageView, LightProfile, NoProgress, PixelRegion, PointSource, Progress,
+    PsfModel, SersicSource, ToleranceOn,
 };
+use sersic::SersicLight;
 
 use crate::device::{self, CpuReason, GpuSeconds, Placement};
 use crate::psf::get_or_make;
-use crate::{Device, ErrorKind, Psf, PsfieldError, Scene, SimulateOptions};
+use crate::{Device, ErrorKind, Psf, PsfieldError, Scene, ScenePixels, SimulateOptions};
 
 use geometry::Geometry;
 
@@ -43,10 +43,12 @@ const REGION: &str = "a region of the frame can be computed";
 /// The image in a scene is convolved with stamps that are resampled to the scene's pixels. Stars
 /// are drawn with the PSF's own stamps, because oversampled stamps place a star between pixels more
 /// accurately than resampled ones. The result includes the response of a frame pixel exactly once.
-/// If the stamps lack this response, the simulator adds it.
+/// If the stamps lack this response, the simulator adds it. If the image's values are integrated
+/// over the scene's pixels, the simulator takes the response of these pixels out
+/// ([`ScenePixels`]).
 ///
-/// Galaxies are integrated over the pixels of the scene and then convolved, so that the scene's
-/// pixels blur them. [`SimulationWarning::BlurredGalaxies`] says when this matters.
+/// Galaxies are functions on the sky. Each is convolved once with the interpolated stamp of its own
+/// position ([`GalaxyPlan`]), whatever the scene's pixels are.
 ///
 /// ```
 /// use ndarray::{Array2, Array3};
@@ -74,13 +76,8 @@ pub struct Simulator<T: ConvReal> {
     shared: Arc<Shared<T>>,
     options: SimulateOptions,
     geometry: Geometry,
-    /// Convolves scenes without galaxies.
-    images: OnceLock<Convolver<T>>,
-    /// Convolves scenes with galaxies. Pixels around the scene hold the light of galaxies beyond
-    /// its edges, which the PSF spreads into the image.
-    padded: OnceLock<Convolver<T>>,
-    /// True if `padded` ran last, false if `images` did.
-    ran_padded: AtomicBool,
+    /// Convolves the images of scenes.
+    convolver: OnceLock<Convolver<T>>,
 }
 
 /// Parts that the simulators of all regions of a frame share.
@@ -92,20 +89,18 @@ struct Shared<T: ConvReal> {
     method: Option<Box<dyn ConvolutionMethod<T>>>,
     /// The model on the scene's pixels, and the seconds that its fit took.
     image_model: OnceLock<(PsfModel, f64)>,
-    stars: OnceLock<Stars<T>>,
+    sources: OnceLock<Sources<T>>,
     /// The smallest and the largest flux that a star of flux 1 gets at different sub-pixel phases.
     /// The inner value is None if the PSF is not known in the middle of the frame.
     star_flux: OnceLock<Option<(f64, f64)>>,
 }
 
-/// Convolves extended light: the image of the scene and the galaxies.
+/// Convolves the image of a scene.
 #[derive(Debug)]
 struct Convolver<T: ConvReal> {
     /// None for a method without a plan.
     engine: Option<Engine<T>>,
     placement: Placement,
-    /// Pixels around the scene on every side.
-    padding: usize,
     seconds: f64,
 }
 
@@ -117,12 +112,13 @@ impl<T: ConvReal> Convolver<T> {
     }
 }
 
-/// Draws stars.
+/// Draws stars and galaxies.
 #[derive(Debug)]
-struct Stars<T: ConvReal> {
+struct Sources<T: ConvReal> {
     model: PsfModel,
     /// If None, stars are drawn one by one from all components, in f64.
-    plan: Option<StarPlan<T>>,
+    stars: Option<StarPlan<T>>,
+    galaxies: GalaxyPlan<T>,
     fit_seconds: f64,
     plan_seconds: f64,
 }
@@ -132,13 +128,12 @@ struct Stars<T: ConvReal> {
 #[derive(Debug, Clone)]
 #[non_exhaustive]
 pub struct Preparation<'a> {
-    /// The model for the convolution of images. For scenes with only stars, the model for drawing
-    /// the stars.
+    /// The model for the convolution of images. For scenes without an image, the model for drawing
+    /// stars and galaxies.
     pub model: &'a PsfModel,
-    /// The plan for extended light. None for scenes with only stars, and for methods without a
-    /// plan.
+    /// The plan for the image. None for scenes without an image, and for methods without a plan.
     pub plan: Option<PlanSummary>,
-    /// The device that convolves extended light.
+    /// The device that convolves the image.
     pub placement: Placement,
     /// Seconds that the call of [`Simulator::prepare`] spent on fits. 0 if the models existed.
     pub fit_seconds: f64,
@@ -146,8 +141,11 @@ pub struct Preparation<'a> {
     pub plan_seconds: f64,
 }
 
-/// Extended light for a convolver, and the column and the row of the scene at which it begins. For
-/// a scene with galaxies, both count from the first pixel of the padded scene.
+/// PSFs have no flux if their values nearly cancel: their sum is at most this part of the sum of
+/// their absolute values.
+const NO_FLUX: f64 = 1e-13;
+
+/// The image of a scene, or a part of it, and the column and the row of the scene at which it begins.
 type Light<'a, T> = (ImageView<'a, T>, (usize, usize));
 
 impl<T: ConvReal> Simulator<T> {
@@ -201,8 +199,8 @@ impl<T: ConvReal> Simulator<T> {
     }
 
     /// Adds the image of a scene to `image`. `image` is `[y, x]` of the frame or, if the simulator
-    /// has a region, of this region. Returns counts of the tiles of extended light, one for each
-    /// way to convolve a tile.
+    /// has a region, of this region. Returns counts of the tiles of the scene's image, one for
+    /// each way to convolve a tile.
     ///
     /// The image in the scene has the shape of the simulator's scenes. If the simulator has a
     /// region, the scene may instead hold only the image of the part whose light reaches the region
@@ -226,12 +224,13 @@ impl<T: ConvReal> Simulator<T> {
             return Err(ConvError::FrameShape { expected, got }.into());
         }
         let mut counts = TileCounts::default();
-        if has_extended_light(scene) {
-            let convolver = self.convolver(scene, progress)?;
-            let (light, _) = self.light(scene, convolver, progress)?;
+        if let Some(of_scene) = scene.image() {
+            let convolver = self.convolver(progress)?;
+            let (light, _) = self.light(of_scene, progress)?;
             counts = self.convolve_into(convolver, &light, image.view_mut(), progress)?;
         }
-        self.draw_stars_into(scene.stars(), self.geometry.region, image, progress)?;
+        let sources = (scene.stars(), scene.galaxies());
+        self.draw_sources_into(sources, self.geometry.region, image, progress)?;
         Ok(counts)
     }
 
@@ -258,7 +257,7 @@ impl<T: ConvReal> Simulator<T> {
         if expected != got {
             return Err(ConvError::FrameShape { expected, got }.into());
         }
-        let convolver = self.convolver(&Scene::dark(), progress)?;
+        let convolver = self.convolver(progress)?;
         let engine = convolver.engine_for("the adjoint can be computed")?;
         let shape = if self.geometry.is_whole() {
             self.geometry.shape
@@ -289,24 +288,21 @@ impl<T: ConvReal> Simulator<T> {
             ..self.options.clone()
         };
         let geometry = Geometry::new(self.geometry.shape, &options)?;
-        let chosen = self.convolver(&Scene::dark(), progress)?;
+        let chosen = self.convolver(progress)?;
         let engine = chosen.engine_for(REGION)?;
         let clock = Instant::now();
         let plan = engine.plan().for_other_region(geometry.fine(region)?, progress)?;
         let (engine, placement) = device::place(plan, &options)?;
-        let images = Convolver {
+        let convolver = Convolver {
             engine: Some(engine),
             placement,
-            padding: 0,
             seconds: clock.elapsed().as_secs_f64(),
         };
         Ok(Self {
             shared: Arc::clone(&self.shared),
             options,
             geometry,
-            images: OnceLock::from(images),
-            padded: OnceLock::new(),
-            ran_padded: AtomicBool::new(false),
+            convolver: OnceLock::from(convolver),
         })
     }
 
@@ -316,7 +312,7 @@ impl<T: ConvReal> Simulator<T> {
     /// # Errors
     /// The errors of [`prepare`](Self::prepare).
     pub fn light_region(&self, progress: &dyn Progress) -> Result<PixelRegion, PsfieldError> {
-        let convolver = self.convolver(&Scene::dark(), progress)?;
+        let convolver = self.convolver(progress)?;
         Ok(match &convolver.engine {
             Some(engine) => engine.plan().light_region(),
             None => self.geometry.shape.region(),
@@ -338,30 +334,30 @@ impl<T: ConvReal> Simulator<T> {
         progress: &dyn Progress,
     ) -> Result<Preparation<'_>, PsfieldError> {
         self.check_sources(scene, rows)?;
-        let extended = rows || has_extended_light(scene);
-        let with_stars = !extended || !scene.stars().is_empty();
+        let with_image = rows || scene.image().is_some();
+        let with_sources = !with_image || has_sources(scene);
         // Models and plans that already exist count 0 seconds.
         let new_model = self.shared.image_model.get().is_none();
-        let new_convolver = self.kept(scene).get().is_none();
-        let new_stars = self.shared.stars.get().is_none();
+        let new_convolver = self.convolver.get().is_none();
+        let new_sources = self.shared.sources.get().is_none();
         let spent = |new: bool, seconds: f64| if new { seconds } else { 0.0 };
         let (mut fit_seconds, mut plan_seconds) = (0.0, 0.0);
         let mut made = None;
-        if extended {
-            let convolver = self.convolver(scene, progress)?;
+        if with_image {
+            let convolver = self.convolver(progress)?;
             let (model, seconds) = self.image_model()?;
             fit_seconds += spent(new_model, seconds);
             plan_seconds += spent(new_convolver, convolver.seconds);
             let plan = convolver.engine.as_ref().map(|engine| engine.plan().summary());
             made = Some((model, plan, convolver.placement.clone()));
         }
-        if with_stars {
-            let stars = self.stars()?;
-            fit_seconds += spent(new_stars, stars.fit_seconds);
-            plan_seconds += spent(new_stars, stars.plan_seconds);
-            made = made.or_else(|| Some((&stars.model, None, self.placement_of_stars())));
+        if with_sources {
+            let sources = self.sources()?;
+            fit_seconds += spent(new_sources, sources.fit_seconds);
+            plan_seconds += spent(new_sources, sources.plan_seconds);
+            made = made.or_else(|| Some((&sources.model, None, self.placement_of_sources())));
         }
-        let (model, plan, placement) = made.expect("a scene has extended light or stars");
+        let (model, plan, placement) = made.expect("an image or sources");
         Ok(Preparation {
             model,
             plan,
@@ -373,20 +369,19 @@ impl<T: ConvReal> Simulator<T> {
 
     /// Returns whether [`prepare`](Self::prepare) has nothing left to make for scenes like `scene`.
     pub fn is_prepared(&self, scene: &Scene<'_, T>, rows: bool) -> bool {
-        let extended = rows || has_extended_light(scene);
-        (!extended || self.kept(scene).get().is_some())
-            && (extended && scene.stars().is_empty() || self.shared.stars.get().is_some())
+        let with_image = rows || scene.image().is_some();
+        (!with_image || self.convolver.get().is_some())
+            && (with_image && !has_sources(scene) || self.shared.sources.get().is_some())
     }
 
     /// Times of the last convolution on a GPU, in seconds. None if the processor convolves images,
     /// or before the first convolution.
     pub fn gpu_seconds(&self) -> Option<GpuSeconds> {
-        let ran_padded = self.ran_padded.load(Ordering::Relaxed);
-        let convolver = if ran_padded { &self.padded } else { &self.images }.get()?;
+        let convolver = self.convolver.get()?;
         convolver.engine.as_ref().and_then(GpuSeconds::of_last)
     }
 
-    fn placement_of_stars(&self) -> Placement {
+    fn placement_of_sources(&self) -> Placement {
         Placement::cpu(match (self.options.device, &self.shared.method) {
             (Device::Cpu, _) => CpuReason::Asked,
             (_, Some(_)) => CpuReason::Method,
@@ -413,27 +408,6 @@ impl<T: ConvReal> Simulator<T> {
         Ok(())
     }
 
-    /// Number of scene pixels to add on every side of a scene. The added pixels hold the light of
-    /// galaxies beyond the scene's edges. The number is 0 for a scene without galaxies.
-    fn padding(&self, scene: &Scene<'_, T>) -> usize {
-        if scene.galaxies().is_empty() {
-            0
-        } else {
-            let reach = self.psf().reach(self.options.stamp_size);
-            reach.saturating_mul(self.geometry.oversample)
-        }
-    }
-
-    /// The cell that keeps the convolver for all scenes with galaxies or, if `scene` has none, for
-    /// all scenes without galaxies.
-    fn kept(&self, scene: &Scene<'_, T>) -> &OnceLock<Convolver<T>> {
-        if scene.galaxies().is_empty() {
-            &self.images
-        } else {
-            &self.padded
-        }
-    }
-
     /// The model on the scene's pixels, and the seconds that its fit took.
     fn image_model(&self) -> Result<(&PsfModel, f64), PsfieldError> {
         let (psf, options) = (self.psf(), &self.options);
@@ -443,117 +417,125 @@ impl<T: ConvReal> Simulator<T> {
                 1 => psf.native(options.stamp_size)?,
                 finer => psf.for_finer_scene(finer, options.stamp_size, options.anchor)?,
             };
+            let psf = match options.scene_pixels {
+                ScenePixels::Point => psf,
+                ScenePixels::Integrated => psf.without_scene_pixel()?,
+            };
             let model = psf.model()?.clone();
             Ok::<_, PsfieldError>((model, clock.elapsed().as_secs_f64()))
         })?;
         Ok((model, *seconds))
     }
 
-    fn stars(&self) -> Result<&Stars<T>, PsfieldError> {
-        get_or_make(&self.shared.stars, || {
+    fn sources(&self) -> Result<&Sources<T>, PsfieldError> {
+        get_or_make(&self.shared.sources, || {
             let clock = Instant::now();
             let model = self.psf().with_pixel_response()?.model()?.clone();
             let fit_seconds = clock.elapsed().as_secs_f64();
-            let plan = match self.options.plan_options()? {
-                Some(options) if self.shared.method.is_none() => {
-                    Some(StarPlan::new(&model, options, self.options.stamp_size)?)
-                }
-                _ => None,
-            };
+            let size = self.options.stamp_size;
+            let planned = self
+                .options
+                .plan_options()?
+                .filter(|_| self.shared.method.is_none());
+            let stars = planned
+                .map(|options| StarPlan::new(&model, options, size))
+                .transpose()?;
+            let exact = PlanOptions::new(TOLERANCE_WITHOUT_PLAN)?.with_anchor(self.options.anchor);
+            let galaxies = GalaxyPlan::new(&model, planned.unwrap_or(exact), size)?;
             let plan_seconds = clock.elapsed().as_secs_f64() - fit_seconds;
-            Ok(Stars {
+            Ok(Sources {
                 model,
-                plan,
+                stars,
+                galaxies,
                 fit_seconds,
                 plan_seconds,
             })
         })
     }
 
-    /// Returns the convolver for the extended light of a scene.
+    /// Refuses PSFs without flux if the tolerance is relative to their flux.
+    fn check_flux(&self, model: &PsfModel, options: Option<&PlanOptions>) -> Result<(), PsfieldError> {
+        let weights = model.field().node_values();
+        if options.is_none_or(|o| o.tolerance_on() != ToleranceOn::Aperture) || weights.nrows() == 0 {
+            return Ok(());
+        }
+        let first = usize::from(model.is_mean_centred());
+        let sums: Vec<[f64; 2]> = model
+            .stamps()
+            .outer_iter()
+            .map(|stamp| {
+                stamp
+                    .iter()
+                    .fold([0.0, 0.0], |[sum, size], v| [sum + v, size + v.abs()])
+            })
+            .collect();
+        let has_flux = weights.outer_iter().any(|weights| {
+            let mut psf = if first == 1 { sums[0] } else { [0.0; 2] };
+            for (w, [sum, size]) in weights.iter().zip(&sums[first..]) {
+                psf = [psf[0] + w * sum, psf[1] + w.abs() * size];
+            }
+            psf[0].abs() > NO_FLUX * psf[1]
+        });
+        if has_flux {
+            return Ok(());
+        }
+        let file = self
+            .psf()
+            .file_name()
+            .map_or_else(String::new, |file| format!("{file}: "));
+        let message = format!(
+            "{file}the total flux of the PSFs is 0, so the flux in a circle has no relative error: let the tolerance bound \
+             the L2 error alone (l2)"
+        );
+        Err(PsfieldError::new(ErrorKind::Setting, message).with_setting("tolerance_on"))
+    }
+
+    /// Returns the convolver for the images of scenes.
     #[inline(never)]
-    fn convolver(
-        &self,
-        scene: &Scene<'_, T>,
-        progress: &dyn Progress,
-    ) -> Result<&Convolver<T>, PsfieldError> {
-        let padding = self.padding(scene);
-        get_or_make(self.kept(scene), || {
+    fn convolver(&self, progress: &dyn Progress) -> Result<&Convolver<T>, PsfieldError> {
+        get_or_make(&self.convolver, || {
             let (model, _) = self.image_model()?;
             let clock = Instant::now();
             let (engine, placement) = match self.options.plan_options()? {
                 Some(options) if self.shared.method.is_none() => {
-                    let (shape, frame) = (
-                        self.geometry.padded_shape(padding)?,
-                        self.geometry.fine_frame(padding)?,
-                    );
+                    self.check_flux(model, Some(&options))?;
+                    let (shape, frame) = (self.geometry.shape, self.geometry.fine(self.geometry.frame)?);
                     let region = self.geometry.fine(self.geometry.region)?;
                     let plan = Plan::for_region(model, shape, frame, region, options, progress)?;
                     let (engine, placement) = device::place(plan, &self.options)?;
                     (Some(engine), placement)
                 }
-                _ => (None, self.placement_of_stars()),
+                _ => (None, self.placement_of_sources()),
             };
             let seconds = clock.elapsed().as_secs_f64();
             Ok(Convolver {
                 engine,
                 placement,
-                padding,
                 seconds,
             })
         })
     }
 
-    /// Returns the extended light of a scene for a convolver.
+    /// Returns the image of a scene for the convolver. It is the whole scene, or only the part whose
+    /// light reaches the region. Its shape tells which.
     fn light<'a>(
         &self,
-        scene: &'a Scene<'_, T>,
-        convolver: &Convolver<T>,
+        image: &'a ImageView<'_, T>,
         progress: &dyn Progress,
     ) -> Result<Light<'a, T>, PsfieldError> {
-        let (whole, padding) = (self.geometry.shape, convolver.padding);
-        // The scene's image is the whole scene, or only the part whose light reaches the region.
-        // Its shape tells which.
-        let mut of_image = (0, 0);
-        if let Some(image) = scene.image()
-            && image.shape() != whole
-        {
+        let (whole, mut first) = (self.geometry.shape, (0, 0));
+        if image.shape() != whole {
             let part = self.light_region(progress)?;
             if image.shape() != part.shape() {
                 let (expected, got) = ((whole.ny(), whole.nx()), image.pixels().dim());
                 return Err(DataError::ImageShape { expected, got }.into());
             }
-            of_image = (part.x0(), part.y0());
+            first = (part.x0() as usize, part.y0() as usize);
         }
-        if let Some(image) = scene.image()
-            && padding == 0
-        {
-            return Ok((image.view(), (of_image.0 as usize, of_image.1 as usize)));
-        }
-        let padded = self.geometry.padded_shape(padding)?;
-        let part = match &convolver.engine {
-            Some(engine) => engine.plan().light_region(),
-            None => padded.region(),
-        };
-        let mut light = Array2::zeros((part.shape().ny(), part.shape().nx()));
-        if let Some(image) = scene.image() {
-            let p = padding as i64;
-            assign_overlap(
-                light.view_mut(),
-                image.pixels(),
-                (of_image.0 + p - part.x0(), of_image.1 + p - part.y0()),
-            );
-        }
-        let galaxies = self.geometry.fine_galaxies(scene.galaxies(), padding)?;
-        // The progress counts only the steps of the convolution, not the steps of this drawing.
-        let (first, uncounted) = ((part.x0(), part.y0()), Uncounted(progress));
-        sersic::add_galaxies_with_progress(light.view_mut(), first, &galaxies, &uncounted)
-            .map_err(ConvError::from)?;
-        let light = ImageView::from(Image::new(light)?);
-        Ok((light, (part.x0() as usize, part.y0() as usize)))
+        Ok((image.view(), first))
     }
 
-    /// Convolves extended light and adds the result to `image`.
+    /// Convolves the image of a scene and adds the result to `image`.
     fn convolve_into(
         &self,
         convolver: &Convolver<T>,
@@ -561,14 +543,13 @@ impl<T: ConvReal> Simulator<T> {
         mut image: ArrayViewMut2<'_, T>,
         progress: &dyn Progress,
     ) -> Result<TileCounts, PsfieldError> {
-        self.ran_padded.store(convolver.padding > 0, Ordering::Relaxed);
         let Some(engine) = &convolver.engine else {
             let method = self
                 .shared
                 .method
                 .as_ref()
                 .expect("a simulator without a plan has a method");
-            let frame = self.geometry.fine_frame(convolver.padding)?;
+            let frame = self.geometry.fine(self.geometry.frame)?;
             let fine = method.convolve(self.image_model()?.0, light, frame, progress)?;
             self.geometry.add_sampled(fine.pixels(), image);
             return Ok(TileCounts::default());
@@ -583,24 +564,30 @@ impl<T: ConvReal> Simulator<T> {
         Ok(counts)
     }
 
-    /// Adds stars to `image`, which holds the pixels of a region of the frame.
+    /// Adds stars and galaxies to `image`, which holds the pixels of a region of the frame.
     #[inline(never)]
-    fn draw_stars_into(
+    fn draw_sources_into(
         &self,
-        sources: &[PointSource],
+        (stars, galaxies): (&[PointSource], &[SersicSource]),
         region: PixelRegion,
-        image: ArrayViewMut2<'_, T>,
+        mut image: ArrayViewMut2<'_, T>,
         progress: &dyn Progress,
     ) -> Result<(), PsfieldError> {
-        if sources.is_empty() {
+        if stars.is_empty() && galaxies.is_empty() {
             return Ok(());
         }
-        let (stars, frame) = (self.stars()?, self.geometry.frame);
-        match &stars.plan {
-            Some(plan) => plan.draw_into(sources, frame, region, image, progress)?,
+        let (sources, frame) = (self.sources()?, self.geometry.frame);
+        if !galaxies.is_empty() {
+            let image = image.view_mut();
+            sources
+                .galaxies
+                .draw_into(galaxies, &light_of, frame, region, image, progress)?;
+        }
+        match &sources.stars {
+            Some(plan) => plan.draw_into(stars, frame, region, image, progress)?,
             None => self
-                .painter(&stars.model)?
-                .draw_into(sources, region, image, progress)?,
+                .painter(&sources.model)?
+                .draw_into(stars, region, image, progress)?,
         }
         Ok(())
     }
@@ -611,23 +598,14 @@ impl<T: ConvReal> Simulator<T> {
     }
 }
 
-fn has_extended_light<T: ConvReal>(scene: &Scene<'_, T>) -> bool {
-    scene.image().is_some() || !scene.galaxies().is_empty()
+/// The tolerance for galaxies with a method that has no tolerance.
+const TOLERANCE_WITHOUT_PLAN: f64 = 1e-7;
+
+fn has_sources<T: ConvReal>(scene: &Scene<'_, T>) -> bool {
+    !scene.stars().is_empty() || !scene.galaxies().is_empty()
 }
 
-/// Copies the pixels of an image to a plane where both overlap. The image's first pixel lies at
-/// column and row `first` of the plane.
-fn assign_overlap<T: ConvReal>(mut plane: ArrayViewMut2<'_, T>, image: ArrayView2<'_, T>, first: (i64, i64)) {
-    // Returns the range of the overlap along one axis, in the plane and in the image.
-    let along = |first: i64, plane: usize, image: usize| {
-        let (of_plane, of_image) = (first.clamp(0, plane as i64), (-first).clamp(0, image as i64));
-        let length = (plane as i64 - of_plane).min(image as i64 - of_image).max(0);
-        let range = |from: i64| from as usize..(from + length) as usize;
-        (range(of_plane), range(of_image))
-    };
-    let (rows, image_rows) = along(first.1, plane.nrows(), image.nrows());
-    let (columns, image_columns) = along(first.0, plane.ncols(), image.ncols());
-    plane
-        .slice_mut(s![rows, columns])
-        .assign(&image.slice(s![image_rows, image_columns]));
+/// The light of a galaxy.
+fn light_of(galaxy: &SersicSource) -> Box<dyn LightProfile + Send + Sync> {
+    Box::new(SersicLight::new(galaxy))
 }

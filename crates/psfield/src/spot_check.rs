@@ -1,32 +1,48 @@
-//! Checks an image against the direct sum at random pixels.
+//! Checks an image against the direct sum, at random pixels and around random sources.
 
 use psf_io::{Card, CardError};
-use psf_types::{FrameShape, Image, Real};
+use psf_types::{FrameShape, Real};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde::Serialize;
 
-use crate::{Method, PsfieldError, SimulateOptions};
+use crate::PsfieldError;
 
-/// The largest relative r.m.s. rounding errors accepted. For images made by Fourier transforms,
-/// errors are a few times 1e-7 (f32) and 1e-15 (f64). They are larger if the scene's light varies
-/// by orders of magnitude.
-const ROUNDING_F32: f64 = 1e-5;
-const ROUNDING_F64: f64 = 1e-10;
-/// The largest accepted ratio of the relative error at the checked pixels to the relative error of
-/// the whole PSF.
-const PIXELS_OVER_PSF: f64 = 3.0;
+/// The largest relative r.m.s. rounding error that is accepted: twice the error that the
+/// documentation states, because the pixels are a sample.
+const ROUNDING_F32: f64 = 4e-7;
+const ROUNDING_F64: f64 = 2e-14;
+/// The largest rounding error of a single pixel, divided by the image's largest absolute value and
+/// by the r.m.s. error above. Rounding errors are similar in all pixels of a tile.
+const LARGEST_OVER_RMS: f64 = 5.0;
+/// Around a source, this many pixels are compared along each side of a square.
+const AROUND: usize = 7;
 
-/// The difference of an image from the direct sum in f64 at random pixels, half of them where the
-/// image is bright. The check measures the error that the engine adds to the model. It does not
-/// measure the error of the model itself, nor the error of stamps that are too coarse to draw stars
-/// between pixels.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+/// The difference of an image from the direct sum in f64. It has three parts, and an image passes
+/// if all of them are within their limits:
+///
+/// 1. **Sources.** Around up to 32 stars, 32 galaxies and 32 pixels of the scene's image, all chosen
+///    at random, 7 x 7 pixels are compared. The root of the sum of their squared differences is at
+///    most the sum, over all sources that light these pixels, of tolerance times light times the L2
+///    norm of the PSF. For a source that is alone, this is its tolerance.
+/// 2. **Pixels.** At random pixels, half of them where the image is bright, each difference is at
+///    most the same sum over the sources that light the pixel. This follows because an error in one
+///    pixel is at most the error of the whole PSF.
+/// 3. **R.m.s.** The r.m.s. of the differences at these pixels is at most the r.m.s. of the tolerance
+///    times the norm of the PSF times `sqrt(sum of light^2)`. This follows from the Cauchy-Schwarz
+///    inequality if the error of the PSF is nearly the same for all sources that light a pixel, and
+///    on average if the errors of different sources are independent.
+///
+/// To each limit, rounding is added. A galaxy also has an error of its window (see
+/// [`conv_core::GalaxyPlan`]). The check measures the error that the engine adds to the model. It
+/// does not measure the error of the model itself, nor the error of stamps that are too coarse to be
+/// interpolated.
+#[derive(Debug, Clone, Default, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct SpotCheck {
     /// Number of pixels that were compared.
     pub pixels: usize,
-    /// The seed that chose the pixels.
+    /// The seed that chose the pixels and sources.
     pub seed: u64,
     /// The largest absolute difference.
     pub max_abs: f64,
@@ -40,9 +56,33 @@ pub struct SpotCheck {
     pub relative_rms: Option<f64>,
     /// The largest `relative_rms` that the method promises. None if it promises nothing.
     pub limit: Option<f64>,
-    /// True if `relative_rms` is within the limit or, if it is None, all differences are 0. None
-    /// without a limit.
+    /// The largest difference in a pixel, divided by the largest that the method promises there.
+    pub worst_pixel: Option<f64>,
+    /// Number of stars, galaxies and pixels of the scene around which pixels were compared.
+    pub sources: usize,
+    /// The largest difference around a source, divided by the largest that the method promises
+    /// there.
+    pub worst_source: Option<f64>,
+    /// True if `relative_rms` is within the limit, and `worst_pixel` and `worst_source` are at most
+    /// 1. None if the method promises nothing.
     pub passed: Option<bool>,
+}
+
+/// The errors that the sources of a pixel may have: their sum, and the sum of their squares.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct Allowed {
+    pub(crate) sum: f64,
+    pub(crate) squares: f64,
+}
+
+/// Values of pixels by the direct sum, and the errors that a method promises for them.
+pub(crate) type Exact = (Vec<f64>, Option<Vec<Allowed>>);
+
+impl Allowed {
+    pub(crate) fn add(&mut self, error: f64) {
+        self.sum += error;
+        self.squares += error * error;
+    }
 }
 
 impl SpotCheck {
@@ -53,93 +93,79 @@ impl SpotCheck {
     /// The verdict on an image that differs by more than its method promises.
     pub const FAILED: &str = "failed";
 
-    /// The limit for [`judged`](Self::judged): the largest relative r.m.s. difference that a
-    /// simulation with these options and the working precision `T` promises. It is the limit for
-    /// rounding. Methods with a tolerance add three times the tolerance. `extended` says whether
-    /// the scene has extended light. If so, the limit is None for patches and for the caller's own
-    /// method, because they promise nothing.
-    ///
-    /// ```
-    /// use psfield::{Method, SimulateOptions, SpotCheck};
-    /// let mut options = SimulateOptions { tolerance: 1e-3, ..SimulateOptions::default() };
-    /// let limit = SpotCheck::limit_of::<f64>(&options, true);
-    /// assert!(limit.is_some_and(|limit| (1e-3..1e-2).contains(&limit)));
-    /// options.method = Method::Patch(64);
-    /// assert_eq!(SpotCheck::limit_of::<f64>(&options, true), None);
-    /// ```
-    pub fn limit_of<T: Real>(options: &SimulateOptions, extended: bool) -> Option<f64> {
+    /// Compares the pixels that a [`PixelPicker`] chose from an image's rows. `exact` gets pixels
+    /// `(column, row)` that are sorted by rows. It returns their values by the direct sum and the
+    /// errors that the method promises, or None if it promises nothing.
+    pub(crate) fn of_picked<T: Real>(
+        picker: PixelPicker,
+        exact: impl FnOnce(&[(usize, usize)]) -> Result<Exact, PsfieldError>,
+    ) -> Result<Self, PsfieldError> {
+        let seed = picker.seed();
+        let (picked, squares, peak) = picker.finish();
+        let of_squares = squares.iter().flatten();
+        let mut places: Vec<(usize, usize)> = picked
+            .iter()
+            .chain(of_squares)
+            .map(|p| (p.row, p.column))
+            .collect();
+        places.sort_unstable();
+        places.dedup();
+        let pixels: Vec<(usize, usize)> = places.iter().map(|&(row, column)| (column, row)).collect();
+        let (exact, allowed) = exact(&pixels)?;
+        let index = |p: &PickedPixel| places.partition_point(|&place| place < (p.row, p.column));
+        let difference = |p: &PickedPixel| (p.value - exact[index(p)]).abs();
+        let sum_of_squares = |values: &mut dyn Iterator<Item = f64>| values.map(|v| v * v).sum::<f64>();
+        let rms = |values: &mut dyn Iterator<Item = f64>| {
+            (sum_of_squares(values) / picked.len().max(1) as f64).sqrt()
+        };
+        let max_abs = picked.iter().map(difference).fold(0.0, f64::max);
+        let found = rms(&mut picked.iter().map(difference));
+        let whole = rms(&mut picked.iter().map(|p| exact[index(p)]));
+        let mut check = Self {
+            pixels: picked.len(),
+            seed,
+            max_abs,
+            rms: found,
+            max_over_peak: (peak > 0.0).then(|| max_abs / peak),
+            relative_rms: (whole > 0.0).then(|| found / whole),
+            sources: squares.len(),
+            ..Self::default()
+        };
+        let Some(allowed) = allowed else {
+            return Ok(check);
+        };
         let rounding = if size_of::<T>() == 4 {
             ROUNDING_F32
         } else {
             ROUNDING_F64
         };
-        match options.method {
-            Method::Patch(_) | Method::Own if extended => None,
-            method if method.has_plan() => Some(PIXELS_OVER_PSF * options.tolerance + rounding),
-            _ => Some(rounding),
-        }
-    }
-
-    /// Compares `count` pixels of an image, chosen by `seed`, with the values that `exact` returns.
-    ///
-    /// # Errors
-    /// The errors of `exact`.
-    pub fn run<T: Real>(
-        image: &Image<T>,
-        count: usize,
-        seed: u64,
-        exact: impl FnOnce(&[(usize, usize)]) -> Result<Vec<f64>, PsfieldError>,
-    ) -> Result<Self, PsfieldError> {
-        let mut picker = PixelPicker::new(image.shape(), count, seed);
-        for row in image.pixels().outer_iter() {
-            picker.pass(row.iter().map(|v| v.as_f64()));
-        }
-        Self::of_picked(picker, exact)
-    }
-
-    /// Compares the pixels that a [`PixelPicker`] chose from an image's rows.
-    ///
-    /// # Errors
-    /// The errors of `exact`.
-    pub fn of_picked(
-        picker: PixelPicker,
-        exact: impl FnOnce(&[(usize, usize)]) -> Result<Vec<f64>, PsfieldError>,
-    ) -> Result<Self, PsfieldError> {
-        let seed = picker.seed();
-        let (picked, peak) = picker.finish();
-        let pixels: Vec<(usize, usize)> = picked.iter().map(|p| (p.column, p.row)).collect();
-        let exact = exact(&pixels)?;
-        let difference = |(p, exact): (&PickedPixel, &f64)| (p.value - exact).abs();
-        let differences: Vec<f64> = picked.iter().zip(&exact).map(difference).collect();
-        let max_abs = differences.iter().copied().fold(0.0, f64::max);
-        let root_mean_square =
-            |values: &[f64]| (values.iter().map(|d| d * d).sum::<f64>() / values.len().max(1) as f64).sqrt();
-        let (rms, whole) = (root_mean_square(&differences), root_mean_square(&exact));
-        Ok(Self {
-            pixels: picked.len(),
-            seed,
-            max_abs,
-            rms,
-            max_over_peak: (peak > 0.0).then(|| max_abs / peak),
-            relative_rms: (whole > 0.0).then(|| rms / whole),
-            limit: None,
-            passed: None,
-        })
-    }
-
-    /// Adds a verdict. The check passes if the relative r.m.s. difference is at most `limit`. If
-    /// the direct sum is 0 at all compared pixels, the check passes only if all differences are 0.
-    #[must_use]
-    pub fn judged(self, limit: f64) -> Self {
-        let passed = match self.relative_rms {
-            Some(relative) => relative <= limit,
-            None => self.max_abs == 0.0,
+        let of_pixel = LARGEST_OVER_RMS * rounding * peak;
+        let over = |difference: f64, limit: f64| {
+            if difference == 0.0 {
+                0.0
+            } else {
+                difference / limit
+            }
         };
-        Self {
-            limit: Some(limit),
-            passed: Some(passed),
-            ..self
-        }
+        let worst_pixel = picked
+            .iter()
+            .map(|p| over(difference(p), allowed[index(p)].sum + of_pixel))
+            .fold(0.0, f64::max);
+        let worst_source = squares
+            .iter()
+            .map(|square| {
+                let found = sum_of_squares(&mut square.iter().map(difference)).sqrt();
+                let allowed = square.iter().map(|p| allowed[index(p)].sum).fold(0.0, f64::max);
+                over(found, allowed + of_pixel * (square.len() as f64).sqrt())
+            })
+            .fold(0.0, f64::max);
+        let limit = rms(&mut picked.iter().map(|p| allowed[index(p)].squares.sqrt())) / whole + rounding;
+        check.worst_pixel = Some(worst_pixel);
+        check.worst_source = Some(worst_source);
+        check.limit = (whole > 0.0).then_some(limit);
+        let within = check.relative_rms.is_none_or(|relative| relative <= limit);
+        check.passed = Some(within && worst_pixel <= 1.0 && worst_source <= 1.0);
+        Ok(check)
     }
 
     /// Header cards with the result.
@@ -169,6 +195,8 @@ impl SpotCheck {
 /// on the image, the number of pixels and the seed.
 #[derive(Debug, Clone)]
 pub struct PixelPicker {
+    /// The pixels around sources, in squares.
+    squares: Vec<Vec<PickedPixel>>,
     /// The pixels of the first half: `(row, column)`, ascending.
     anywhere: Vec<(usize, usize)>,
     /// The values of the pixels in `anywhere` whose rows have been read.
@@ -204,6 +232,7 @@ impl PixelPicker {
             .collect();
         anywhere.sort_unstable();
         Self {
+            squares: Vec::new(),
             anywhere,
             values: Vec::new(),
             bright: Vec::new(),
@@ -216,6 +245,30 @@ impl PixelPicker {
         }
     }
 
+    /// Also picks the pixels in squares around sources. `sources` are columns and rows of the image
+    /// of this shape. Squares that lie outside the image are left out.
+    pub(crate) fn with_sources(mut self, sources: &[(i64, i64)], shape: FrameShape) -> Self {
+        let near = |centre: i64, length: usize| {
+            let first = centre.saturating_sub(AROUND as i64 / 2);
+            first.max(0) as usize..first.saturating_add(AROUND as i64).clamp(0, length as i64) as usize
+        };
+        for &(column, row) in sources {
+            let (columns, rows) = (near(column, shape.nx()), near(row, shape.ny()));
+            let pixel = |row, column| PickedPixel {
+                column,
+                row,
+                value: 0.0,
+            };
+            let square: Vec<PickedPixel> = rows
+                .flat_map(|row| columns.clone().map(move |column| pixel(row, column)))
+                .collect();
+            if !square.is_empty() {
+                self.squares.push(square);
+            }
+        }
+        self
+    }
+
     /// Reads the next row of the image.
     pub fn pass(&mut self, row: impl Iterator<Item = f64>) {
         let row: Vec<f64> = row.collect();
@@ -225,6 +278,14 @@ impl PixelPicker {
             .filter(|p| p.0 == self.next_row)
         {
             self.values.push(row[column]);
+        }
+        for pixel in self
+            .squares
+            .iter_mut()
+            .flatten()
+            .filter(|p| p.row == self.next_row)
+        {
+            pixel.value = row[pixel.column];
         }
         let mut passed = 0.0;
         let light: Vec<f64> = row
@@ -253,8 +314,9 @@ impl PixelPicker {
         self.next_row += 1;
     }
 
-    /// Returns the pixels, sorted by rows, and the largest absolute value of the image.
-    pub fn finish(self) -> (Vec<PickedPixel>, f64) {
+    /// Returns the random pixels, sorted by rows, the squares around sources, and the largest
+    /// absolute value of the image.
+    pub(crate) fn finish(self) -> (Vec<PickedPixel>, Vec<Vec<PickedPixel>>, f64) {
         let anywhere = self.anywhere.into_iter().zip(self.values);
         let mut picked: Vec<PickedPixel> = anywhere
             .map(|((row, column), value)| PickedPixel { column, row, value })
@@ -265,7 +327,7 @@ impl PixelPicker {
             )
             .collect();
         picked.sort_by_key(|p| (p.row, p.column));
-        (picked, self.peak)
+        (picked, self.squares, self.peak)
     }
 
     /// The seed.
@@ -289,7 +351,7 @@ mod tests {
         };
         let mut picker = PixelPicker::new(shape, 4000, 1);
         (0..40).for_each(|row| picker.pass((0..50).map(|column| value(row, column))));
-        let (picked, peak) = picker.finish();
+        let (picked, _, peak) = picker.finish();
         assert_eq!((picked.len(), peak), (4000, 3e6));
         assert!(picked.iter().all(|p| p.value == value(p.row, p.column)));
         let count = |at: (usize, usize)| picked.iter().filter(|p| (p.row, p.column) == at).count();
@@ -304,7 +366,7 @@ mod tests {
     fn a_dark_image_has_pixels_anywhere() {
         let mut picker = PixelPicker::new(FrameShape::new(5, 2).unwrap(), 9, 3);
         (0..2).for_each(|_| picker.pass([0.0; 5].into_iter()));
-        let (picked, peak) = picker.finish();
+        let (picked, _, peak) = picker.finish();
         assert_eq!((picked.len(), peak), (5, 0.0));
     }
 }

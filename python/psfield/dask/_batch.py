@@ -53,6 +53,7 @@ def batch(
     method: Literal["auto", "lowrank"] = DEFAULTS.method,
     memory: int = DEFAULTS.memory,
     oversample: int = DEFAULTS.oversample,
+    scene_pixels: Literal["point", "integrated"] = DEFAULTS.scene_pixels,
     stamp_size: int | None = None,
 ) -> list[JobResult]:
     """Simulate many frames on the workers of a Dask cluster, which write them to files.
@@ -100,7 +101,7 @@ def batch(
         worker, or ``RAYON_NUM_THREADS`` in its environment.
     progress : callable or tqdm bar, optional
         ``progress(done, total)``. For a generator, the total is the number of jobs taken so far.
-    frame, tolerance_on, anchor, method, memory, oversample, stamp_size
+    frame, tolerance_on, anchor, method, memory, oversample, scene_pixels, stamp_size
         As for `PsfModel.plan`. Each plan keeps up to ``memory`` bytes, and a worker keeps the four
         plans that it used last.
 
@@ -154,6 +155,7 @@ def batch(
         method=method,
         memory=memory,
         oversample=oversample,
+        scene_pixels=scene_pixels,
         stamp_size=stamp_size,
     )
     if isinstance(jobs, (str, bytes, Mapping)):

@@ -19,7 +19,7 @@ from psfield._native import __version__
 _OWN = re.compile(
     r"SIMPLE|XTENSION|BITPIX|NAXIS\d*|EXTEND|PCOUNT|GCOUNT|GROUPS|EXTNAME|EXTVER|EXTLEVEL|INHERIT"
     r"|BSCALE|BZERO|BLANK|DATAMIN|DATAMAX|CHECKSUM|DATASUM|PSFIELD|PSFCMD|PSFTOL|PSFTOLON"
-    r"|PSFANCH|PSFPREC|PSFSEED|PSFMETH|PSFDEV|PSFRANK|PSFNORM|PSFJOB|PSFCHK."
+    r"|PSFANCH|PSFSCPIX|PSFPREC|PSFSEED|PSFMETH|PSFDEV|PSFRANK|PSFNORM|PSFJOB|PSFCHK."
 )
 #: Name of an unfinished file: the output, the batch, the machine and the process.
 _UNFINISHED = re.compile(r"\.(.+)\.psfield-[0-9a-f]{12}-.+-\d+")
@@ -93,6 +93,7 @@ class FitsFiles:
         """Write how the image was made."""
         header["PSFIELD"] = (__version__, "version of psfield that made this image")
         header["PSFANCH"] = (self.settings["anchor"], "PSF is that of the source or output pixel")
+        header["PSFSCPIX"] = (self.settings["scene_pixels"], "light in the scene's pixels")
         header["PSFPREC"] = (self.settings["precision"], "working precision")
         allowed = "relative L2 error allowed for any pixel's PSF"
         header["PSFTOL"] = (self.settings["tolerance"], allowed)

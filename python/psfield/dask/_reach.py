@@ -12,9 +12,17 @@ Depth = tuple[int, int]
 #: Pixels beyond the edges of a stamp up to which the interpolated PSF may hold light.
 BEYOND = 12
 
+#: Pixels of the scene that the filter for integrated light may add to each side of a stamp.
+FILTER = 64
+
 
 def reach(
-    model: PsfModel, oversample: int, stamp_size: int | None, *, of_stars: bool = False
+    model: PsfModel,
+    oversample: int,
+    stamp_size: int | None,
+    *,
+    of_stars: bool = False,
+    integrated: bool = False,
 ) -> tuple[Depth, Depth]:
     """Return the distances from which light reaches a pixel, along rows and along columns.
 
@@ -22,7 +30,8 @@ def reach(
     ``-left..right`` brings light to a pixel from ``right`` pixels below it to ``left`` pixels
     above. Even stamps, centred at ``n // 2``, therefore reach less far on one side. One pixel is
     added because the centres of finer scenes are shifted by half a pixel. Stamps that are
-    interpolated, as all stamps are for stars, reach farther.
+    interpolated, as all stamps are for stars, reach farther. So do those for scenes whose light is
+    integrated over their pixels.
     """
     (ny, nx), (cx, cy) = model.stamp_shape, model.centre
     finer = model.oversampling / oversample
@@ -34,8 +43,10 @@ def reach(
     )
     # A shift by half a pixel of the scene is added.
     beyond = BEYOND + math.ceil(finer) if interpolated else 0
-    of_rows = _along(model, ny, cy, oversample, stamp_size, beyond)
-    return of_rows, _along(model, nx, cx, oversample, stamp_size, beyond)
+    (below, above) = _along(model, ny, cy, oversample, stamp_size, beyond)
+    (left, right) = _along(model, nx, cx, oversample, stamp_size, beyond)
+    more = FILTER if integrated else 0
+    return (below + more, above + more), (left + more, right + more)
 
 
 def _along(

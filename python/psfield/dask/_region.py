@@ -83,9 +83,10 @@ def _reaching(light: NDArray[Any], origin: tuple[int, int], region: Region) -> N
 def _near(
     catalog: Columns, region: Region, model: PsfModel, settings: dict[str, Any]
 ) -> Columns | None:
-    """Return the stars that can reach a region, and all galaxies, as their wings have no clear end.
+    """Return the stars that can reach a region, and all galaxies.
 
-    None if there are no such sources.
+    The plan leaves out galaxies whose light does not reach the region. None if there are no such
+    sources.
     """
     x0, y0, nx, ny = region
     (below, above), (left, right) = reach(model, 1, settings["stamp_size"], of_stars=True)

@@ -36,6 +36,7 @@ def simulate(
     method: Literal["auto", "lowrank"] = DEFAULTS.method,
     memory: int = DEFAULTS.memory,
     oversample: int = DEFAULTS.oversample,
+    scene_pixels: Literal["point", "integrated"] = DEFAULTS.scene_pixels,
     stamp_size: int | None = None,
 ) -> da.Array:
     """Return the image of a scene that is a chunked Dask array, as a lazy array with its chunks.
@@ -71,7 +72,7 @@ def simulate(
     oversample : int
         Scene pixels along each side of a pixel of the image. An edge of a chunk inside a pixel of
         the image moves to an edge of that pixel.
-    stamp_size : int, optional
+    scene_pixels, stamp_size
         As for `PsfModel.plan`.
 
     Returns
@@ -112,11 +113,17 @@ def simulate(
         method=method,
         memory=memory,
         oversample=oversample,
+        scene_pixels=scene_pixels,
         stamp_size=stamp_size,
     )
     rows, columns = settings["shape"] = scene.shape
     x0, y0, nx, ny = _frame_of(settings["frame"], (rows, columns), settings["oversample"])
-    of_rows, of_columns = reach(model, settings["oversample"], settings["stamp_size"])
+    of_rows, of_columns = reach(
+        model,
+        settings["oversample"],
+        settings["stamp_size"],
+        integrated=settings["scene_pixels"] == "integrated",
+    )
     along_y = _Axis.of(rows, scene.chunks[0], (y0, ny), settings["oversample"], of_rows)
     along_x = _Axis.of(columns, scene.chunks[1], (x0, nx), settings["oversample"], of_columns)
     found = columns_of(catalog)

@@ -101,9 +101,9 @@ pub(super) fn section() -> Section {
             **A remaining limit:** a transform spreads rounding noise of its brightest light over all of its\n\
             pixels, 1e-7 of that light in f32 and 1e-16 in f64. Transforms only (`basis`, `patch`, `lowrank`)\n\
             therefore cannot hold a range of 1e12 in f32. `auto` draws single bright pixels apart and holds\n\
-            this range next to stars. Bright *extended* light would have to be drawn apart as well. That costs\n\
-            ordinary galaxies many times their transform, since nothing distinguishes their own wings from\n\
-            faint light that matters. There f32 is good to 1e-6 of the brightest light nearby. This is below\n\
+            this range next to stars. Bright *extended* light would have to be drawn apart as well. In an image\n\
+            this costs ordinary galaxies many times their transform, since nothing distinguishes their own\n\
+            wings from faint light that matters. There f32 is good to 1e-6 of the brightest light nearby. This is below\n\
             its photon noise up to 1e12 electrons. For more, use `--precision f64` or `--method direct`.",
         columns: COLUMNS,
         cases,

@@ -105,7 +105,7 @@ impl CostModel {
 
 /// Returns the sizes of the transforms along both axes: `at_least` or a little more.
 pub(crate) fn transform_size(at_least: (usize, usize)) -> (usize, usize) {
-    (fast(at_least.0, X_STEP), fast(at_least.1, Y_STEP))
+    (fast_size(at_least.0, X_STEP), fast_size(at_least.1, Y_STEP))
 }
 
 /// Candidate sizes, ascending: the fast sizes ([`is_fast`]) that suit both axes.
@@ -113,7 +113,8 @@ pub(crate) fn sizes() -> impl Iterator<Item = usize> {
     (1..=512).map(|i| i * Y_STEP).filter(|&n| is_fast(n))
 }
 
-fn fast(at_least: usize, step: usize) -> usize {
+/// Returns the smallest fast size ([`is_fast`]) of at least `at_least` that is a multiple of `step`.
+pub(crate) fn fast_size(at_least: usize, step: usize) -> usize {
     let mut n = at_least.next_multiple_of(step);
     while !is_fast(n) {
         n += step;

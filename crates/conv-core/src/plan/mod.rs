@@ -14,7 +14,7 @@ pub(crate) mod block;
 #[cfg(test)]
 mod certificate;
 pub(crate) mod coefficient_table;
-mod cost_model;
+pub(crate) mod cost_model;
 pub(crate) mod geometry;
 mod growth_curves;
 pub(crate) mod local_modes;

@@ -1,7 +1,8 @@
-//! Interpolation of stamps between their pixels.
+//! Interpolation of stamps between their pixels, and the response of a scene's pixel.
 
 mod edge;
 mod kernel;
+mod scene_pixel;
 
 use ndarray::{Array2, Array3, ArrayView2};
 use psf_types::{DataError, PsfSamples, StampGrid};
@@ -9,6 +10,7 @@ use psf_types::{DataError, PsfSamples, StampGrid};
 pub use edge::{edge_reach, edge_reach_of};
 use kernel::MOST_REACH;
 pub(crate) use kernel::{Kernel, MOST_TAPS, Taps};
+pub use scene_pixel::ScenePixelFilter;
 
 /// Interpolates a stamp between its pixels, by the rule that its grid names
 /// ([`psf_types::StampInterpolation`]). Pixels beyond the outermost ones count as 0. So the

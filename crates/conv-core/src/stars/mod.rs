@@ -19,4 +19,6 @@ mod star_block;
 mod star_plan;
 
 pub use painter::StarPainter;
+pub(crate) use star_block::BlockKey;
 pub use star_plan::StarPlan;
+pub(crate) use star_plan::{StarVectors, block_of, region_of};

@@ -120,30 +120,42 @@ impl<'a> StarPainter<'a> {
         sources: &[PointSource],
         pixels: &[(usize, usize)],
     ) -> Result<Vec<f64>, ConvError> {
-        let hit = |source: &&PointSource| {
-            let (x, y, nx, ny) = self.lit(source);
-            self.reaches(source)
-                && pixels.iter().any(|&(column, row)| {
-                    (x..x + nx as i64).contains(&(column as i64))
-                        && (y..y + ny as i64).contains(&(row as i64))
-                })
-        };
-        let hit: Vec<&PointSource> = sources.iter().filter(hit).collect();
+        let sorted = SortedPixels::new(pixels);
+        let lit = |source: &PointSource| sorted.within(self.lit(source));
+        let hit = |source: &&PointSource| self.reaches(source) && lit(source).next().is_some();
+        let hit: Vec<&PointSource> = sources.par_iter().filter(hit).collect();
         let mut values = vec![0.0; pixels.len()];
         for some in hit.chunks(SOURCES_IN_MEMORY) {
             let painted: Vec<Result<_, ConvError>> =
                 some.par_iter().map(|source| self.paint(source)).collect();
-            for painted in painted {
-                let ((x, y), stamp) = painted?;
-                for (value, &(column, row)) in values.iter_mut().zip(pixels) {
-                    let inside = |first: i64, index: usize| usize::try_from(index as i64 - first).ok();
-                    if let (Some(i), Some(j)) = (inside(x, column), inside(y, row)) {
-                        *value += stamp.get((j, i)).copied().unwrap_or(0.0);
-                    }
+            for (source, painted) in some.iter().zip(painted) {
+                let (_, stamp) = painted?;
+                for (index, j, i) in lit(source) {
+                    values[index] += stamp[[j, i]];
                 }
             }
         }
         Ok(values)
+    }
+
+    /// Gives every source that may light some pixels `(column, row)` of the frame to `take`, with
+    /// the indices of these pixels.
+    pub fn lit_pixels<'s>(
+        &self,
+        sources: &'s [PointSource],
+        pixels: &[(usize, usize)],
+        mut take: impl FnMut(&'s PointSource, &mut dyn Iterator<Item = usize>),
+    ) {
+        let sorted = SortedPixels::new(pixels);
+        for source in sources.iter().filter(|source| self.reaches(source)) {
+            let mut lit = sorted
+                .within(self.lit(source))
+                .map(|(index, ..)| index)
+                .peekable();
+            if lit.peek().is_some() {
+                take(source, &mut lit);
+            }
+        }
     }
 
     /// Adds sources to a part of the image. `image` holds the pixels `[y, x]` of `region`, which is
@@ -261,5 +273,33 @@ impl<'a> StarPainter<'a> {
         };
         values.mapv_inplace(|v| v * source.flux());
         Ok(((first_column, first_row), values))
+    }
+}
+
+/// Pixels sorted by rows: row, column, and the index before sorting.
+struct SortedPixels(Vec<(usize, usize, usize)>);
+
+impl SortedPixels {
+    fn new(pixels: &[(usize, usize)]) -> Self {
+        let indexed = pixels.iter().enumerate();
+        let mut sorted: Vec<_> = indexed
+            .map(|(index, &(column, row))| (row, column, index))
+            .collect();
+        sorted.sort_unstable();
+        Self(sorted)
+    }
+
+    /// The pixels in a rectangle: the index of each pixel, and its row and column in the rectangle,
+    /// which is given by its first column, first row, columns and rows.
+    fn within(
+        &self,
+        (x, y, nx, ny): (i64, i64, usize, usize),
+    ) -> impl Iterator<Item = (usize, usize, usize)> + '_ {
+        let before = |row: i64| self.0.partition_point(|pixel| (pixel.0 as i64) < row);
+        let rows = &self.0[before(y)..before(y.saturating_add(ny as i64))];
+        rows.iter().filter_map(move |&(row, column, index)| {
+            let i = usize::try_from(column as i64 - x).ok().filter(|&i| i < nx)?;
+            Some((index, (row as i64 - y) as usize, i))
+        })
     }
 }

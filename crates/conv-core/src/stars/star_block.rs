@@ -148,7 +148,7 @@ fn coefficients_of(
 }
 
 /// Row and column of a block of the field. The row is first, so that blocks are sorted by rows.
-pub(super) type BlockKey = (i64, i64);
+pub(crate) type BlockKey = (i64, i64);
 
 /// Blocks, and the size of all of them in bytes.
 type Kept<T> = (BTreeMap<BlockKey, Arc<StarBlock<T>>>, usize);

@@ -362,11 +362,11 @@ impl<T: ConvReal> StarPlan<T> {
     }
 }
 
-fn block_of((column, row): (i64, i64)) -> BlockKey {
+pub(crate) fn block_of((column, row): (i64, i64)) -> BlockKey {
     (row.div_euclid(BLOCK), column.div_euclid(BLOCK))
 }
 
-fn region_of((row, column): BlockKey) -> PixelRegion {
+pub(crate) fn region_of((row, column): BlockKey) -> PixelRegion {
     let shape = FrameShape::new(BLOCK as usize, BLOCK as usize).expect("blocks have pixels");
     PixelRegion::new(column * BLOCK, row * BLOCK, shape)
 }
@@ -374,16 +374,16 @@ fn region_of((row, column): BlockKey) -> PixelRegion {
 /// Computes the vectors of stars' PSFs in [`PsfSpace`], one star at a time. All stars use the same
 /// memory.
 #[derive(Debug)]
-pub(super) struct StarVectors<'a> {
+pub(crate) struct StarVectors<'a> {
     model: &'a PsfModel,
     space: &'a PsfSpace,
     coefficients: Vec<f64>,
-    psf: Array1<f64>,
+    pub(crate) psf: Array1<f64>,
     flux: f64,
 }
 
 impl<'a> StarVectors<'a> {
-    pub(super) fn new(model: &'a PsfModel, space: &'a PsfSpace) -> Self {
+    pub(crate) fn new(model: &'a PsfModel, space: &'a PsfSpace) -> Self {
         Self {
             model,
             space,
@@ -395,7 +395,7 @@ impl<'a> StarVectors<'a> {
 
     /// Computes the PSF at a position, not scaled to unit flux. Returns the factor that scales it
     /// to unit flux, or 1 if the model needs no scaling.
-    pub(super) fn set(&mut self, position: Position) -> Result<f64, FieldError> {
+    pub(crate) fn set(&mut self, position: Position) -> Result<f64, FieldError> {
         self.model.coefficients_into(position, &mut self.coefficients)?;
         let first = usize::from(self.model.is_mean_centred());
         self.psf.assign(&self.space.mean);
@@ -415,19 +415,19 @@ impl<'a> StarVectors<'a> {
         }
     }
 
-    pub(super) fn norm(&self) -> f64 {
+    pub(crate) fn norm(&self) -> f64 {
         self.psf.dot(&self.psf).sqrt()
     }
 
     /// Returns whether the remainder of [`project`](Self::project) is within the tolerance. `whole`
     /// is the norm of the PSF before.
-    pub(super) fn is_within(&self, tolerance: f64, whole: f64) -> bool {
+    pub(crate) fn is_within(&self, tolerance: f64, whole: f64) -> bool {
         self.space.is_within(tolerance, self.psf.view(), whole, self.flux)
     }
 
     /// Computes the coefficients of a block's kernels for this PSF. Replaces the PSF by the
     /// remainder that the kernels do not represent.
-    pub(super) fn project(&mut self, modes: &LocalModes, coefficients: &mut Vec<f64>) {
+    pub(crate) fn project(&mut self, modes: &LocalModes, coefficients: &mut Vec<f64>) {
         coefficients.clear();
         if let Some(reference) = modes.reference() {
             self.psf.scaled_add(-self.flux, &reference);

@@ -36,8 +36,6 @@ impl Sky {
                 rng.random_range(0.0..180.0),
             )?);
         }
-        let mut image = Array2::zeros((frame.ny(), frame.nx()));
-        sersic::add_galaxies(image.view_mut(), (0, 0), &galaxies);
         // Sources just outside the frame still contribute light.
         let margin = 16.0;
         let stars = (0..STARS)
@@ -50,7 +48,7 @@ impl Sky {
             })
             .collect::<anyhow::Result<Vec<_>>>()?;
         Ok(Self {
-            galaxies: Image::new(image)?,
+            galaxies: psfield::light_on_pixels(&galaxies, frame)?,
             stars,
         })
     }

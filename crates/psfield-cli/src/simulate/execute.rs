@@ -100,11 +100,10 @@ impl SimulateArgs {
 
         let bar = context.bar("convolving");
         let clock = Instant::now();
-        let (count, seed) = self.checked_pixels();
         let mut rows = FitsRows {
             reader,
             writer,
-            picker: PixelPicker::new(shape, count, seed),
+            picker: simulator.picker(&read.scene, true, self.checked_pixels()),
             read_seconds: 0.0,
             write_seconds: 0.0,
         };

@@ -80,8 +80,7 @@ pub(crate) struct SimulateArgs {
     ///
     /// Half of them are bright pixels. If the relative r.m.s. difference is above 3 x --tolerance
     /// plus rounding, the image is still written, but the command fails. For basis and direct, the
-    /// limit allows only rounding. For patch, there is no limit if the scene has an image or
-    /// galaxies.
+    /// limit allows only rounding. For patch, there is no limit if the scene has an image.
     #[arg(
         long,
         value_name = "N",
@@ -133,10 +132,11 @@ pub(crate) struct SimulateArgs {
     precision: Precision,
     /// Cut or pad the PSF stamps to N x N output pixels [default: the stamp's own size]
     ///
-    /// The PSF is centred at pixel N / 2 (0-based, rounded down). For images and galaxies, stamps
-    /// are cut or padded, then scaled to unit flux (not with --normalise keep). For stars, stamps
-    /// are cut around the star's pixel and not scaled again, so that light outside these N x N
-    /// pixels is lost.
+    /// The PSF is centred at pixel N / 2 (0-based, rounded down). For images, stamps are cut or
+    /// padded, then scaled to unit flux (not with --normalise keep). For stars, stamps are cut
+    /// around the star's pixel. For galaxies, they are cut around the centre of the PSF. Cut stamps
+    /// of stars and galaxies are not scaled again, so that light outside these N x N pixels is
+    /// lost.
     #[arg(
         long,
         value_name = "N",
@@ -282,6 +282,7 @@ impl SimulateArgs {
             anchor: self.anchor,
             memory: self.memory.unwrap_or(defaults.memory),
             oversample: self.scene.finer(),
+            scene_pixels: self.scene.pixels(),
             stamp_size: self.stamp_size,
             frame: self.scene.frame.map(|Frame(frame)| frame),
             ..defaults
@@ -337,6 +338,11 @@ impl SimulateArgs {
             precision: T::NAME,
             tolerance: options.method.has_plan().then_some(options.tolerance),
             tolerance_on: options.method.has_plan().then_some(options.tolerance_on),
+            scene_pixels: self
+                .scene
+                .scene
+                .as_ref()
+                .map(|_| options.scene_pixels.to_string()),
             rank: made.model.rank(),
             modes: plan.map_or(made.model.stamp_count() as f64, PlanSummary::mean_modes),
             normalise: made.model.normalisation(),

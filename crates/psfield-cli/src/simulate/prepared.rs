@@ -86,8 +86,8 @@ pub(super) fn timed<R>(work: impl FnOnce() -> anyhow::Result<R>) -> anyhow::Resu
 impl SimulateArgs {
     /// Opens the requested GPU first, because without it the rest of the work is useless.
     pub(super) fn open_gpu(&self, context: &Context) -> Result<(), PsfieldError> {
-        // Without an image the scene may hold only stars, which need no GPU. A build without GPU
-        // support reports the missing support at once.
+        // A scene without an image holds only stars and galaxies, which need no GPU. A build without
+        // GPU support reports the missing support at once.
         let needed = self.scene.scene.is_some() || !cfg!(feature = "gpu");
         let options = self.options();
         if options.device == Device::Gpu && needed {
@@ -158,8 +158,9 @@ impl SimulateArgs {
         if placement.is_failure() {
             context.warn(&format!("the work is done {placement}"));
         } else if self.options().device == Device::Gpu && placement.adapter().is_none() {
-            context
-                .warn("--device gpu applies to scenes with an image or galaxies: stars are drawn on the CPU");
+            context.warn(
+                "--device gpu applies to scenes with an image: stars and galaxies are drawn on the CPU",
+            );
         }
     }
 }

@@ -21,6 +21,8 @@ pub(crate) struct Report {
     pub(super) tolerance: Option<f64>,
     /// The errors that the tolerance bounds.
     pub(super) tolerance_on: Option<ToleranceOn>,
+    /// The meaning of the values of the scene's image, if there is one.
+    pub(super) scene_pixels: Option<String>,
     /// Components of the model, the mean not counted.
     pub(super) rank: usize,
     /// With a plan, the mean number of modes per block of tiles (a tile needs one convolution per
@@ -143,9 +145,17 @@ impl Report {
             let relative = check
                 .relative_rms
                 .map_or_else(String::new, |r| format!(" ({r:.1e} of the sum's r.m.s.)"));
+            let part = |worst: Option<f64>| {
+                worst.map_or_else(String::new, |w| format!("; errors at most {w:.1e} of their limits"))
+            };
+            let sources = if check.sources > 0 {
+                format!("\n  around {} sources{}", check.sources, part(check.worst_source))
+            } else {
+                String::new()
+            };
             format!(
-                "spot check against the direct sum, {} pixels: largest difference {:.2e}{over_peak}, r.m.s. {:.2e}{relative}\n",
-                check.pixels, check.max_abs, check.rms,
+                "spot check against the direct sum, {} pixels: largest difference {:.2e}{over_peak}, r.m.s. {:.2e}{relative}{}{sources}\n",
+                check.pixels, check.max_abs, check.rms, part(check.worst_pixel),
             )
         });
         let sources: Vec<String> = [
@@ -199,17 +209,14 @@ impl Report {
 
 #[cfg(test)]
 mod tests {
-    use ndarray::Array2;
-    use psf_types::Image;
-
     use super::*;
 
     #[test]
     fn an_image_that_differs_fails() {
-        let image = Image::new(Array2::<f64>::ones((8, 8))).unwrap();
-        for (exact, fails) in [(1.0, false), (1.01, true)] {
-            let check = SpotCheck::run(&image, 5, 1, |at| Ok(vec![exact; at.len()])).unwrap();
-            let result = verdict(&check.judged(1e-4), Path::new("image.fits"));
+        for (passed, fails) in [(None, false), (Some(true), false), (Some(false), true)] {
+            let mut check = SpotCheck::default();
+            check.passed = passed;
+            let result = verdict(&check, Path::new("image.fits"));
             assert_eq!(result.is_err(), fails);
             let text = result.map_or_else(|e| e.to_string(), |()| "image.fits".to_owned());
             assert!(text.contains("image.fits"), "{text}");

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use conv_core::ConvReal;
 use psf_io::{Catalog, CatalogOptions, HduChoice, HeaderCards, ImageReader, IoError, SkyCoordinates};
 use psf_types::{FrameShape, Image};
-use psfield::{Scene, SimulateOptions, Simulator};
+use psfield::{Scene, ScenePixels, SimulateOptions, Simulator};
 
 use crate::UsageError;
 use crate::context::with_nan_setting;
@@ -45,8 +45,8 @@ pub(super) struct SceneArgs {
     pub(super) shape: Option<Pair>,
     /// Scene pixels per pixel of the output image along each axis [default: 1]
     ///
-    /// From 1 to 64. Use at least 4 for galaxies of a catalogue, or the pixels of the scene blur
-    /// them. The catalogue, --shape and --frame stay in pixels of the output image.
+    /// From 1 to 64. For scenes that are images. Stars and galaxies of a catalogue do not depend on
+    /// it. The catalogue, --shape and --frame stay in pixels of the output image.
     #[arg(
         long,
         value_name = "S",
@@ -54,6 +54,17 @@ pub(super) struct SceneArgs {
         help_heading = SCENE
     )]
     oversampling: Option<u16>,
+    #[arg(
+        long,
+        value_name = "point|integrated",
+        help_heading = SCENE,
+        help = scene_pixels_help(),
+        long_help = format!(
+            "{}\n\npoint: light at the centre of the pixel, such as a single bright pixel for a star.\nintegrated: light that is already integrated over the pixel of the scene, such as the cells of a simulation or a deep image. The response of this pixel is taken out. Detail finer than the pixels cannot be recovered, and noise is amplified by at most 2.47 before the PSF.\nApplies only to a scene that is an image.",
+            scene_pixels_help()
+        )
+    )]
+    scene_pixels: Option<ScenePixels>,
     /// Part of the scene to write: first column, first row, columns, rows (pixels)
     ///
     /// X0, Y0 and the catalogue count from the first pixel of the scene. The positions of the PSF
@@ -99,6 +110,13 @@ pub(super) struct SceneArgs {
 
 const SCENE: &str = "Scene";
 
+fn scene_pixels_help() -> String {
+    format!(
+        "Meaning of the values of the scene's image [default: {}]",
+        SimulateOptions::default().scene_pixels
+    )
+}
+
 /// A scene that has been read.
 pub(super) struct ReadScene<T: ConvReal> {
     /// The scene. If its image is read by rows, the image is not part of it.
@@ -133,6 +151,9 @@ impl SceneArgs {
         if self.nan_as.is_some() && self.scene.is_none() {
             return Some("--nan-as needs a scene that is an image (SCENE.fits)".to_owned());
         }
+        if self.scene_pixels.is_some() && self.scene.is_none() {
+            return Some("--scene-pixels needs a scene that is an image (SCENE.fits)".to_owned());
+        }
         match (&self.scene, &self.catalog, self.shape) {
             (None, None, _) => Some(
                 "there is nothing to convolve: give a scene (SCENE.fits), sources (--catalog STARS.csv --shape NX,NY), or both \
@@ -151,6 +172,12 @@ impl SceneArgs {
     pub(super) fn finer(&self) -> usize {
         let default = SimulateOptions::default().oversample;
         self.oversampling.map_or(default, usize::from)
+    }
+
+    /// The meaning of the values of the scene's image.
+    pub(super) fn pixels(&self) -> ScenePixels {
+        self.scene_pixels
+            .unwrap_or(SimulateOptions::default().scene_pixels)
     }
 
     /// Reads the scene. If `by_rows`, opens the scene's image, but does not read its pixels. `field`

@@ -99,8 +99,7 @@ fn catalogues_that_do_not_suit() {
     );
 }
 
-/// Galaxies are light in pixels before the PSF: without a scene, on a scene, streamed, and in finer
-/// pixels.
+/// Galaxies are the same without a scene, on a scene, streamed, and on a scene of finer pixels.
 #[test]
 fn galaxies_are_convolved() {
     let desk = desk();
@@ -135,15 +134,10 @@ fn galaxies_are_convolved() {
         ));
         assert!(difference(&desk.image("same.fits"), &alone) < DOUBLE, "{options}");
     }
-    // Finer pixels blur less by their own size.
     desk.done(&format!(
         "simulate --psf fine.fits {SHAPE} --catalog galaxies.csv --oversampling 3 -o finer.fits --precision f64 -q"
     ));
-    let finer = desk.image("finer.fits");
-    assert!(finer.dim() == alone.dim() && (finer.sum() - 150.0).abs() < 0.5);
-    let between = difference(&finer, &alone);
-    assert!(between > 1e-3 && between < 0.1, "{between}");
-    assert!(finer[[25, 30]] > alone[[25, 30]]);
+    assert!(difference(&desk.image("finer.fits"), &alone) < DOUBLE);
 }
 
 /// The scene's world coordinates, cut and binned with it, and sources placed by them.
@@ -393,6 +387,8 @@ fn a_detector_behind_the_image() {
 /// there. They are tested streamed and in finer pixels too.
 #[test]
 fn galaxies_beyond_the_edge_shine_in() {
+    /// Windows and outskirts of galaxies depend on their places, by 1e-8 of the flux at tolerance 0.
+    const WINDOWS: f64 = 1e-6;
     let desk = desk();
     // The PSF is constant, so that the position of the frame does not matter.
     desk.write_samples("one.fits", &crate::desk::samples_at(&[(30.0, 25.0)], 3));
@@ -418,7 +414,7 @@ fn galaxies_beyond_the_edge_shine_in() {
             "simulate {scene} {psf} --catalog galaxies.csv {options} -o image.fits --overwrite --spot-check 100"
         ));
         let largest = difference(&desk.image("image.fits"), &expected);
-        assert!(largest < 1e-9, "{scene} {options}: {largest}");
+        assert!(largest < WINDOWS, "{scene} {options}: {largest}");
     }
     // The header refers to pixels of the frame, not to those of the margin added to the scene.
     let place = desk.header("image.fits").get("CRPIX1").and_then(Card::value);
@@ -427,37 +423,30 @@ fn galaxies_beyond_the_edge_shine_in() {
         "simulate {SHAPE} {psf} --catalog galaxies.csv --frame 3,4,50,40 -o cut.fits"
     ));
     let cut = expected.slice(s![4..44, 3..53]).to_owned();
-    assert!(difference(&desk.image("cut.fits"), &cut) < 1e-9);
+    assert!(difference(&desk.image("cut.fits"), &cut) < WINDOWS);
 }
 
-/// Galaxies are blurred by the pixels on which they are drawn. A warning says so, and finer pixels
-/// avoid it.
+/// The response of a pixel is applied to galaxies once. A small galaxy therefore looks like a star.
+/// Native stamps are too coarse for galaxies, and a warning says so.
 #[test]
-fn small_galaxies_need_finer_pixels() {
+fn small_galaxies_look_like_stars() {
     let desk = desk();
     desk.write("small.csv", "x,y,flux,re,n\n30.4,25,100,0.05,1\n");
     desk.write("star.csv", "x,y,flux\n30.4,25,100\n");
-    let run = |options: &str, out: &str| {
-        format!("simulate --psf fine.fits {SHAPE} --precision f64 {options} -o {out}")
+    let run = |psf: &str, sources: &str, out: &str| {
+        format!("simulate --psf {psf}.fits {SHAPE} --precision f64 --catalog {sources}.csv -o {out}.fits")
     };
-    desk.done(&run("--catalog star.csv", "star.fits"));
-    let blurred = "1 galaxy is blurred twice";
-    desk.warned(&run("--catalog small.csv", "coarse.fits"), blurred);
+    desk.done(&run("fine", "star", "star"));
+    desk.done(&run("fine", "small", "small"));
+    let between = difference(&desk.image("small.fits"), &desk.image("star.fits"));
+    assert!(between < 5e-3, "{between}");
+    // The centre of a pixel makes no difference: a galaxy is always interpolated.
+    desk.write("centred.csv", "x,y,flux,re,n\n30,25,100,3,1\n");
+    desk.done(&run("fine", "centred", "enough"));
     desk.warned(
-        &run("--catalog small.csv --oversampling 15", "finer.fits"),
-        blurred,
+        &run("samples", "centred", "coarse"),
+        "stars between pixels and galaxies need interpolated PSF stamps",
     );
-    let star = desk.image("star.fits");
-    let (coarse, finer) = (desk.image("coarse.fits"), desk.image("finer.fits"));
-    assert!(difference(&coarse, &star) > 0.02);
-    assert!(difference(&finer, &star) < 5e-3, "{}", difference(&finer, &star));
-    // A large galaxy is blurred too, unless the scene has four or more pixels per image pixel.
-    desk.write("large.csv", "x,y,flux,re,n\n30.4,25,100,3,1\n");
-    desk.warned(
-        &run("--catalog large.csv --oversampling 3", "large.fits"),
-        "at least 4 along each side of a frame pixel, and 2 per half-light radius (option --oversampling)",
-    );
-    desk.done(&run("--catalog large.csv --oversampling 4", "fine_enough.fits"));
 }
 
 #[test]

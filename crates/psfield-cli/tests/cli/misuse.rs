@@ -320,6 +320,8 @@ const CASES: &[Case] = &[
     ("simulate scene.fits --psf model.fits -o out.fits --tolerance=", 2, &["'' for '--tolerance"]),
     ("simulate scene.fits --psf model.fits -o out.fits --tolerance-on flux", 2, &["'flux' for '--tolerance-on", "l2 or aperture"]),
     ("simulate scene.fits --psf model.fits -o out.fits --tolerance-on l2 --method basis", 2, &["--tolerance-on", "auto and lowrank"]),
+    ("simulate scene.fits --psf model.fits -o out.fits --scene-pixels cell", 2, &["'cell' for '--scene-pixels", "point or integrated"]),
+    ("simulate --catalog stars.csv --shape 20,20 --psf model.fits -o out.fits --scene-pixels integrated", 2, &["--scene-pixels", "a scene that is an image"]),
     ("simulate scene.fits --psf model.fits -o out.fits --tolerance 1e-3 --method basis", 2, &["--tolerance", "auto and lowrank"]),
     ("simulate scene.fits --psf model.fits -o out.fits --memory 1G --method basis", 2, &["--memory", "auto and lowrank"]),
     ("simulate scene.fits --psf model.fits -o out.fits --stream --method direct", 2, &["--stream", "auto and lowrank"]),

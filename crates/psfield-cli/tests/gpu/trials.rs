@@ -134,7 +134,7 @@ pub(crate) fn stars_alone() {
     desk.write("stars.csv", "x,y,flux\n30,25,5\n");
     desk.warned(
         "simulate --catalog stars.csv --shape 61,51 --psf samples.fits -o out.fits --device gpu",
-        "stars are drawn on the CPU",
+        "stars and galaxies are drawn on the CPU",
     );
     assert_eq!(text(&desk, "out.fits", "PSFDEV").as_deref(), Some("CPU"));
 }

@@ -3,9 +3,7 @@
 use conv_core::{ConvolutionMethod, Direct, PlanOptions};
 use metrics::Comparison;
 use ndarray::Array2;
-use psf_types::{
-    Anchor, FrameShape, Image, NoProgress, Position, PsfModelRecord, SersicProfile, SersicSource,
-};
+use psf_types::{Anchor, FrameShape, NoProgress, Position, PsfModelRecord, SersicProfile, SersicSource};
 use serde::Serialize;
 
 use crate::LabError;
@@ -104,9 +102,8 @@ impl GalaxyComparison {
         let middle = (side - 1) as f64 / 2.0;
         let profile = SersicProfile::new(GALAXY_SIZE * side as f64, 1.0, 0.6, 30.0)?;
         let galaxy = SersicSource::new(Position::new(middle, middle)?, 1e6, profile)?;
-        let mut original = Array2::<f64>::zeros((side, side));
-        sersic::add_galaxies(original.view_mut(), (0, 0), &[galaxy]);
-        let light = Image::new(original.clone())?;
+        let light = psfield::light_on_pixels::<f64>(&[galaxy], frame)?;
+        let original = light.pixels().to_owned();
         let exact = Direct::new(Anchor::Source)
             .convolve(&model, &light.view(), frame.region(), &NoProgress)?
             .into_pixels();

@@ -116,12 +116,9 @@ fn galaxy_light() -> Result<Array2<f64>, LabError> {
     let [radius, index, axis_ratio, angle] = GALAXY;
     let profile = SersicProfile::new(radius, index, axis_ratio, angle)?;
     let middle = Position::of_pixel((GALAXY_SIDE / 2) as i64, (GALAXY_SIDE / 2) as i64);
-    let mut light = Array2::<f64>::zeros((GALAXY_SIDE, GALAXY_SIDE));
-    sersic::add_galaxies(
-        light.view_mut(),
-        (0, 0),
-        &[SersicSource::new(middle, 1.0, profile)?],
-    );
+    let galaxy = SersicSource::new(middle, 1.0, profile)?;
+    let shape = FrameShape::new(GALAXY_SIDE, GALAXY_SIDE)?;
+    let light = psfield::light_on_pixels::<f64>(&[galaxy], shape)?.into_pixels();
     let sum = light.sum();
     Ok(light / sum)
 }

@@ -43,7 +43,7 @@ pub enum CpuReason {
     Asked,
     /// The method makes no plan, and GPUs only execute plans.
     Method,
-    /// The scene holds only stars, which are drawn on the processor.
+    /// The scene holds only stars and galaxies, which are drawn on the processor.
     Stars,
     /// The plan is in a precision that GPUs do not compute in.
     Precision {
@@ -133,7 +133,7 @@ impl std::fmt::Display for CpuReason {
         match self {
             Self::Asked => write!(f, "as asked"),
             Self::Method => write!(f, "this method cannot run on a GPU"),
-            Self::Stars => write!(f, "stars are drawn there"),
+            Self::Stars => write!(f, "stars and galaxies are drawn there"),
             Self::Precision { precision } => write!(f, "GPUs compute in f32, this plan is in {precision}"),
             Self::Small { cpu_seconds } => {
                 let cpu = seconds(*cpu_seconds);

@@ -1,7 +1,7 @@
-//! Resamples a PSF to other pixels.
+//! Resamples a PSF to other pixels, and removes the response of a scene's pixel.
 
-use conv_core::{StampInterpolator, edge_reach, grid_with_pixel_response, native_grid};
-use ndarray::{Array2, Array3, ArrayView2, ArrayView3};
+use conv_core::{ScenePixelFilter, StampInterpolator, edge_reach, grid_with_pixel_response, native_grid};
+use ndarray::{Array2, Array3, ArrayView2, ArrayView3, Axis};
 use psf_types::{
     Anchor, FrameShape, Position, PsfModelRecord, PsfSamples, SampleCoefficients, SamplePositions, StampGrid,
 };
@@ -24,7 +24,7 @@ impl Psf {
         if target == self.grid() {
             return Ok(self.clone());
         }
-        self.resampled(&Resampling::at_same_places(target))
+        self.changed(&Resampling::at_same_places(target))
     }
 
     /// Returns whether [`native`](Self::native) only picks pixels of the stamps, without
@@ -71,7 +71,7 @@ impl Psf {
             return Ok(self.clone());
         }
         let target = grid_with_pixel_response(self.grid(), self.edge_reach())?;
-        self.resampled(&Resampling::at_same_places(target))
+        self.changed(&Resampling::at_same_places(target))
     }
 
     /// Returns this PSF for scenes whose pixels are `finer` times smaller than the frame's. Its
@@ -107,7 +107,7 @@ impl Psf {
         let sampled = target
             .with_oversampling(s)?
             .with_centre(target.centre_x() - between, target.centre_y() - between)?;
-        self.resampled(&Resampling {
+        self.changed(&Resampling {
             sampled,
             target,
             finer,
@@ -115,31 +115,78 @@ impl Psf {
         })
     }
 
-    /// Returns this PSF with every stamp resampled.
+    /// Returns this PSF without the response of a pixel of the scene, for scenes whose values are
+    /// already integrated over their pixels ([`ScenePixelFilter`]). The stamps have the scene's
+    /// pixels. The new stamps are wider, by [`ScenePixelFilter::margin_for`] at some of the nodes.
+    pub(crate) fn without_scene_pixel(&self) -> Result<Self, PsfieldError> {
+        let own = self.grid();
+        let margin = ScenePixelFilter::margin_for(self.some_psfs());
+        let at = margin as f64;
+        let target = StampGrid::new(own.nx() + 2 * margin, own.ny() + 2 * margin)?
+            .with_centre(own.centre_x() + at, own.centre_y() + at)?
+            .with_oversampling(own.oversampling())?
+            .with_interpolation(own.interpolation())
+            .with_pixel_response_included(own.pixel_response_included());
+        let filter = ScenePixelFilter::new(own.dim(), margin);
+        self.changed(&SceneFilter { filter, target })
+    }
+
+    /// PSFs at samples or nodes that are evenly spread over the list of them. Empty for a model
+    /// whose coefficient field the caller implements.
+    fn some_psfs(&self) -> Vec<Array2<f64>> {
+        /// PSFs vary smoothly over the field, so that these show how wide they are.
+        const MOST: usize = 16;
+        let step = self.positions().len().div_ceil(MOST).max(1);
+        match &self.0.origin {
+            Origin::Samples(samples, _) => {
+                let stamps = samples.stamps();
+                let some = (0..samples.len()).step_by(step);
+                some.map(|j| stamps.index_axis(Axis(0), j).to_owned()).collect()
+            }
+            Origin::Record(record) => {
+                let (basis, weights) = (record.basis(), record.coefficients().values());
+                let some = (0..weights.nrows()).step_by(step);
+                some.map(|j| {
+                    let mut psf = match basis.mean() {
+                        Some(mean) => mean.to_owned(),
+                        None => Array2::zeros(basis.grid().dim()),
+                    };
+                    for (&weight, stamp) in weights.row(j).iter().zip(basis.components().outer_iter()) {
+                        psf.scaled_add(weight, &stamp);
+                    }
+                    psf
+                })
+                .collect()
+            }
+            Origin::Model(..) => Vec::new(),
+        }
+    }
+
+    /// Returns this PSF with every stamp changed.
     ///
-    /// For a model, only the mean and the components are resampled. Resampling and interpolation
-    /// are linear, so each PSF of the new model equals the resampled PSF of the old model, before
-    /// the scaling to unit flux. The scaling is done last, on the new stamps.
-    fn resampled(&self, resampling: &Resampling) -> Result<Self, PsfieldError> {
-        let target = resampling.target;
+    /// For a model, only the mean and the components are changed. The change and interpolation are
+    /// linear, so each PSF of the new model equals the changed PSF of the old model, before the
+    /// scaling to unit flux. The scaling is done last, on the new stamps.
+    fn changed(&self, change: &dyn StampChange) -> Result<Self, PsfieldError> {
+        let target = change.target();
         match &self.0.origin {
             Origin::Samples(samples, options) => {
                 check_stack(samples.len(), samples.grid())?;
                 check_stack(samples.len(), target)?;
-                let stamps = resampling.stamps(samples.stamps(), samples.grid());
-                let positions = resampling.positions(samples.positions())?;
+                let stamps = change.stamps(samples.stamps(), samples.grid());
+                let positions = change.positions(samples.positions())?;
                 Ok(Self::new(PsfSamples::new(stamps, positions, target)?, *options))
             }
             Origin::Record(record) => {
                 let (basis, nodes) = (record.basis(), record.coefficients());
                 check_stack(basis.rank() + 1, target)?;
                 let (new_basis, values) = psf_basis::orthonormal(
-                    basis.mean().map(|mean| resampling.stamp(mean, basis.grid())),
-                    resampling.stamps(basis.components(), basis.grid()),
+                    basis.mean().map(|mean| change.stamp(mean, basis.grid())),
+                    change.stamps(basis.components(), basis.grid()),
                     nodes.values(),
                     target,
                 )?;
-                let nodes = SampleCoefficients::new(values, resampling.positions(nodes.positions())?)?;
+                let nodes = SampleCoefficients::new(values, change.positions(nodes.positions())?)?;
                 Ok(Self::from(PsfModelRecord::new(
                     new_basis,
                     nodes,
@@ -151,10 +198,53 @@ impl Psf {
             Origin::Model(..) => {
                 const OWN_FIELD: &str = "the stamps of a model with a coefficient field of your own cannot be resampled. Either \
                                          convert the model to samples first. Or build the model from stamps with oversampling 1 \
-                                         that include the pixel response, and then leave oversample and stamp_size unset";
+                                         that include the pixel response, and then leave oversample, stamp_size and scene_pixels \
+                                         unset";
                 Err(PsfieldError::new(ErrorKind::Setting, OWN_FIELD))
             }
         }
+    }
+}
+
+/// A linear operation on stamps.
+trait StampChange {
+    /// The pixel grid of the new stamps.
+    fn target(&self) -> StampGrid;
+
+    /// The new stamp.
+    fn stamp(&self, stamp: ArrayView2<'_, f64>, grid: StampGrid) -> Array2<f64>;
+
+    /// Converts positions to the frame of the new stamps.
+    fn positions(&self, positions: &SamplePositions) -> Result<SamplePositions, PsfieldError>;
+
+    /// The new stamps.
+    fn stamps(&self, stamps: ArrayView3<'_, f64>, grid: StampGrid) -> Array3<f64> {
+        let (ny, nx) = self.target().dim();
+        let mut changed = Array3::zeros((stamps.dim().0, ny, nx));
+        for (mut to, stamp) in changed.outer_iter_mut().zip(stamps.outer_iter()) {
+            to.assign(&self.stamp(stamp, grid));
+        }
+        changed
+    }
+}
+
+/// Removes the response of the scene's pixel.
+struct SceneFilter {
+    filter: ScenePixelFilter,
+    target: StampGrid,
+}
+
+impl StampChange for SceneFilter {
+    fn target(&self) -> StampGrid {
+        self.target
+    }
+
+    fn stamp(&self, stamp: ArrayView2<'_, f64>, _: StampGrid) -> Array2<f64> {
+        self.filter.apply(stamp)
+    }
+
+    fn positions(&self, positions: &SamplePositions) -> Result<SamplePositions, PsfieldError> {
+        Ok(positions.clone())
     }
 }
 
@@ -212,20 +302,17 @@ impl Resampling {
             offset_of_field: 0.0,
         }
     }
+}
+
+impl StampChange for Resampling {
+    fn target(&self) -> StampGrid {
+        self.target
+    }
 
     fn stamp(&self, stamp: ArrayView2<'_, f64>, grid: StampGrid) -> Array2<f64> {
         let s = self.finer as f64;
         // Converts values per pixel of the old frame to values per pixel of the new frame.
         StampInterpolator::new(stamp, grid).resample((0.0, 0.0), self.sampled) / (s * s)
-    }
-
-    fn stamps(&self, stamps: ArrayView3<'_, f64>, grid: StampGrid) -> Array3<f64> {
-        let (ny, nx) = self.target.dim();
-        let mut resampled = Array3::zeros((stamps.dim().0, ny, nx));
-        for (mut to, stamp) in resampled.outer_iter_mut().zip(stamps.outer_iter()) {
-            to.assign(&self.stamp(stamp, grid));
-        }
-        resampled
     }
 
     fn positions(&self, positions: &SamplePositions) -> Result<SamplePositions, PsfieldError> {
@@ -335,6 +422,24 @@ mod tests {
                 for (a, b) in at_node(native, node).iter().zip(&expected) {
                     assert!((a - b).abs() < ROUNDING, "{node}: {a} against {b}");
                 }
+            }
+        }
+    }
+
+    #[test]
+    fn a_filtered_model_gives_the_filtered_psfs() {
+        let native = Psf::from(model(65, 3)).native(None).unwrap();
+        let filtered = native.without_scene_pixel().unwrap();
+        let (native, own, new) = (native.stored().unwrap(), native.grid(), filtered.grid());
+        let margin = (new.nx() - own.nx()) / 2;
+        assert_eq!(new.centre_x(), own.centre_x() + margin as f64);
+        let filter = ScenePixelFilter::new(own.dim(), margin);
+        for node in 0..9 {
+            let expected = filter.apply(at_node(native, node).view());
+            let got = at_node(filtered.stored().unwrap(), node);
+            assert!((got.sum() - at_node(native, node).sum()).abs() < ROUNDING);
+            for (a, b) in got.iter().zip(&expected) {
+                assert!((a - b).abs() < ROUNDING, "{node}: {a} against {b}");
             }
         }
     }

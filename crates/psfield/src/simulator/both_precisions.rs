@@ -15,8 +15,8 @@ fn of<T: ConvReal>() {
     black_box(Simulator::<T>::for_region as fn(_, _, _) -> _);
     black_box(Simulator::<T>::prepare as fn(_, _, _, _) -> _);
     black_box(Simulator::<T>::exact_at as fn(_, _, _, _) -> _);
-    black_box(Simulator::<T>::convolver as fn(_, _, _) -> _);
-    black_box(Simulator::<T>::draw_stars_into as fn(_, _, _, _, _) -> _);
+    black_box(Simulator::<T>::convolver as fn(_, _) -> _);
+    black_box(Simulator::<T>::draw_sources_into as fn(_, _, _, _, _) -> _);
 }
 
 #[used]

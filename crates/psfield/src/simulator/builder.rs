@@ -1,6 +1,5 @@
 //! Collects and checks the settings of a simulator.
 
-use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, OnceLock};
 
 use conv_core::{ConvReal, ConvolutionMethod};
@@ -8,7 +7,7 @@ use psf_types::{Anchor, FrameShape, PixelRegion, ToleranceOn};
 
 use super::geometry::Geometry;
 use super::{REGION, Shared, Simulator};
-use crate::{Device, Method, Psf, PsfieldError, SimulateOptions, check_frame_on_field};
+use crate::{Device, Method, Psf, PsfieldError, ScenePixels, SimulateOptions, check_frame_on_field};
 
 /// Frame pixels by which padded stamps may extend beyond the reach of the PSF ([`Psf::reach`]).
 const STAMP_MARGIN: usize = 8;
@@ -62,6 +61,13 @@ impl<T: ConvReal> OwnMethodBuilder<T> {
     #[must_use]
     pub fn oversample(mut self, oversample: usize) -> Self {
         self.builder.options.oversample = oversample;
+        self
+    }
+
+    /// Sets the meaning of the values of the scene's image.
+    #[must_use]
+    pub fn scene_pixels(mut self, scene_pixels: ScenePixels) -> Self {
+        self.builder.options.scene_pixels = scene_pixels;
         self
     }
 
@@ -129,6 +135,13 @@ impl SimulatorBuilder {
     #[must_use]
     pub fn oversample(mut self, oversample: usize) -> Self {
         self.options.oversample = oversample;
+        self
+    }
+
+    /// Sets the meaning of the values of the scene's image.
+    #[must_use]
+    pub fn scene_pixels(mut self, scene_pixels: ScenePixels) -> Self {
+        self.options.scene_pixels = scene_pixels;
         self
     }
 
@@ -201,14 +214,12 @@ impl SimulatorBuilder {
                 psf,
                 method,
                 image_model: OnceLock::new(),
-                stars: OnceLock::new(),
+                sources: OnceLock::new(),
                 star_flux: OnceLock::new(),
             }),
             options,
             geometry,
-            images: OnceLock::new(),
-            padded: OnceLock::new(),
-            ran_padded: AtomicBool::new(false),
+            convolver: OnceLock::new(),
         })
     }
 }

@@ -2,24 +2,28 @@
 
 use std::fmt;
 
-use conv_core::{ConvReal, Direct, RowStream};
-use ndarray::{Array2, ArrayView2};
+use conv_core::{ConvError, ConvReal, Direct, RowStream, ScenePixelFilter};
+use ndarray::{Array2, ArrayView2, s};
 use psf_types::{Image, PointSource, Position, Progress};
+use rand::seq::IteratorRandom;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
 
 use super::stream::SceneRows;
-use super::{Simulator, has_extended_light};
-use crate::{EvaluateOptions, OutputGrid, PixelPicker, PsfieldError, Scene, SpotCheck, evaluate_stamps};
+use super::{Simulator, has_sources, light_of};
+use crate::spot_check::Allowed;
+use crate::{
+    EvaluateOptions, Method, OutputGrid, PixelPicker, PsfieldError, Scene, ScenePixels, SpotCheck,
+    evaluate_stamps,
+};
 
+/// A spot check compares the pixels around at most this many stars, galaxies, and pixels of the
+/// scene's image.
+const SOURCES: usize = 32;
 /// The largest number of image rows whose light a streamed check keeps in memory at once.
 const BAND: usize = 512;
-/// The number of scene pixels along each side of a frame pixel that galaxies need. On coarser
-/// pixels, galaxies of any size are blurred by a few percent.
-const FINE_FOR_GALAXIES: usize = 4;
-/// The smallest half-light radius that galaxies need, in pixels of the scene. Smaller galaxies are
-/// blurred by these pixels.
-const RESOLVED_PX: f64 = 2.0;
-/// The number of stamp pixels per frame pixel that stars between pixels need. The interpolation of
-/// coarser stamps may be wrong.
+/// The number of stamp pixels per frame pixel that galaxies, and stars between pixels, need. The
+/// interpolation of coarser stamps may be wrong.
 const MIN_STAMP_OVERSAMPLING: f64 = 2.0;
 /// The largest distance along x and along y, in pixels, at which a star counts as lying on the
 /// centre of a pixel.
@@ -35,9 +39,8 @@ const PHASES: usize = 4;
 const HALF_LIGHT_RADII: f64 = 10.0;
 
 impl<T: ConvReal> Simulator<T> {
-    /// Compares `count` random pixels of an image that this simulator made of `scene` with the
-    /// direct sum in f64. `seed` chooses the pixels. The check passes if the difference is within
-    /// the limit of the method ([`SpotCheck::limit_of`]).
+    /// Compares `count` random pixels of an image that this simulator made of `scene`, and the pixels
+    /// around random sources, with the direct sum in f64 ([`SpotCheck`]). `seed` chooses them.
     ///
     /// # Errors
     /// The errors of [`exact_at`](Self::exact_at).
@@ -48,14 +51,27 @@ impl<T: ConvReal> Simulator<T> {
         (count, seed): (usize, u64),
         progress: &dyn Progress,
     ) -> Result<SpotCheck, PsfieldError> {
-        let check = SpotCheck::run(image, count, seed, |pixels| {
-            self.exact_at(scene, pixels, progress)
-        })?;
-        Ok(self.judged(check, has_extended_light(scene)))
+        let mut picker = self.picker(scene, false, (count, seed));
+        for row in image.pixels().outer_iter() {
+            picker.pass(row.iter().map(|v| v.as_f64()));
+        }
+        SpotCheck::of_picked::<T>(picker, |pixels| {
+            let exact = self.exact_at(scene, pixels, progress)?;
+            let mut allowed = self.promised(scene.image().is_some(), pixels.len());
+            if let Some(allowed) = &mut allowed {
+                if let Some(image) = scene.image() {
+                    let (light, first) = self.light(image, progress)?;
+                    self.add_errors_of_image((light.pixels(), first), pixels, allowed)?;
+                }
+                self.add_errors_of_sources(scene, pixels, allowed)?;
+            }
+            Ok((exact, allowed))
+        })
     }
 
-    /// Compares pixels that `picker` has chosen from the rows of a streamed image
-    /// ([`stream`](Self::stream)) with the direct sum. Reads the necessary rows of the scene again.
+    /// Compares pixels that the [`picker`](Self::picker) has chosen from the rows of a streamed
+    /// image ([`stream`](Self::stream)) with the direct sum. Reads the necessary rows of the scene
+    /// again.
     ///
     /// # Errors
     /// The errors of the stream and of [`exact_at`](Self::exact_at).
@@ -66,17 +82,63 @@ impl<T: ConvReal> Simulator<T> {
         picker: PixelPicker,
         progress: &dyn Progress,
     ) -> Result<SpotCheck, PsfieldError> {
-        let check = SpotCheck::of_picked(picker, |pixels| {
-            let mut rows = SceneRows::new(self, scene, rows, progress)?;
-            self.exact_by_rows(scene, &mut rows, pixels, progress)
-        })?;
-        Ok(self.judged(check, true))
+        SpotCheck::of_picked::<T>(picker, |pixels| {
+            let mut allowed = self.promised(true, pixels.len());
+            let mut rows = SceneRows::new(self, scene, rows, progress);
+            let exact = self.exact_by_rows(scene, &mut rows, pixels, allowed.as_deref_mut(), progress)?;
+            if let Some(allowed) = &mut allowed {
+                self.add_errors_of_sources(scene, pixels, allowed)?;
+            }
+            Ok((exact, allowed))
+        })
+    }
+
+    /// Picks the pixels that a check of an image of `scene` compares: `count` random pixels, and
+    /// the pixels around random sources. `seed` chooses them. `rows` has the meaning that it has in
+    /// [`prepare`](Self::prepare). If it is true, the pixels of the scene's image are chosen without
+    /// regard to their light.
+    pub fn picker(&self, scene: &Scene<'_, T>, rows: bool, (count, seed): (usize, u64)) -> PixelPicker {
+        let shape = self.image_shape();
+        let (frame, region) = (self.geometry.frame, self.geometry.region);
+        let (x0, y0) = (frame.x0() + region.x0(), frame.y0() + region.y0());
+        let inside =
+            |&(x, y): &(i64, i64)| (0..shape.nx() as i64).contains(&x) && (0..shape.ny() as i64).contains(&y);
+        let pixel = |at: Position| (at.x().round() as i64 - x0, at.y().round() as i64 - y0);
+        let stars = scene.stars().iter().map(|star| pixel(star.position()));
+        let galaxies = scene.galaxies().iter().map(|galaxy| pixel(galaxy.position()));
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let mut sources = stars.filter(inside).sample(&mut rng, SOURCES);
+        sources.extend(galaxies.filter(inside).sample(&mut rng, SOURCES));
+        if let Some(image) = scene.image().filter(|image| image.shape() == self.geometry.shape) {
+            // Half of these are chosen by their light.
+            let mut of_scene = PixelPicker::new(image.shape(), SOURCES, seed);
+            for row in image.pixels().outer_iter() {
+                of_scene.pass(row.iter().map(|v| v.as_f64()));
+            }
+            let place = |v: usize, first: i64| (v / self.geometry.oversample) as i64 - first;
+            let picked = of_scene.finish().0;
+            sources.extend(
+                picked
+                    .iter()
+                    .map(|p| (place(p.column, x0), place(p.row, y0)))
+                    .filter(inside),
+            );
+        } else if rows {
+            let any = |_| {
+                (
+                    rng.random_range(0..shape.nx()) as i64,
+                    rng.random_range(0..shape.ny()) as i64,
+                )
+            };
+            sources.extend((0..SOURCES).map(any));
+        }
+        PixelPicker::new(shape, count, seed).with_sources(&sources, shape)
     }
 
     /// Computes single pixels `(column, row)` of the image by the direct sum in f64.
     ///
     /// # Errors
-    /// The errors of [`simulate_into`](Self::simulate_into). If the scene has an image or galaxies,
+    /// The errors of [`simulate_into`](Self::simulate_into). If the scene has an image,
     /// also [`ErrorKind::Convolution`](crate::ErrorKind::Convolution) for a pixel outside the
     /// frame.
     #[inline(never)]
@@ -88,27 +150,27 @@ impl<T: ConvReal> Simulator<T> {
     ) -> Result<Vec<f64>, PsfieldError> {
         self.check_sources(scene, false)?;
         let mut sums = vec![0.0; pixels.len()];
-        if has_extended_light(scene) {
-            let convolver = self.convolver(scene, progress)?;
-            let (light, first) = self.light(scene, convolver, progress)?;
-            sums = self.extended_sums((light.pixels(), first), convolver.padding, pixels, progress)?;
+        if let Some(image) = scene.image() {
+            let (light, first) = self.light(image, progress)?;
+            sums = self.image_sums((light.pixels(), first), pixels, progress)?;
         }
-        self.add_star_sums(scene.stars(), pixels, &mut sums)?;
+        self.add_source_sums(scene, pixels, &mut sums, progress)?;
         Ok(sums)
     }
 
     /// Computes pixels of the image of a streamed scene. The pixels are sorted by rows. Only the
-    /// scene's rows that they need are in memory.
+    /// scene's rows that they need are in memory. If `allowed` is given, adds the errors that the
+    /// scene's image may have in these pixels.
     fn exact_by_rows<R: RowStream<T, Error = PsfieldError>>(
         &self,
         scene: &Scene<'_, T>,
         rows: &mut R,
         pixels: &[(usize, usize)],
+        mut allowed: Option<&mut [Allowed]>,
         progress: &dyn Progress,
     ) -> Result<Vec<f64>, PsfieldError> {
-        let padding = self.padding(scene);
-        let shape = self.geometry.padded_shape(padding)?;
-        let frame = self.geometry.fine_frame(padding)?;
+        let shape = self.geometry.shape;
+        let frame = self.geometry.fine(self.geometry.frame)?;
         let reach = self.image_model()?.0.grid().ny();
         let mut sums = Vec::with_capacity(pixels.len());
         let mut rest = pixels;
@@ -119,26 +181,27 @@ impl<T: ConvReal> Simulator<T> {
             let to = (of_scene(rest[count - 1].1 + 1) + reach).min(shape.ny());
             let mut light = Array2::zeros((to - from, shape.nx()));
             rows.read(from..to, light.view_mut())?;
-            sums.extend(self.extended_sums((light.view(), (0, from)), padding, &rest[..count], progress)?);
+            let part = (light.view(), (0, from));
+            if let Some(allowed) = &mut allowed {
+                let of_band = &mut allowed[sums.len()..sums.len() + count];
+                self.add_errors_of_image(part, &rest[..count], of_band)?;
+            }
+            sums.extend(self.image_sums(part, &rest[..count], progress)?);
             rest = &rest[count..];
         }
-        self.add_star_sums(scene.stars(), pixels, &mut sums)?;
+        self.add_source_sums(scene, pixels, &mut sums, progress)?;
         Ok(sums)
     }
 
-    /// Returns the direct sums at pixels of the image. `light` is a part of the (padded) scene's
-    /// light, and the column and row at which it begins.
-    fn extended_sums(
+    /// Returns the direct sums at pixels of the image. `light` is a part of the scene's image,
+    /// and the column and row at which it begins.
+    fn image_sums(
         &self,
         light: (ArrayView2<'_, T>, (usize, usize)),
-        padding: usize,
         pixels: &[(usize, usize)],
         progress: &dyn Progress,
     ) -> Result<Vec<f64>, PsfieldError> {
-        let (shape, frame) = (
-            self.geometry.padded_shape(padding)?,
-            self.geometry.fine_frame(padding)?,
-        );
+        let (shape, frame) = (self.geometry.shape, self.geometry.fine(self.geometry.frame)?);
         let fine: Vec<_> = pixels
             .iter()
             .map(|&pixel| self.geometry.sampled_pixel(pixel))
@@ -151,33 +214,137 @@ impl<T: ConvReal> Simulator<T> {
         Ok(sums)
     }
 
-    fn add_star_sums(
+    /// Adds the light of stars and galaxies in pixels of the image.
+    fn add_source_sums(
         &self,
-        stars: &[PointSource],
+        scene: &Scene<'_, T>,
         pixels: &[(usize, usize)],
         sums: &mut [f64],
+        progress: &dyn Progress,
     ) -> Result<(), PsfieldError> {
-        if stars.is_empty() {
+        if !has_sources(scene) {
             return Ok(());
         }
-        let (x0, y0) = (
-            self.geometry.region.x0() as usize,
-            self.geometry.region.y0() as usize,
-        );
-        let of_frame: Vec<_> = pixels.iter().map(|&(x, y)| (x + x0, y + y0)).collect();
-        let values = self.painter(&self.stars()?.model)?.at_pixels(stars, &of_frame)?;
-        sums.iter_mut().zip(values).for_each(|(sum, value)| *sum += value);
+        let (of_frame, sources) = (self.of_frame(pixels), self.sources()?);
+        let stars = self
+            .painter(&sources.model)?
+            .at_pixels(scene.stars(), &of_frame)?;
+        let (galaxies, frame) = (scene.galaxies(), self.geometry.frame);
+        let galaxies = sources
+            .galaxies
+            .at_pixels(galaxies, &light_of, frame, &of_frame, progress)?;
+        for ((sum, star), galaxy) in sums.iter_mut().zip(stars).zip(galaxies) {
+            *sum += star + galaxy;
+        }
         Ok(())
     }
 
-    fn judged(&self, check: SpotCheck, of_image: bool) -> SpotCheck {
-        match SpotCheck::limit_of::<T>(&self.options, of_image) {
-            Some(limit) => check.judged(limit),
-            None => check,
-        }
+    /// The errors that the method promises for some pixels, before any source is added. None for
+    /// patches and for the caller's own method if the scene has an image, because they promise
+    /// nothing for it.
+    pub(super) fn promised(&self, of_image: bool, pixels: usize) -> Option<Vec<Allowed>> {
+        let nothing = of_image && matches!(self.options.method, Method::Patch(_) | Method::Own);
+        (!nothing).then(|| vec![Allowed::default(); pixels])
     }
 
-    /// Returns a warning if the image or the galaxies of scenes like `scene` are convolved with
+    /// The tolerance of a plan. 0 for methods without a plan.
+    fn tolerance(&self) -> Result<f64, PsfieldError> {
+        let planned = self
+            .options
+            .plan_options()?
+            .filter(|_| self.shared.method.is_none());
+        Ok(planned.map_or(0.0, |options| options.tolerance()))
+    }
+
+    /// Adds the largest errors that the scene's image may have in pixels of the image. `light` is a
+    /// part of the scene's image, and the column and row at which it begins.
+    fn add_errors_of_image(
+        &self,
+        (light, (x0, y0)): (ArrayView2<'_, T>, (usize, usize)),
+        pixels: &[(usize, usize)],
+        allowed: &mut [Allowed],
+    ) -> Result<(), PsfieldError> {
+        let (tolerance, grid) = (self.tolerance()?, self.image_model()?.0.grid());
+        if tolerance == 0.0 {
+            return Ok(());
+        }
+        let galaxies = &self.sources()?.galaxies;
+        // The filter that takes the scene's pixels out increases the norm of the PSF.
+        let of_filter = match self.options.scene_pixels {
+            ScenePixels::Point => 1.0,
+            ScenePixels::Integrated => ScenePixelFilter::LARGEST_FACTOR,
+        };
+        let (frame, oversample) = (self.geometry.fine(self.geometry.frame)?, self.geometry.oversample);
+        let near = |at: usize, first: i64, start: usize, reach: usize, length: usize| {
+            let at = at as i64 + first - start as i64;
+            let within = |v: i64| v.clamp(0, length as i64) as usize;
+            within(at - reach as i64)..within(at + reach as i64 + 1)
+        };
+        for (&pixel, allowed) in pixels.iter().zip(allowed) {
+            let (column, row) = self.geometry.sampled_pixel(pixel);
+            let columns = near(column, frame.x0(), x0, grid.nx(), light.ncols());
+            let rows = near(row, frame.y0(), y0, grid.ny(), light.nrows());
+            let of_frame = (
+                (pixel.0 as i64 + self.geometry.region.x0()),
+                (pixel.1 as i64 + self.geometry.region.y0()),
+            );
+            // Where the PSF is not known, nothing is promised.
+            let norm = galaxies
+                .psf_norm(Position::of_pixel(of_frame.0, of_frame.1))
+                .unwrap_or(f64::INFINITY);
+            // An error in one pixel of the frame may be all of the error on the finer pixels.
+            let error = tolerance * norm * of_filter * oversample as f64;
+            for &light in light
+                .slice(s![rows, columns])
+                .iter()
+                .filter(|light| **light != T::zero())
+            {
+                allowed.add(error * light.as_f64().abs());
+            }
+        }
+        Ok(())
+    }
+
+    /// Adds the largest errors that stars and galaxies may have in pixels of the image.
+    pub(super) fn add_errors_of_sources(
+        &self,
+        scene: &Scene<'_, T>,
+        pixels: &[(usize, usize)],
+        allowed: &mut [Allowed],
+    ) -> Result<(), PsfieldError> {
+        if !has_sources(scene) {
+            return Ok(());
+        }
+        let (of_frame, sources, tolerance) = (self.of_frame(pixels), self.sources()?, self.tolerance()?);
+        let (galaxies, frame) = (&sources.galaxies, self.geometry.frame);
+        if tolerance > 0.0 {
+            let mut failed = None;
+            let painter = self.painter(&sources.model)?;
+            painter.lit_pixels(scene.stars(), &of_frame, |star, lit| {
+                let (x, y) = (star.position().x(), star.position().y());
+                let at = Position::new(x - frame.x0() as f64, y - frame.y0() as f64);
+                match at.map_err(ConvError::Result).and_then(|at| galaxies.psf_norm(at)) {
+                    Ok(norm) => {
+                        let error = tolerance * norm * star.flux().abs();
+                        lit.for_each(|pixel| allowed[pixel].add(error));
+                    }
+                    Err(error) => failed = Some(error),
+                }
+            });
+            failed.map_or(Ok(()), Err)?;
+        }
+        let take = |pixel: usize, error| allowed[pixel].add(error);
+        Ok(galaxies.errors_at_pixels(scene.galaxies(), &light_of, frame, &of_frame, take)?)
+    }
+
+    /// Converts pixels of the image to pixels of the frame.
+    fn of_frame(&self, pixels: &[(usize, usize)]) -> Vec<(usize, usize)> {
+        let region = self.geometry.region;
+        let (x0, y0) = (region.x0() as usize, region.y0() as usize);
+        pixels.iter().map(|&(x, y)| (x + x0, y + y0)).collect()
+    }
+
+    /// Returns a warning if the image of scenes like `scene` is convolved with
     /// stamps that are interpolated between their own pixels. There is no warning for scenes finer
     /// than the frame. `rows` has the meaning that it has in [`prepare`](Self::prepare).
     ///
@@ -190,9 +357,9 @@ impl<T: ConvReal> Simulator<T> {
         scene: &Scene<'_, T>,
         rows: bool,
     ) -> Result<Option<SimulationWarning>, PsfieldError> {
-        let (options, stars_alone) = (&self.options, !rows && !has_extended_light(scene));
+        let (options, sources_alone) = (&self.options, !rows && scene.image().is_none());
         let picked =
-            stars_alone || options.oversample > 1 || self.psf().native_is_exact(options.stamp_size)?;
+            sources_alone || options.oversample > 1 || self.psf().native_is_exact(options.stamp_size)?;
         Ok((!picked).then_some(SimulationWarning::InterpolatedStamps))
     }
 
@@ -252,20 +419,11 @@ impl<T: ConvReal> Simulator<T> {
         }
         let off = |v: f64| (v - v.round()).abs() > ON_PIXEL;
         let between = |star: &PointSource| off(star.position().x()) || off(star.position().y());
-        if self.psf().grid().oversampling() < MIN_STAMP_OVERSAMPLING && scene.stars().iter().any(between) {
+        let interpolated = scene.stars().iter().any(between) || !scene.galaxies().is_empty();
+        if self.psf().grid().oversampling() < MIN_STAMP_OVERSAMPLING && interpolated {
             // Computed once, because every simulated scene asks for warnings.
             let flux = *self.shared.star_flux.get_or_init(|| self.flux_over_phases().ok());
-            warnings.push(SimulationWarning::StarsBetweenPixels { flux });
-        }
-        let s = self.geometry.oversample;
-        // A PSF of a single pixel adds no second blur.
-        let is_pixel = self.psf().grid().pixel_count() == 1;
-        let blurred = scene.galaxies().iter().filter(|galaxy| {
-            s < FINE_FOR_GALAXIES || galaxy.profile().half_light_radius_px() * (s as f64) < RESOLVED_PX
-        });
-        let count = blurred.count();
-        if count > 0 && !is_pixel {
-            warnings.push(SimulationWarning::BlurredGalaxies { count });
+            warnings.push(SimulationWarning::SourcesBetweenPixels { flux });
         }
         warnings
     }
@@ -283,8 +441,8 @@ pub enum SimulationWarning {
         /// Number of stars and galaxies.
         count: usize,
     },
-    /// Stars lie between pixels, and the stamps are too coarse for an accurate interpolation.
-    StarsBetweenPixels {
+    /// Stars between pixels or galaxies, and the stamps are too coarse for an accurate interpolation.
+    SourcesBetweenPixels {
         /// The smallest and the largest flux that a star of flux 1 in the middle of the frame gets
         /// at different sub-pixel phases. None if the PSF is not known there.
         flux: Option<(f64, f64)>,
@@ -301,11 +459,6 @@ pub enum SimulationWarning {
         /// and y.
         beyond: [f64; 2],
     },
-    /// Galaxies are blurred by the pixels on which they are drawn.
-    BlurredGalaxies {
-        /// Number of galaxies.
-        count: usize,
-    },
 }
 
 impl SimulationWarning {
@@ -313,7 +466,6 @@ impl SimulationWarning {
     /// [`FitChoices`](crate::FitChoices), that avoids the error, if one does.
     pub fn setting(&self) -> Option<&'static str> {
         match self {
-            Self::BlurredGalaxies { .. } => Some("oversample"),
             Self::BeyondPolynomial { .. } => Some("outside"),
             _ => None,
         }
@@ -331,10 +483,10 @@ impl fmt::Display for SimulationWarning {
                 f,
                 "no light of the stars and galaxies ({count} in all) reaches the frame: check their positions (0-based pixels)"
             ),
-            Self::StarsBetweenPixels { flux } => {
+            Self::SourcesBetweenPixels { flux } => {
                 f.write_str(
-                    "stars lie between pixels, and the PSF stamps are oversampled by a factor below 2: the stamps are \
-                     interpolated, with errors of a few percent where the PSF is under-sampled. The spot check does not \
+                    "stars between pixels and galaxies need interpolated PSF stamps, and the stamps are oversampled by a \
+                     factor below 2: the interpolation has errors of a few percent where the PSF is under-sampled. The spot check does not \
                      detect this",
                 )?;
                 let Some((least, most)) = flux else {
@@ -370,14 +522,6 @@ impl fmt::Display for SimulationWarning {
                     ny - 1
                 )
             }
-            Self::BlurredGalaxies { count } => write!(
-                f,
-                "{count} {} blurred twice: by the pixel response in the PSF, and by the scene pixels used for drawing. \
-                 The median error is 3 % of a galaxy's peak, and more for small galaxies. The spot check does not detect this. Use \
-                 finer scene pixels: at least {FINE_FOR_GALAXIES} along each side of a frame pixel, and {RESOLVED_PX} per \
-                 half-light radius",
-                if *count == 1 { "galaxy is" } else { "galaxies are" }
-            ),
         }
     }
 }

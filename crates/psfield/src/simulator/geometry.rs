@@ -3,9 +3,7 @@
 
 use conv_core::{ConvError, ConvReal};
 use ndarray::{Array2, ArrayView2, ArrayViewMut2, Ix2, SliceInfo, SliceInfoElem, s};
-use psf_types::{
-    DataError, FrameShape, Image, ImageView, PixelRegion, Position, SersicProfile, SersicSource,
-};
+use psf_types::{DataError, FrameShape, Image, ImageView, PixelRegion, Position};
 
 use crate::{ErrorKind, PsfieldError, SimulateOptions};
 
@@ -82,19 +80,6 @@ impl Geometry {
         inside(position.x(), frame.x0(), shape.nx()) && inside(position.y(), frame.y0(), shape.ny())
     }
 
-    /// Columns and rows of the scene with `padding` pixels added on every side.
-    pub(super) fn padded_shape(&self, padding: usize) -> Result<FrameShape, DataError> {
-        let padded = |n: usize| n.saturating_add(padding.saturating_mul(2));
-        FrameShape::new(padded(self.shape.nx()), padded(self.shape.ny()))
-    }
-
-    /// The frame, in pixels of the scene with `padding` pixels added on every side.
-    pub(super) fn fine_frame(&self, padding: usize) -> Result<PixelRegion, DataError> {
-        let fine = self.fine(self.frame)?;
-        let p = padding as i64;
-        Ok(PixelRegion::new(fine.x0() + p, fine.y0() + p, fine.shape()))
-    }
-
     /// Converts a region from frame pixels to pixels of the scene.
     pub(super) fn fine(&self, region: PixelRegion) -> Result<PixelRegion, DataError> {
         let (s, shape) = (self.oversample, region.shape());
@@ -160,23 +145,6 @@ impl Geometry {
         fine.slice_mut(self.samples())
             .zip_mut_with(&image.pixels(), |fine, &v| *fine = v * area);
         Ok(Image::new(fine)?)
-    }
-
-    /// Converts galaxies to pixels of the scene with `padding` pixels added on every side.
-    pub(super) fn fine_galaxies(
-        &self,
-        galaxies: &[SersicSource],
-        padding: usize,
-    ) -> Result<Vec<SersicSource>, DataError> {
-        let s = self.oversample as f64;
-        let fine = |v: f64| v * s + (s - 1.0) / 2.0 + padding as f64;
-        let of_scene = |galaxy: &SersicSource| {
-            let (at, of) = (galaxy.position(), galaxy.profile());
-            let radius = of.half_light_radius_px() * s;
-            let profile = SersicProfile::new(radius, of.index(), of.axis_ratio(), of.angle_deg())?;
-            SersicSource::new(Position::new(fine(at.x()), fine(at.y()))?, galaxy.flux(), profile)
-        };
-        galaxies.iter().map(of_scene).collect()
     }
 }
 

@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use conv_core::{ConvError, ConvReal, RowStream, TileCounts};
-use ndarray::{Array2, ArrayView2, ArrayViewMut2, s};
+use ndarray::{ArrayView2, ArrayViewMut2};
 use psf_types::{FrameShape, Image, PixelRegion, PointSource, Progress, SersicSource};
 
 use super::Simulator;
@@ -28,23 +28,21 @@ impl<T: ConvReal> Simulator<T> {
         R::Error: From<PsfieldError>,
     {
         self.check_sources(scene, true)?;
-        let convolver = self.convolver(scene, progress)?;
+        let convolver = self.convolver(progress)?;
         let engine = convolver.engine_for("rows can be streamed")?;
-        let mut rows = SceneRows::new(self, scene, rows, progress)?;
+        let mut rows = SceneRows::new(self, scene, rows, progress);
         engine.stream(&mut rows, progress)
     }
 }
 
-/// Passes rows between the caller's stream and the engine. When the engine reads rows of the scene,
-/// this adapter adds the galaxies to them. When the engine writes rows of the fine image (the
-/// convolved scene, in scene pixels), the adapter samples them once per frame pixel. It adds the
-/// stars and writes the result to the caller's stream.
+/// Passes rows between the caller's stream and the engine. When the engine writes rows of the fine
+/// image (the convolved scene, in scene pixels), the adapter samples them once per frame pixel. It
+/// adds stars and galaxies, and writes the result to the caller's stream.
 pub(super) struct SceneRows<'a, T: ConvReal, R> {
     simulator: &'a Simulator<T>,
     inner: &'a mut R,
     stars: &'a [PointSource],
-    galaxies: Vec<SersicSource>,
-    padding: usize,
+    galaxies: &'a [SersicSource],
     progress: &'a dyn Progress,
     /// Number of rows of the fine image that the engine has written.
     fine_rows: usize,
@@ -58,18 +56,16 @@ impl<'a, T: ConvReal, R: RowStream<T>> SceneRows<'a, T, R> {
         scene: &'a Scene<'_, T>,
         inner: &'a mut R,
         progress: &'a dyn Progress,
-    ) -> Result<Self, PsfieldError> {
-        let padding = simulator.padding(scene);
-        Ok(Self {
+    ) -> Self {
+        Self {
             simulator,
             inner,
             stars: scene.stars(),
-            galaxies: simulator.geometry.fine_galaxies(scene.galaxies(), padding)?,
-            padding,
+            galaxies: scene.galaxies(),
             progress,
             fine_rows: 0,
             image_rows: 0,
-        })
+        }
     }
 }
 
@@ -79,23 +75,8 @@ where
 {
     type Error = R::Error;
 
-    fn read(&mut self, rows: Range<usize>, mut light: ArrayViewMut2<'_, T>) -> Result<(), R::Error> {
-        let (p, shape) = (self.padding, self.simulator.geometry.shape);
-        if p == 0 {
-            self.inner.read(rows.clone(), light.view_mut())?;
-        } else {
-            light.fill(T::zero());
-            // The requested rows that lie in the scene's image, not in the padding.
-            let (from, to) = (rows.start.max(p), rows.end.min(p + shape.ny()));
-            if from < to {
-                let mut of_image = Array2::zeros((to - from, shape.nx()));
-                self.inner.read(from - p..to - p, of_image.view_mut())?;
-                let (rows, columns) = (from - rows.start..to - rows.start, p..p + shape.nx());
-                light.slice_mut(s![rows, columns]).assign(&of_image);
-            }
-        }
-        sersic::add_galaxies(light, (0, rows.start as i64), &self.galaxies);
-        Ok(())
+    fn read(&mut self, rows: Range<usize>, light: ArrayViewMut2<'_, T>) -> Result<(), R::Error> {
+        self.inner.read(rows, light)
     }
 
     fn write(&mut self, rows: ArrayView2<'_, T>) -> Result<(), R::Error> {
@@ -109,8 +90,12 @@ where
                 geometry.region.y0() + self.image_rows as i64,
             );
             let region = PixelRegion::new(x0, y0, shape);
-            self.simulator
-                .draw_stars_into(self.stars, region, sampled.view_mut(), self.progress)?;
+            self.simulator.draw_sources_into(
+                (self.stars, self.galaxies),
+                region,
+                sampled.view_mut(),
+                self.progress,
+            )?;
             self.image_rows += sampled.nrows();
             let sampled = Image::new(sampled).map_err(ConvError::Result)?;
             self.inner.write(sampled.pixels())?;

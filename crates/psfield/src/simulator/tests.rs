@@ -1,7 +1,9 @@
 //! Tests the geometry of scenes and frames, the errors for unsuitable settings, and the warnings.
 
-use ndarray::{Array2, Array3, s};
-use psf_types::{Position, PsfSamples, SamplePositions, SersicProfile, SersicSource, StampGrid};
+use ndarray::{Array2, Array3};
+use psf_types::{
+    Anchor, PointSource, Position, PsfSamples, SamplePositions, SersicProfile, SersicSource, StampGrid,
+};
 
 use super::*;
 use crate::ErrorKind;
@@ -62,104 +64,61 @@ fn finer(oversample: usize) -> SimulateOptions {
 }
 
 #[test]
-fn everything_is_in_pixels_of_the_padded_scene() {
+fn stars_and_galaxies_are_in_frame_pixels_of_the_scene() {
     let frame = PixelRegion::new(2, 1, shape(10, 8));
     let options = SimulateOptions {
         frame: Some(frame),
         ..finer(3)
     };
     let simulator = built::<f64>((60, 45), options).unwrap();
-    let galaxies = vec![galaxy(-1.0, 0.0, 2.0)];
-    let stars = Scene::dark().with_stars(vec![star(5.0, 2.0, 7.0)]);
-    let padding = simulator.padding(&stars.clone().with_galaxies(&galaxies[..]));
-    assert_eq!(padding, 12);
-    let geometry = simulator.geometry;
-    assert_eq!(geometry.padded_shape(padding).unwrap(), shape(60 + 24, 45 + 24));
-    let expected = PixelRegion::new(2 * 3 + 12, 3 + 12, shape(30, 24));
-    assert_eq!(geometry.fine_frame(padding).unwrap(), expected);
-    let fine = geometry.fine_galaxies(&galaxies, padding).unwrap();
-    assert_eq!(fine[0].position(), at(10.0, 13.0));
-    assert_eq!(fine[0].profile().half_light_radius_px(), 6.0);
     // Pixel (3, 1) of the frame has its centre at pixel (10, 4) of the scene, counted from the
     // frame's first pixel.
-    assert_eq!(geometry.sampled_pixel((3, 1)), (10, 4));
+    assert_eq!(simulator.geometry.sampled_pixel((3, 1)), (10, 4));
+    let stars = Scene::dark().with_stars(vec![star(5.0, 2.0, 7.0)]);
     let image = simulator.simulate(&stars).unwrap();
     let mut expected = Array2::zeros((8, 10));
     expected[[1, 3]] = 7.0;
     assert!((&image.pixels() - &expected).iter().all(|d| d.abs() < 1e-12));
-    // A scene without galaxies needs no padding, because stars outside the frame are drawn without
-    // it.
-    assert_eq!(simulator.padding(&stars), 0);
-    assert_eq!(geometry.padded_shape(0).unwrap(), shape(60, 45));
+    // A galaxy is the same through scenes of any sampling, and adds to the scene's image.
+    let galaxies = [galaxy(-1.0, 0.0, 2.0), galaxy(6.2, 4.9, 0.7)];
+    let image_of = |oversample, image: Option<f64>, galaxies: &[SersicSource]| {
+        let options = SimulateOptions {
+            frame: Some(frame),
+            ..finer(oversample)
+        };
+        let (nx, ny) = (20 * oversample, 15 * oversample);
+        let scene = match image {
+            Some(value) => Scene::new(Array2::from_elem((ny, nx), value)).unwrap(),
+            None => Scene::dark(),
+        };
+        let simulator = built::<f64>((nx, ny), options).unwrap();
+        let image = simulator.simulate(&scene.with_galaxies(galaxies)).unwrap();
+        image.into_pixels()
+    };
+    let alone = image_of(1, None, &galaxies);
+    assert!(alone.sum() > 90.0, "{}", alone.sum());
+    assert_eq!(alone, image_of(3, None, &galaxies));
+    let added = image_of(2, Some(1.0), &galaxies) - image_of(2, Some(1.0), &[]);
+    assert!((added - alone).iter().all(|v| v.abs() < 1e-10));
 }
 
 #[test]
-fn owned_and_borrowed_images_give_the_same_light() {
-    let (nx, ny) = (20, 15);
-    for (galaxies, stamp_size) in [
-        (vec![], 3),
-        (vec![galaxy(4.0, 3.0, 2.5)], 1),
-        (vec![galaxy(-2.0, 3.0, 2.5)], 3),
-    ] {
-        let options = SimulateOptions {
-            stamp_size: Some(stamp_size),
-            method: Method::Direct,
-            ..SimulateOptions::default()
-        };
-        let simulator = built::<f64>((nx, ny), options.clone()).unwrap();
-        let image = ramp(nx, ny);
-        let borrowed = Scene::from(ImageView::new(image.view()).unwrap());
-        let borrowed = borrowed
-            .with_stars(vec![star(3.0, 3.0, 2.0)])
-            .with_galaxies(&galaxies[..]);
-        let owned = Scene::new(image.clone()).unwrap().with_galaxies(&galaxies[..]);
-        let convolver = simulator.convolver(&borrowed, &NoProgress).unwrap();
-        let light_of = |scene: &Scene<'_, f64>| {
-            let (light, first) = simulator.light(scene, convolver, &NoProgress).unwrap();
-            assert_eq!(first, (0, 0));
-            // A scene that is only an image is not copied.
-            let of_image = scene.image().map(|image| image.pixels().as_ptr());
-            assert_eq!(of_image == Some(light.pixels().as_ptr()), galaxies.is_empty());
-            light.pixels().to_owned()
-        };
-        let mut light = light_of(&borrowed);
-        assert_eq!(light_of(&owned), light);
-        let p = convolver.padding;
-        assert_eq!(light.dim(), (ny + 2 * p, nx + 2 * p));
-
-        // The light that reaches a region is a part of the scene's light.
-        let planned = SimulateOptions {
-            method: Method::Auto,
-            region: Some(PixelRegion::new(7, 2, shape(5, 6))),
-            ..options
-        };
-        let planned = built::<f64>((nx, ny), planned).unwrap();
-        let convolver = planned.convolver(&owned, &NoProgress).unwrap();
-        let (part, (x, y)) = planned.light(&owned, convolver, &NoProgress).unwrap();
-        let (rows, columns) = part.pixels().dim();
-        assert_eq!(part.pixels(), light.slice(s![y..y + rows, x..x + columns]));
-        assert_eq!(rows < light.nrows(), !galaxies.is_empty());
-
-        // Subtract the image: the galaxies' light remains.
-        light.slice_mut(s![p..p + ny, p..p + nx]).scaled_add(-1.0, &image);
-        // This is the flux of the galaxies inside the padded scene.
-        let flux = light.sum();
-        assert!(
-            if galaxies.is_empty() {
-                flux == 0.0
-            } else {
-                (30.0..100.0).contains(&flux)
-            },
-            "{flux}"
-        );
-        // Without an image, the light is only the galaxies' light.
-        let dark = Scene::dark().with_galaxies(&galaxies[..]);
-        assert_eq!(has_extended_light(&dark), !galaxies.is_empty());
-        if has_extended_light(&dark) {
-            // Rounding of the sums above, with values up to 160.
-            assert!((&light_of(&dark) - &light).iter().all(|d: &f64| d.abs() < 1e-12));
-        }
-    }
+fn the_light_of_a_region_is_a_part_of_the_image() {
+    let options = SimulateOptions {
+        region: Some(PixelRegion::new(7, 2, shape(5, 6))),
+        ..SimulateOptions::default()
+    };
+    let simulator = built::<f64>((20, 15), options).unwrap();
+    let image = Image::new(ramp(20, 15)).unwrap();
+    let (whole, first) = simulator
+        .light(&image.view(), &NoProgress)
+        .map(|(l, f)| (l.pixels().to_owned(), f))
+        .unwrap();
+    assert_eq!((whole, first), (ramp(20, 15), (0, 0)));
+    let part = simulator.light_region(&NoProgress).unwrap();
+    let light = Image::new(Array2::zeros((part.shape().ny(), part.shape().nx()))).unwrap();
+    let (_, first) = simulator.light(&light.view(), &NoProgress).unwrap();
+    assert_eq!(first, (part.x0() as usize, part.y0() as usize));
 }
 
 fn of(error: &PsfieldError) -> (ErrorKind, Option<&'static str>) {
@@ -195,11 +154,6 @@ fn what_does_not_fit_is_refused() {
         .unwrap_err();
     assert_eq!(of(&error), (ErrorKind::Data, Some("precision")));
     assert!(error.to_string().starts_with("a flux of 1e39 is"), "{error}");
-    // A padding that no memory can hold is an error, not an overflow.
-    assert!(matches!(
-        double.geometry.padded_shape(usize::MAX),
-        Err(DataError::FrameTooLarge { .. })
-    ));
     let huge = SimulateOptions {
         stamp_size: Some(usize::MAX),
         ..frame(0, 0, 10, 7)
@@ -262,39 +216,28 @@ fn sizes_are_checked_before_memory_is_taken() {
 }
 
 #[test]
-fn warnings_tell_of_stars_between_pixels_and_blurred_galaxies() {
-    use SimulationWarning::{BlurredGalaxies, StarsBetweenPixels};
-    let warnings = |oversampling, s, x, radius| {
+fn warnings_tell_of_coarse_stamps() {
+    let warnings = |oversampling, s, x, galaxies: Vec<SersicSource>| {
         let simulator = psf(oversampling).simulator((30 * s, 40 * s)).oversample(s);
         let simulator: Simulator<f64> = simulator.device(Device::Cpu).build().unwrap();
         let scene = Scene::dark().with_stars(vec![star(x, 4.0, 1.0)]);
-        simulator.warnings(&scene.with_galaxies(vec![galaxy(5.0, 5.0, radius)]))
-    };
-    let between = |s, x| {
-        warnings(1, s, x, 3.0)
-            .iter()
-            .any(|w| matches!(w, StarsBetweenPixels { .. }))
+        simulator.warnings(&scene.with_galaxies(galaxies))
     };
     for s in [1, 2, 3] {
-        assert!(!between(s, 7.0), "{s}");
-        assert!(between(s, 7.25), "{s}");
+        assert!(warnings(1, s, 7.0, vec![]).is_empty(), "{s}");
+        let galaxies = vec![galaxy(5.0, 5.0, 3.0)];
+        for (x, galaxies) in [(7.25, vec![]), (7.0, galaxies.clone())] {
+            let all = warnings(1, s, x, galaxies);
+            assert!(
+                matches!(
+                    all[..],
+                    [SimulationWarning::SourcesBetweenPixels { flux: Some(_) }]
+                ),
+                "{s}: {all:?}"
+            );
+        }
+        assert!(warnings(2, s, 7.25, galaxies).is_empty());
     }
-    // With fewer than 4 scene pixels along a frame pixel, all galaxies are blurred. With 4 or more,
-    // only galaxies with a half-light radius below two scene pixels.
-    for s in [1, 2, 3] {
-        assert_eq!(warnings(1, s, 7.0, 30.0), [BlurredGalaxies { count: 1 }], "{s}");
-    }
-    assert_eq!(warnings(1, 4, 7.0, 0.49), [BlurredGalaxies { count: 1 }]);
-    assert!(warnings(1, 4, 7.0, 0.51).is_empty());
-    let both = warnings(1, 1, 7.25, 1.9);
-    assert!(
-        matches!(
-            both[..],
-            [StarsBetweenPixels { .. }, BlurredGalaxies { count: 1 }]
-        ),
-        "{both:?}"
-    );
-    assert!(warnings(2, 4, 7.25, 3.0).is_empty());
 }
 
 /// A PSFEx model of a frame of 60 x 90 pixels, with stars at x = 3 to 56 and y = 3 to 86.
@@ -368,7 +311,7 @@ fn the_flux_of_undersampled_stars_is_stated_over_their_phases() {
         let (flux, _) = flux_at(f64::from(i % 4) / 4.0, f64::from(i / 4) / 4.0);
         range = (range.0.min(flux), range.1.max(flux));
     }
-    let [SimulationWarning::StarsBetweenPixels { flux: Some(stated) }] = &flux_at(0.25, 0.0).1[..] else {
+    let [SimulationWarning::SourcesBetweenPixels { flux: Some(stated) }] = &flux_at(0.25, 0.0).1[..] else {
         panic!("no warning");
     };
     assert!(
@@ -399,6 +342,10 @@ fn settings_that_a_method_or_a_model_cannot_follow_are_refused() {
             stamp_size: Some(5),
             ..SimulateOptions::default()
         },
+        SimulateOptions {
+            scene_pixels: ScenePixels::Integrated,
+            ..SimulateOptions::default()
+        },
     ] {
         let simulator = own.simulator((12, 12)).options(options).build::<f64>().unwrap();
         let refused = simulator.simulate(&scene).unwrap_err();
@@ -417,4 +364,233 @@ fn preparation_counts_the_seconds_of_this_call() {
     assert!(first.plan_seconds > 0.0);
     let second = simulator.prepare(&scene, false, &NoProgress).unwrap();
     assert_eq!((second.fit_seconds, second.plan_seconds), (0.0, 0.0));
+}
+
+/// Moffat PSFs with oversampled stamps, whose width varies over a frame of 120 x 100 pixels.
+fn moffats() -> Psf {
+    let (side, s) = (61, 2.0);
+    let corners = [(0.0, 0.0), (119.0, 0.0), (0.0, 99.0), (119.0, 99.0), (60.0, 50.0)];
+    let mut stamps = Array3::zeros((corners.len(), side, side));
+    for ((n, j, i), value) in stamps.indexed_iter_mut() {
+        let width = 1.5 + 0.1 * n as f64;
+        let (x, y) = ((i as f64 - 30.0) / s, (j as f64 - 30.0) / s);
+        *value = (1.0 + (x * x + 1.1 * y * y) / (width * width)).powf(-3.0);
+    }
+    let positions = corners.map(|(x, y)| at(x, y)).to_vec();
+    let positions = SamplePositions::new(positions, None).unwrap();
+    let grid = StampGrid::new(side, side).and_then(|grid| grid.with_oversampling(s));
+    let grid = grid.unwrap().with_pixel_response_included(true);
+    PsfSamples::new(stamps, positions, grid).unwrap().into()
+}
+
+/// An image in which one source is off by ten times its tolerance fails, and one in which a pixel is
+/// off by ten times what is allowed there.
+#[test]
+fn the_spot_check_fails_wrong_images() {
+    const TOLERANCE: f64 = 1e-3;
+    const PIXELS: usize = 40;
+    let simulator = moffats().simulator((100, 120)).tolerance(TOLERANCE);
+    let simulator: Simulator<f64> = simulator.device(Device::Cpu).build().unwrap();
+    let stars: Vec<_> = (0..8)
+        .map(|i| star(10.3 + 14.0 * f64::from(i), 20.8 + 3.0 * f64::from(i), 100.0))
+        .collect();
+    let galaxies: Vec<_> = (0..8)
+        .map(|i| galaxy(12.6 + 13.0 * f64::from(i), 60.2 + 3.0 * f64::from(i), 0.5))
+        .collect();
+    let mut light = Array2::zeros((100, 120));
+    light[[90, 20]] = 50.0;
+    light[[95, 100]] = 70.0;
+    let scenes = [
+        Scene::dark()
+            .with_stars(stars.clone())
+            .with_galaxies(galaxies.clone()),
+        Scene::new(light).unwrap().with_stars(stars.clone()),
+    ];
+    let spot_check = |scene: &Scene<'_, f64>, pixels: Array2<f64>| {
+        let image = Image::new(pixels).unwrap();
+        simulator
+            .spot_check(scene, &image, (PIXELS, 7), &NoProgress)
+            .unwrap()
+    };
+    // The error of a source: its own image, scaled to an L2 norm.
+    let wrong = |image: &Array2<f64>, alone: Scene<'_, f64>, flux: f64, position| {
+        let own = simulator.simulate(&alone).unwrap().into_pixels();
+        let norm = simulator.sources().unwrap().galaxies.psf_norm(position).unwrap();
+        let size = own.mapv(|v| v * v).sum().sqrt();
+        image + &(own * (10.0 * TOLERANCE * flux * norm / size))
+    };
+    for scene in &scenes {
+        let image = simulator.simulate(scene).unwrap().into_pixels();
+        let good = spot_check(scene, image.clone());
+        assert_eq!(good.passed, Some(true), "{good:?}");
+        assert!(good.sources >= 10 && good.worst_source.unwrap() < 1.0);
+        let alone = Scene::dark().with_stars(vec![stars[3]]);
+        let check = spot_check(scene, wrong(&image, alone, 100.0, stars[3].position()));
+        assert!(
+            check.passed == Some(false) && check.worst_source.unwrap() > 1.0,
+            "{check:?}"
+        );
+    }
+    let (scene, image) = (&scenes[0], simulator.simulate(&scenes[0]).unwrap().into_pixels());
+    let alone = Scene::dark().with_galaxies(vec![galaxies[5]]);
+    let check = spot_check(scene, wrong(&image, alone, 100.0, galaxies[5].position()));
+    assert!(
+        check.passed == Some(false) && check.worst_source.unwrap() > 1.0,
+        "{check:?}"
+    );
+
+    let mut picker = simulator.picker(scene, false, (PIXELS, 7));
+    image
+        .outer_iter()
+        .for_each(|row| picker.pass(row.iter().copied()));
+    let brightest = picker
+        .finish()
+        .0
+        .into_iter()
+        .max_by(|a, b| a.value.total_cmp(&b.value))
+        .unwrap();
+    let mut allowed = simulator.promised(false, 1).unwrap();
+    let place = [(brightest.column, brightest.row)];
+    simulator
+        .add_errors_of_sources(scene, &place, &mut allowed)
+        .unwrap();
+    let mut pixels = image;
+    pixels[[brightest.row, brightest.column]] += 10.0 * allowed[0].sum;
+    let check = spot_check(scene, pixels);
+    assert!(
+        check.passed == Some(false) && check.worst_pixel.unwrap() > 5.0,
+        "{check:?}"
+    );
+}
+
+/// Two samples of a Gaussian PSF that includes the pixel response, `sigma` frame pixels wide.
+fn gaussian_psf(oversampling: usize, sigma: f64) -> Psf {
+    let side = 2 * (7.0 * sigma * oversampling as f64).ceil() as usize + 1;
+    let grid = StampGrid::new(side, side).and_then(|grid| grid.with_oversampling(oversampling as f64));
+    let square = |i: usize| (i as f64 - (side / 2) as f64).powi(2);
+    let width = 2.0 * (sigma * oversampling as f64).powi(2);
+    let stamps = Array3::from_shape_fn((2, side, side), |(_, y, x)| {
+        (-(square(x) + square(y)) / width).exp()
+    });
+    let positions = vec![Position::of_pixel(0, 0), Position::of_pixel(50, 50)];
+    let positions = SamplePositions::new(positions, None).unwrap();
+    PsfSamples::new(stamps, positions, grid.unwrap()).unwrap().into()
+}
+
+#[test]
+fn light_integrated_over_scene_pixels_is_convolved_with_the_pixel_once() {
+    /// The aliasing of the Gaussian, its edges and the margin of the filter, of the peak.
+    const AS_ANALYTIC: f64 = 2e-5;
+    /// The error of light at pixel centres is above this: the pixel is applied twice.
+    const OF_POINTS: f64 = 7e-3;
+    const FLUX: f64 = 1e-6;
+    /// Points along each axis of a pixel for the integral, whose error is below 1e-5 of the peak.
+    const POINTS: usize = 40;
+    const SIGMA: f64 = 2.0;
+    for (s, sigma_psf) in [(1, 1.5), (2, 1.0), (3, 0.9)] {
+        let n = 66;
+        let (cx, cy) = (30.3, 33.8);
+        // The integral of the source over the pixels along one axis, in pixels of the scene.
+        let axis = |centre: f64| -> Vec<f64> {
+            let at = |i: usize, p: usize| i as f64 + (p as f64 + 0.5) / POINTS as f64 - 0.5 - centre;
+            let value = |t: f64| (-0.5 * (t / SIGMA).powi(2)).exp() / (SIGMA * std::f64::consts::TAU.sqrt());
+            (0..n)
+                .map(|i| (0..POINTS).map(|p| value(at(i, p))).sum::<f64>() / POINTS as f64)
+                .collect()
+        };
+        let (along_y, along_x) = (axis(cy), axis(cx));
+        let light = Array2::from_shape_fn((n, n), |(y, x)| along_y[y] * along_x[x]);
+        let scene = Scene::new(light.clone()).unwrap();
+        let variance = SIGMA * SIGMA + (sigma_psf * s as f64).powi(2);
+        let expected = Array2::from_shape_fn((n / s, n / s), |(y, x)| {
+            let at = |i: usize, centre: f64| (s * i) as f64 + (s - 1) as f64 / 2.0 - centre;
+            let square = at(x, cx).powi(2) + at(y, cy).powi(2);
+            (s * s) as f64 * (-square / (2.0 * variance)).exp() / (std::f64::consts::TAU * variance)
+        });
+        let peak = expected.iter().fold(0.0, |most: f64, &v| most.max(v));
+        let of_samples = gaussian_psf(if s == 1 { 1 } else { 2 * s }, sigma_psf);
+        let of_record = Psf::from(of_samples.record().unwrap().clone());
+        for (psf, anchor) in [(&of_samples, Anchor::Source), (&of_record, Anchor::Output)] {
+            let simulator = |scene_pixels| -> Simulator<f64> {
+                let builder = psf.simulator((n, n)).oversample(s).scene_pixels(scene_pixels);
+                let builder = builder.tolerance(1e-6).anchor(anchor).device(Device::Cpu);
+                builder.build().unwrap()
+            };
+            let error = |scene_pixels| {
+                let image = simulator(scene_pixels).simulate(&scene).unwrap();
+                let largest = (&image.pixels() - &expected)
+                    .iter()
+                    .fold(0.0, |most: f64, v| most.max(v.abs()));
+                (largest / peak, (image.pixels().sum() - light.sum()).abs())
+            };
+            let (integrated, flux) = error(ScenePixels::Integrated);
+            let (point, _) = error(ScenePixels::Point);
+            println!(
+                "oversample {s}, {anchor}: integrated {integrated:.1e}, flux {flux:.1e}, point {point:.1e}"
+            );
+            assert!(integrated < AS_ANALYTIC, "{s}, {anchor}: {integrated:e}");
+            assert!(flux < FLUX, "{s}, {anchor}: {flux:e}");
+            assert!(point > OF_POINTS, "{s}, {anchor}: {point:e}");
+
+            let simulator = simulator(ScenePixels::Integrated);
+            let image = simulator.simulate(&scene).unwrap();
+            let check = simulator
+                .spot_check(&scene, &image, (100, 1), &NoProgress)
+                .unwrap();
+            assert_eq!(check.passed, Some(true));
+            let (of_image, random) = (image.pixels().mapv(|v| v * v).sum(), image.view());
+            let adjoint = simulator.adjoint(&random, &NoProgress).unwrap();
+            let of_scene = (&adjoint.pixels() * &light).sum();
+            assert!(
+                (of_image - of_scene).abs() < 1e-12 * of_image,
+                "{of_image} {of_scene}"
+            );
+        }
+    }
+}
+
+#[test]
+fn sources_do_not_depend_on_the_pixels_of_the_scene() {
+    let image = |scene_pixels| {
+        let simulator: Simulator<f64> = psf(2)
+            .simulator((30, 40))
+            .scene_pixels(scene_pixels)
+            .device(Device::Cpu)
+            .build()
+            .unwrap();
+        let scene = Scene::dark().with_stars(vec![star(5.25, 2.0, 7.0)]);
+        let scene = scene.with_galaxies(vec![galaxy(20.0, 15.0, 2.0)]);
+        simulator.simulate(&scene).unwrap().into_pixels()
+    };
+    assert_eq!(image(ScenePixels::Point), image(ScenePixels::Integrated));
+}
+
+#[test]
+fn psfs_without_flux_have_no_tolerance_on_apertures() {
+    let mut stamps = Array3::zeros((1, 3, 3));
+    stamps[[0, 1, 0]] = -1.0;
+    stamps[[0, 1, 2]] = 1.0;
+    let grid = StampGrid::new(3, 3).unwrap();
+    let basis = psf_types::PsfBasis::new(None, stamps / 2.0_f64.sqrt(), grid).unwrap();
+    let coefficients = psf_types::SampleCoefficients::new(
+        Array2::from_elem((1, 1), 1.0),
+        SamplePositions::new(vec![Position::of_pixel(0, 0)], None).unwrap(),
+    );
+    let record = psf_types::PsfModelRecord::new(
+        basis,
+        coefficients.unwrap(),
+        psf_types::Interpolation::Nearest,
+        psf_types::OutsidePolicy::Nearest,
+        psf_types::Normalisation::Keep,
+    );
+    let psf = Psf::from(record.unwrap());
+    let image = |on| {
+        let simulator = psf.simulator((10, 12)).tolerance_on(on).device(Device::Cpu);
+        let simulator: Simulator<f64> = simulator.build().unwrap();
+        let scene = Scene::new(ramp(12, 10)).unwrap();
+        simulator.simulate(&scene).map(|image| image.pixels()[[5, 5]])
+    };
+    let error = image(ToleranceOn::Aperture).unwrap_err();
+    assert_eq!(of(&error), (ErrorKind::Setting, Some("tolerance_on")), "{error}");
+    assert!((image(ToleranceOn::L2).unwrap().abs() - 2.0_f64.sqrt()).abs() < 1e-9);
 }

@@ -1,0 +1,234 @@
+//! The light of galaxies with the PSFs of all components, in f64, and the errors that a plan allows.
+
+use ndarray::{Array1, Array2, Axis};
+use psf_types::{Anchor, FrameShape, LightProfile, PixelRegion, Position, Progress, SersicSource};
+use rayon::prelude::*;
+
+use super::extent::{FRACTION, RELATIVE_ERROR};
+use super::far_field::SMALLEST;
+use super::galaxy_plan::{Catalogue, GalaxyPlan, Light, Window, window_at};
+use super::kernels::{Kernels, band_number};
+use super::window::{Drawn, Spectra, WindowDrawer};
+use crate::stars::StarVectors;
+use crate::{ConvError, ConvReal};
+
+/// Galaxies whose light in single pixels is computed before it is added.
+const GALAXIES_AT_ONCE: usize = 256;
+/// The L2 norm of a PSF over the frame's pixels depends on the sub-pixel position. It is at most
+/// about this multiple of the norm over all pixels of the stamp, divided by the oversampling.
+const OF_PHASES: f64 = 1.5;
+
+impl<T: ConvReal> GalaxyPlan<T> {
+    /// Computes single pixels `(column, row)` of the frame, in f64, with the PSFs of all components.
+    ///
+    /// # Errors
+    /// The errors of [`draw_into`](Self::draw_into), without those of an image.
+    pub fn at_pixels(
+        &self,
+        galaxies: &[SersicSource],
+        light: &(dyn Fn(&SersicSource) -> Light + Sync),
+        frame: PixelRegion,
+        pixels: &[(usize, usize)],
+        progress: &dyn Progress,
+    ) -> Result<Vec<f64>, ConvError> {
+        let catalogue = Catalogue {
+            galaxies,
+            light,
+            frame,
+            progress,
+        };
+        let mut sums = vec![0.0; pixels.len()];
+        let all: Vec<usize> = (0..galaxies.len()).collect();
+        for some in all.chunks(GALAXIES_AT_ONCE) {
+            let parts: Vec<Vec<f64>> = some
+                .par_iter()
+                .map(|&index| self.exact_at(catalogue, index, pixels))
+                .collect::<Result<_, _>>()?;
+            for part in &parts {
+                sums.iter_mut().zip(part).for_each(|(sum, v)| *sum += v);
+            }
+        }
+        Ok(sums)
+    }
+
+    /// The largest errors that the images of galaxies may have in a pixel, because of the tolerance
+    /// and of windows and outskirts. For each galaxy and each pixel `(column, row)` of the frame
+    /// that the galaxy lights, gives the index of the pixel and the error to `take`.
+    ///
+    /// # Errors
+    /// [`ConvError`] if the PSF has no value at a galaxy that lights one of the pixels.
+    pub fn errors_at_pixels(
+        &self,
+        galaxies: &[SersicSource],
+        light: &dyn Fn(&SersicSource) -> Light,
+        frame: PixelRegion,
+        pixels: &[(usize, usize)],
+        mut take: impl FnMut(usize, f64),
+    ) -> Result<(), ConvError> {
+        for galaxy in galaxies.iter().filter(|galaxy| galaxy.flux() != 0.0) {
+            let at = galaxy.position();
+            let (x, y) = (at.x() - frame.x0() as f64, at.y() - frame.y0() as f64);
+            let light = light(galaxy);
+            let side = self.extent.side(light.as_ref());
+            let reach = self.extent.reach(light.as_ref(), side);
+            let mut of_window = None;
+            for (index, &(column, row)) in pixels.iter().enumerate() {
+                let (dx, dy) = (column as f64 - x, row as f64 - y);
+                let distance = dx.abs().max(dy.abs());
+                if distance > reach {
+                    continue;
+                }
+                let error = if distance <= (side / 2 + SMALLEST) as f64 {
+                    let norm = match of_window {
+                        Some(norm) => norm,
+                        None => self.psf_norm(Position::new(x, y).map_err(ConvError::Result)?)?,
+                    };
+                    of_window = Some(norm);
+                    (1.0 + FRACTION) * self.tolerance * norm
+                } else {
+                    RELATIVE_ERROR[1] * light.brightness(dx, dy)[0] + self.extent.left_out() / reach.powi(2)
+                };
+                take(index, error * galaxy.flux().abs());
+            }
+        }
+        Ok(())
+    }
+
+    /// An upper limit of the L2 norm of the PSF of a source of flux 1 on the pixels of the frame,
+    /// for any sub-pixel position. Positions are in pixels of the frame.
+    ///
+    /// # Errors
+    /// [`ConvError`] if the PSF has no value at the position.
+    pub fn psf_norm(&self, position: Position) -> Result<f64, ConvError> {
+        let mut vectors = StarVectors::new(&self.model, self.space());
+        let scale = vectors.set(position)?;
+        Ok(OF_PHASES * vectors.norm() * scale / self.model.grid().oversampling())
+    }
+
+    /// The light of one galaxy in pixels of the frame. Empty if it reaches none of them.
+    fn exact_at(
+        &self,
+        catalogue: Catalogue<'_>,
+        index: usize,
+        pixels: &[(usize, usize)],
+    ) -> Result<Vec<f64>, ConvError> {
+        catalogue.progress.check_cancelled()?;
+        let galaxy = &catalogue.galaxies[index];
+        let light = (catalogue.light)(galaxy);
+        let (x, y) = catalogue.position(index);
+        let side = self.extent.side(light.as_ref());
+        let reach = self.extent.reach(light.as_ref(), side).max(side as f64);
+        let near = |&(column, row): &(usize, usize)| {
+            (column as f64 - x).abs() <= reach && (row as f64 - y).abs() <= reach
+        };
+        if galaxy.flux() == 0.0 || !pixels.iter().any(near) {
+            return Ok(Vec::new());
+        }
+        let position = Position::new(x, y).map_err(ConvError::Result)?;
+        let window = window_at((x, y), side);
+        let mut vectors = StarVectors::new(&self.model, self.space());
+        let scale = vectors.set(position)? * galaxy.flux();
+        let psf = vectors.psf * scale;
+        let far = (catalogue.light)(galaxy);
+        let outside = self.far_light(self.stamps().moments_of(psf.view()), far, (x, y), window);
+        let repeated = (outside.reach > 0.0).then(|| outside.repeated());
+        let place = |&(column, row): &(usize, usize)| {
+            let inside =
+                |at: usize, first: i64| usize::try_from(at as i64 - first).ok().filter(|&i| i < side);
+            Some((inside(row, window.1)?, inside(column, window.0)?))
+        };
+        let mut drawn = None;
+        if pixels.iter().any(|pixel| place(pixel).is_some()) {
+            let centre = (x - window.0 as f64, y - window.1 as f64);
+            let frame = catalogue.frame.shape();
+            drawn = Some(self.exact_window(&psf, galaxy.flux(), light.as_ref(), window, centre, frame)?);
+        }
+        let mut line = vec![0.0; side];
+        Ok(pixels
+            .iter()
+            .map(|pixel| match (place(pixel), &drawn) {
+                (Some((row, column)), Some(values)) => {
+                    line.iter_mut().zip(values.row(row)).for_each(|(to, &v)| *to = v);
+                    if let Some(repeated) = &repeated {
+                        repeated.subtract_from(row, &mut line);
+                    }
+                    line[column]
+                }
+                _ if near(pixel) && outside.reach > 0.0 => outside.at(pixel.0 as f64, pixel.1 as f64),
+                _ => 0.0,
+            })
+            .collect())
+    }
+
+    /// Draws a galaxy on its window with the PSF of all components, given as a vector of
+    /// `PsfSpace` times the galaxy's flux. The light of other windows, at the distances of the
+    /// period, is not yet subtracted. With [`Anchor::Output`], pixels outside the frame are dark.
+    pub(super) fn exact_window(
+        &self,
+        psf: &Array1<f64>,
+        flux: f64,
+        light: &dyn LightProfile,
+        (x0, y0, side): Window,
+        centre: (f64, f64),
+        frame: FrameShape,
+    ) -> Result<Array2<f64>, ConvError> {
+        let mut drawer = WindowDrawer::<f64>::new(side);
+        let mut plane = |spectra: &Spectra<f64>, coefficients: &[f64], band: f64| {
+            let mut values = Array2::zeros((side, side));
+            let drawn = Drawn {
+                spectra,
+                light,
+                centre,
+                coefficients,
+                band,
+            };
+            drawer.draw(&drawn, 0..side, |row, line| {
+                values
+                    .row_mut(row)
+                    .iter_mut()
+                    .zip(line)
+                    .for_each(|(to, v)| *to = *v);
+            });
+            values
+        };
+        let (count, psf) = (psf.len(), psf.view());
+        let kernels = |directions: Array2<f64>, largest: &[f64]| {
+            Kernels::new(self.stamps(), directions, largest, psf, self.extent.accuracy())
+        };
+        if self.options.anchor() != Anchor::Output {
+            let only = kernels(psf.to_owned().insert_axis(Axis(0)), &[1.0]);
+            let band = only.band_of(light, self.extent.accuracy());
+            let spectra = self.stamps().spectra_of(&only, side, band_number(band));
+            return Ok(plane(&spectra, &[1.0], band));
+        }
+        // Each pixel of the frame has its own PSF.
+        let largest: Vec<f64> = psf.iter().map(|c| c.abs()).collect();
+        let all = kernels(Array2::eye(count), &largest);
+        let band = all.band_of(light, self.extent.accuracy());
+        let spectra = self.stamps().spectra_of(&all, side, band_number(band));
+        let planes: Vec<Array2<f64>> = (0..count)
+            .map(|k| {
+                let mut unit = vec![0.0; count];
+                unit[k] = flux;
+                plane(&spectra, &unit, band)
+            })
+            .collect();
+        let mut values = Array2::zeros((side, side));
+        let mut vectors = StarVectors::new(&self.model, self.space());
+        for ((j, i), value) in values.indexed_iter_mut() {
+            let (x, y) = (x0 + i as i64, y0 + j as i64);
+            if !(0..frame.nx() as i64).contains(&x) || !(0..frame.ny() as i64).contains(&y) {
+                continue;
+            }
+            let scale = vectors.set(Position::of_pixel(x, y))?;
+            let sum: f64 = vectors
+                .psf
+                .iter()
+                .zip(&planes)
+                .map(|(a, plane)| a * plane[[j, i]])
+                .sum();
+            *value = scale * sum;
+        }
+        Ok(values)
+    }
+}

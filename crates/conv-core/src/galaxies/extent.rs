@@ -1,0 +1,181 @@
+//! The sizes of windows, and the distance up to which a galaxy is drawn.
+
+use ndarray::{Array1, ArrayViewMut1, Axis};
+use psf_types::{LightProfile, PsfModel, StampGrid};
+
+use super::far_field::{SMALLEST, error_of_polynomial};
+
+/// Decides how far galaxies are drawn in each way, from the tolerance and the extent of a model's
+/// PSFs.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Extent {
+    tolerance: f64,
+    /// The largest distance of a stamp's edge from its centre, in frame pixels.
+    half: f64,
+    /// The largest value, per frame pixel, of the mean PSF.
+    peak: f64,
+    /// The largest value at the stamp's edge, as a fraction of the peak.
+    edge: f64,
+    /// The fourth root of the mean fourth power of the distance of the light from the centre.
+    spread: f64,
+}
+
+/// The sides of windows in pixels, which have fast transforms.
+const SIDES: [usize; 19] = [
+    32, 48, 64, 80, 96, 128, 160, 192, 240, 320, 384, 480, 640, 768, 960, 1280, 1536, 1920, 2560,
+];
+/// The errors of a galaxy beside that of its PSF are about this fraction of the tolerance times the
+/// galaxy's peak.
+pub(super) const FRACTION: f64 = 0.3;
+/// Light is left out from the distance on beyond which less than this fraction of the tolerance
+/// lies.
+const LEFT_OUT: f64 = 0.1;
+/// The least error of a galaxy relative to its peak for which a window is chosen.
+const LEAST_ACCURACY: f64 = 1e-8;
+/// The least fraction of the flux that may be left out.
+const LEAST_LEFT_OUT: f64 = 1e-9;
+/// A window smaller than [`LARGE_SIDE`] is enlarged if the light outside would need blocks smaller
+/// than this, in pixels. Drawing such blocks takes longer than a larger window.
+const USUAL_BLOCK: f64 = 16.0;
+const LARGE_SIDE: usize = 128;
+/// The least and the largest error of the light outside a window, relative to this light.
+pub(super) const RELATIVE_ERROR: [f64; 2] = [1e-3, 5e-2];
+/// The flux of such an error is at most this part of what it would be without changes of sign.
+const OSCILLATING: f64 = 10.0;
+/// Light is drawn at most up to this distance, in pixels.
+const FARTHEST: f64 = 1e6;
+/// Interpolated stamps reach about this many frame pixels beyond their outermost pixels.
+const BEYOND: f64 = 3.0;
+
+impl Extent {
+    /// For stamps that are truncated to `size` frame pixels along each side, if it is given.
+    pub(super) fn new(model: &PsfModel, size: Option<usize>, tolerance: f64) -> Self {
+        let grid = model.grid();
+        let s = grid.oversampling();
+        let mut first: Array1<f64> = model.stamps().index_axis(Axis(0), 0).iter().copied().collect();
+        if let Some(size) = size {
+            truncate(first.view_mut(), grid, size);
+        }
+        // Without a mean, the first component is nearly the mean PSF, times a factor.
+        let flux = first.sum() / (s * s);
+        let values = if flux == 0.0 { first } else { first / flux };
+        let side = |centre: f64, count: usize| centre.max((count - 1) as f64 - centre) / s;
+        let half = side(grid.centre_x(), grid.nx()).max(side(grid.centre_y(), grid.ny()));
+        let half = size.map_or(half, |size| half.min(0.5 * size as f64));
+        let (mut peak, mut edge, mut fourth, mut total) = (0.0_f64, 0.0_f64, 0.0, 0.0);
+        for (index, v) in values.iter().enumerate() {
+            let (j, i, v) = (index / grid.nx(), index % grid.nx(), v.abs());
+            let (x, y) = ((i as f64 - grid.centre_x()) / s, (j as f64 - grid.centre_y()) / s);
+            peak = peak.max(v);
+            if x.abs().max(y.abs()) > half - 1.0 {
+                edge = edge.max(v);
+            }
+            fourth += v * (x * x + y * y).powi(2);
+            total += v;
+        }
+        Self {
+            tolerance,
+            half: half + BEYOND,
+            peak: peak.max(f64::MIN_POSITIVE),
+            edge: edge / peak.max(f64::MIN_POSITIVE),
+            spread: (fourth / total.max(f64::MIN_POSITIVE)).sqrt().sqrt(),
+        }
+    }
+
+    /// The error of a galaxy's image beside that of its PSF, relative to its peak.
+    pub(super) fn accuracy(&self) -> f64 {
+        FRACTION * self.tolerance
+    }
+
+    /// The error of a galaxy's image that is allowed beside the error of the PSF, per pixel and
+    /// for a flux of 1.
+    fn allowed(&self, light: &dyn LightProfile) -> f64 {
+        // The peak of the galaxy's image is at least about the light within the PSF's core times
+        // the PSF's peak.
+        let peak = self.peak;
+        let core = (std::f64::consts::TAU * peak).sqrt().recip();
+        let at_peak = peak * (0.5 * (1.0 - light.flux_beyond(core))).max(f64::MIN_POSITIVE);
+        self.accuracy().max(LEAST_ACCURACY) * at_peak
+    }
+
+    /// The smallest side of a window outside which the image of a galaxy is its light.
+    pub(super) fn side(&self, light: &dyn LightProfile) -> usize {
+        let Self {
+            half,
+            peak,
+            edge,
+            spread,
+            ..
+        } = *self;
+        let allowed = self.allowed(light);
+        let fits = |side: usize| {
+            let distance = nearest_edge(side);
+            let room = distance - half;
+            if room < 2.0 || peak * edge * light.flux_beyond(room) > allowed {
+                return false;
+            }
+            let outskirts = light.outskirts(distance);
+            if side < LARGE_SIDE
+                && light.flux_beyond(distance) > self.left_out()
+                && error_of_polynomial(USUAL_BLOCK / outskirts.scale_px) > RELATIVE_ERROR[1]
+            {
+                return false;
+            }
+            let t = spread / outskirts.scale_px;
+            outskirts.brightness * (t.powi(4) / 24.0).min(1.0) <= allowed
+        };
+        SIDES
+            .into_iter()
+            .find(|&side| fits(side))
+            .unwrap_or(SIDES[SIDES.len() - 1].max((2.0 * half) as usize / SMALLEST * SMALLEST + 4 * SMALLEST))
+    }
+
+    /// The fraction of a galaxy's flux that may be left out.
+    pub(super) fn left_out(&self) -> f64 {
+        (LEFT_OUT * self.tolerance).max(LEAST_LEFT_OUT)
+    }
+
+    /// The distance up to which a galaxy has light that matters, at least the side of its window.
+    pub(super) fn reach(&self, light: &dyn LightProfile, side: usize) -> f64 {
+        let left_out = self.left_out();
+        let mut reach = nearest_edge(side);
+        if light.flux_beyond(reach) <= left_out {
+            return side as f64;
+        }
+        while reach < FARTHEST && light.flux_beyond(reach) > left_out {
+            reach *= 1.25;
+        }
+        reach.max(side as f64 * 1.001)
+    }
+
+    /// The error that is allowed outside a window of a side, relative to the light there.
+    pub(super) fn relative_error(&self, light: &dyn LightProfile, side: usize) -> f64 {
+        let edge = nearest_edge(side);
+        let of_peak = self.allowed(light) / light.outskirts(edge).brightness;
+        // The error of a polynomial changes its sign several times on a block.
+        let of_flux = OSCILLATING * self.left_out() / light.flux_beyond(edge);
+        of_peak.min(of_flux).clamp(RELATIVE_ERROR[0], RELATIVE_ERROR[1])
+    }
+}
+
+/// The least distance of a window's edge from the galaxy's centre. A window begins at a multiple of
+/// [`SMALLEST`] pixels, so it is not centred on the galaxy.
+fn nearest_edge(side: usize) -> f64 {
+    0.5 * (side - SMALLEST) as f64
+}
+
+/// Sets the values of a stamp to 0 that lie outside a square of `size` frame pixels.
+pub(super) fn truncate(mut stamp: ArrayViewMut1<'_, f64>, grid: StampGrid, size: usize) {
+    let (s, from, to) = (
+        grid.oversampling(),
+        (size / 2) as f64,
+        (size - 1 - size / 2) as f64,
+    );
+    for (index, v) in stamp.iter_mut().enumerate() {
+        let (j, i) = (index / grid.nx(), index % grid.nx());
+        let (x, y) = ((i as f64 - grid.centre_x()) / s, (j as f64 - grid.centre_y()) / s);
+        if x < -from - 0.5 || y < -from - 0.5 || x > to + 0.5 || y > to + 0.5 {
+            *v = 0.0;
+        }
+    }
+}

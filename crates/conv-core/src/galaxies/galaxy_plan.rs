@@ -1,0 +1,476 @@
+//! Plans for galaxies.
+
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, OnceLock};
+
+use ndarray::{Array1, Array2, ArrayViewMut2, Axis};
+use psf_types::{Anchor, LightProfile, PixelRegion, Position, Progress, PsfModel, SersicSource};
+use rayon::prelude::*;
+
+use super::extent::{Extent, truncate};
+use super::far_field::{FarLight, SMALLEST, add_far_light};
+use super::kept::Kept;
+use super::kernels::{Kernels, Stamps, band_number};
+use super::window::{Drawn, Spectra, WindowDrawer};
+use crate::image_memory::{check_shape, with_rows_in_memory};
+use crate::overlap::{Piece, overlap};
+use crate::plan::PlanOptions;
+use crate::plan::local_modes::{LocalModes, PsfSpace};
+use crate::plan::region_cells::RegionCells;
+use crate::stars::{BlockKey, StarVectors, block_of, region_of};
+use crate::{ConvError, ConvReal};
+
+/// A galaxy's light, made when it is drawn.
+pub(super) type Light = Box<dyn LightProfile + Send + Sync>;
+
+/// A plan for drawing galaxies through one model. A galaxy is a function on the sky, convolved with
+/// the PSF of its own position. With [`Anchor::Output`] it is convolved with the PSF of each pixel,
+/// but for its outskirts.
+///
+/// If the plan is source-anchored, the PSFs come from local bases of blocks of the field, and the
+/// relative L2 error of a galaxy's PSF is at most the tolerance. Every galaxy is tested, and a
+/// galaxy that would exceed the tolerance is drawn with the PSF of all components. Beside that
+/// error, the image of a galaxy has errors of about a third of the tolerance times its peak.
+///
+/// The image is the same, bit by bit, for any number of threads.
+#[derive(Debug)]
+pub struct GalaxyPlan<T> {
+    pub(super) model: PsfModel,
+    pub(super) options: PlanOptions,
+    size: Option<usize>,
+    /// Made when the first galaxy is drawn.
+    space: OnceLock<PsfSpace>,
+    stamps: OnceLock<Stamps>,
+    pub(super) tolerance: f64,
+    pub(super) extent: Extent,
+    blocks: Kept<BlockKey, Block>,
+    spectra: Kept<GroupKey, Spectra<T>>,
+    /// The size of all `spectra`.
+    bytes: AtomicUsize,
+}
+
+/// A block of the field with its local basis.
+#[derive(Debug)]
+struct Block {
+    modes: LocalModes,
+    kernels: Kernels,
+}
+
+/// Modes of a block are chosen from a few of its rows for this fraction of the tolerance.
+const MARGIN: f64 = 0.5;
+/// The most galaxies of a group, which one task draws.
+const PER_GROUP: usize = 32;
+/// The transforms of a model's stamps use at most this part of the memory limit.
+const PARTS_OF_MEMORY: usize = 4;
+/// Groups that are drawn before they are added to the image.
+const GROUPS_AT_ONCE: usize = 32;
+/// Rows of the image to which one task adds.
+const BAND: usize = 32;
+
+/// Galaxies that use the transformed stamps of one block, on windows of one side and up to one band:
+/// the block, the side and the number of the band.
+type GroupKey = (BlockKey, usize, usize);
+
+/// A galaxy's window: first column and row, and its side.
+pub(super) type Window = (i64, i64, usize);
+
+/// Galaxies with positions in pixels of a scene, and the frame, which is a region of the scene.
+#[derive(Clone, Copy)]
+pub(super) struct Catalogue<'a> {
+    pub(super) galaxies: &'a [SersicSource],
+    pub(super) light: &'a (dyn Fn(&SersicSource) -> Light + Sync),
+    pub(super) frame: PixelRegion,
+    pub(super) progress: &'a dyn Progress,
+}
+
+impl Block {
+    fn band_of(&self, light: &dyn LightProfile, extent: Extent) -> f64 {
+        self.kernels.band_of(light, extent.accuracy())
+    }
+}
+
+impl Catalogue<'_> {
+    /// A galaxy's position in pixels of the frame.
+    pub(super) fn position(&self, index: usize) -> (f64, f64) {
+        let at = self.galaxies[index].position();
+        (at.x() - self.frame.x0() as f64, at.y() - self.frame.y0() as f64)
+    }
+}
+
+impl<T: ConvReal> GalaxyPlan<T> {
+    /// Plans the drawing of galaxies with the PSFs of a model. If `size` is given, stamps are
+    /// truncated to `size` frame pixels along each side.
+    ///
+    /// # Errors
+    /// [`ConvError::PixelResponse`] if the stamps do not include the pixel response,
+    /// [`ConvError::StampSize`] if `size` is 0.
+    #[inline(never)]
+    pub fn new(model: &PsfModel, options: PlanOptions, size: Option<usize>) -> Result<Self, ConvError> {
+        if !model.grid().pixel_response_included() {
+            return Err(ConvError::PixelResponse);
+        }
+        if size == Some(0) {
+            return Err(ConvError::StampSize);
+        }
+        let tolerance = options.tolerance_in::<T>();
+        Ok(Self {
+            size,
+            space: OnceLock::new(),
+            stamps: OnceLock::new(),
+            tolerance,
+            extent: Extent::new(model, size, tolerance),
+            blocks: Kept::default(),
+            spectra: Kept::default(),
+            bytes: AtomicUsize::new(0),
+            model: model.clone(),
+            options,
+        })
+    }
+
+    pub(super) fn space(&self) -> &PsfSpace {
+        let make = || PsfSpace::new(&self.model, self.options.tolerance_on());
+        self.space.get_or_init(make)
+    }
+
+    pub(super) fn stamps(&self) -> &Stamps {
+        self.stamps.get_or_init(|| {
+            let (grid, mut stamps) = (self.model.grid(), self.space().stamps.clone());
+            if let Some(size) = self.size {
+                stamps
+                    .outer_iter_mut()
+                    .for_each(|stamp| truncate(stamp, grid, size));
+            }
+            Stamps::new(stamps, grid, self.options.memory_bytes() / PARTS_OF_MEMORY)
+        })
+    }
+
+    /// Adds galaxies to a part of an image. `image` holds the pixels `[y, x]` of `region`, which is
+    /// in pixels of the frame. `light` returns the light of a galaxy, for a flux of 1.
+    ///
+    /// Galaxies are given in pixels of the scene, and `frame` is a region of the scene. Galaxies
+    /// outside the frame contribute light as far as they reach. The light of a pixel does not
+    /// depend on the region. `progress` is polled and may cancel the work. No steps are reported to
+    /// it.
+    ///
+    /// # Errors
+    /// [`ConvError::FrameShape`] for an image of another shape than the region,
+    /// [`ConvError::Cancelled`], and [`ConvError`] if the PSF has no value at a galaxy that reaches
+    /// the region. After an error the image may hold some of the galaxies.
+    #[inline(never)]
+    pub fn draw_into(
+        &self,
+        galaxies: &[SersicSource],
+        light: &(dyn Fn(&SersicSource) -> Light + Sync),
+        frame: PixelRegion,
+        region: PixelRegion,
+        image: ArrayViewMut2<'_, T>,
+        progress: &dyn Progress,
+    ) -> Result<(), ConvError> {
+        check_shape(region.shape(), image.dim())?;
+        let catalogue = Catalogue {
+            galaxies,
+            light,
+            frame,
+            progress,
+        };
+        with_rows_in_memory(image, |image| self.draw_catalogue(catalogue, region, image))
+    }
+
+    fn draw_catalogue(
+        &self,
+        catalogue: Catalogue<'_>,
+        region: PixelRegion,
+        mut image: ArrayViewMut2<'_, T>,
+    ) -> Result<(), ConvError> {
+        let mut keys: Vec<(GroupKey, usize)> = (0..catalogue.galaxies.len())
+            .into_par_iter()
+            .map(|index| -> Result<_, ConvError> {
+                catalogue.progress.check_cancelled()?;
+                let galaxy = &catalogue.galaxies[index];
+                let light = (catalogue.light)(galaxy);
+                let (x, y) = catalogue.position(index);
+                let side = self.extent.side(light.as_ref());
+                let reach = self.extent.reach(light.as_ref(), side);
+                if galaxy.flux() == 0.0 || !is_near((x, y), reach, region) {
+                    return Ok(None);
+                }
+                let block = block_of((x.round() as i64, y.round() as i64));
+                let band = match self.options.anchor() {
+                    Anchor::Output => 0,
+                    _ => band_number(self.block(block).band_of(light.as_ref(), self.extent)),
+                };
+                Ok(Some(((block, side, band), index)))
+            })
+            .filter_map(Result::transpose)
+            .collect::<Result<_, _>>()?;
+        keys.par_sort_unstable();
+        let groups: Vec<&[(GroupKey, usize)]> = keys
+            .chunk_by(|a, b| a.0 == b.0)
+            .flat_map(|group| group.chunks(PER_GROUP))
+            .collect();
+        let mut far = Vec::new();
+        for some in groups.chunks(GROUPS_AT_ONCE) {
+            catalogue.progress.check_cancelled()?;
+            let drawn: Vec<(Piece<T>, Vec<FarLight>)> = some
+                .par_iter()
+                .map(|group| self.draw_group(catalogue, group, region))
+                .collect::<Result<_, _>>()?;
+            let bands = image
+                .axis_chunks_iter_mut(Axis(0), BAND)
+                .into_par_iter()
+                .enumerate();
+            bands.for_each(|(band, mut rows)| {
+                for (piece, _) in &drawn {
+                    piece.add_to(&mut rows, (region.x0(), region.y0() + (band * BAND) as i64));
+                }
+            });
+            far.extend(drawn.into_iter().flat_map(|(_, far)| far));
+        }
+        let first = (region.x0(), region.y0());
+        add_far_light(&far, image, first, catalogue.progress)
+    }
+
+    /// Draws the windows of galaxies of one block and one side. Returns the piece of the image that
+    /// holds them, and the galaxies with light outside their windows.
+    fn draw_group(
+        &self,
+        catalogue: Catalogue<'_>,
+        group: &[(GroupKey, usize)],
+        region: PixelRegion,
+    ) -> Result<(Piece<T>, Vec<FarLight>), ConvError> {
+        let key = group[0].0;
+        let side = key.1;
+        let windows: Vec<Window> = group
+            .iter()
+            .map(|&(_, index)| window_at(catalogue.position(index), side))
+            .collect();
+        let shape = region.shape();
+        let hull = |starts: &dyn Fn(&Window) -> i64, first: i64, count: usize| {
+            let from = windows.iter().map(starts).min().unwrap_or(0).max(first);
+            let to = windows.iter().map(starts).max().unwrap_or(0) + side as i64;
+            (from, (to.min(first + count as i64) - from).max(0) as usize)
+        };
+        let (first_column, width) = hull(&|w| w.0, region.x0(), shape.nx());
+        let (first_row, height) = hull(&|w| w.1, region.y0(), shape.ny());
+        let mut piece = Piece {
+            first_column,
+            first_row,
+            values: Array2::zeros((height, width)),
+        };
+        let local = (self.options.anchor() != Anchor::Output).then(|| self.local(key));
+        let mut far = Vec::new();
+        let mut drawer = WindowDrawer::new(side);
+        let mut line = vec![T::zero(); side];
+        for (&(_, index), &window) in group.iter().zip(&windows) {
+            catalogue.progress.check_cancelled()?;
+            let galaxy = &catalogue.galaxies[index];
+            let (x, y) = catalogue.position(index);
+            let position = Position::new(x, y).map_err(ConvError::Result)?;
+            let centre = (x - window.0 as f64, y - window.1 as f64);
+            let psf = self.psf(local.as_ref(), position, galaxy.flux())?;
+            let light = (catalogue.light)(galaxy);
+            let moments = match &psf {
+                Psf::Local(local, coefficients) => local.block.kernels.moments_of(coefficients),
+                Psf::Exact(psf) => self.stamps().moments_of(psf.view()),
+            };
+            // The light outside is kept until all galaxies are drawn, without a transform.
+            let outside = self.far_light(moments, (catalogue.light)(galaxy), (x, y), window);
+            let repeated = (outside.reach > 0.0).then(|| outside.repeated());
+            let rows = overlap(window.1 - first_row, side, height);
+            let columns = overlap(window.0 - first_column, side, width);
+            if let (Some((row, to_row, count)), Some((column, to, width))) = (rows, columns) {
+                let add = |number: usize, values: &mut [T]| {
+                    if let Some(repeated) = &repeated {
+                        repeated.subtract_from(number, values);
+                    }
+                    let mut target = piece.values.row_mut(number - row + to_row);
+                    let target = &mut target.as_slice_mut().expect("row-major")[to..to + width];
+                    for (sum, &v) in target.iter_mut().zip(&values[column..column + width]) {
+                        *sum += v;
+                    }
+                };
+                let light = light.as_ref();
+                match &psf {
+                    Psf::Local(local, coefficients) => drawer.draw(
+                        &Drawn {
+                            spectra: &local.spectra,
+                            light,
+                            centre,
+                            coefficients,
+                            band: local.block.band_of(light, self.extent),
+                        },
+                        row..row + count,
+                        add,
+                    ),
+                    Psf::Exact(psf) => {
+                        let values = self.exact_window(
+                            psf,
+                            galaxy.flux(),
+                            light,
+                            window,
+                            centre,
+                            catalogue.frame.shape(),
+                        )?;
+                        let mut add = add;
+                        for number in row..row + count {
+                            for (to, &v) in line.iter_mut().zip(values.row(number)) {
+                                *to = T::nearest(v);
+                            }
+                            add(number, &mut line);
+                        }
+                    }
+                }
+            }
+            if outside.reach > 0.0 {
+                far.push(outside);
+            }
+        }
+        Ok((piece, far))
+    }
+
+    fn local(&self, key: GroupKey) -> Local<T> {
+        let block = self.block(key.0);
+        Local {
+            spectra: self.spectra(key, &block.kernels),
+            block,
+        }
+    }
+
+    /// The PSF of a galaxy, from the modes of its block if they are within the tolerance.
+    fn psf<'a>(
+        &self,
+        local: Option<&'a Local<T>>,
+        position: Position,
+        flux: f64,
+    ) -> Result<Psf<'a, T>, ConvError> {
+        let mut vectors = StarVectors::new(&self.model, self.space());
+        let scale = vectors.set(position)? * flux;
+        if let Some(local) = local {
+            let all = vectors.psf.clone();
+            let whole = vectors.norm();
+            let mut coefficients = Vec::new();
+            vectors.project(&local.block.modes, &mut coefficients);
+            if vectors.is_within(self.tolerance, whole) {
+                for c in &mut coefficients {
+                    *c *= scale;
+                }
+                return Ok(Psf::Local(local, coefficients));
+            }
+            vectors.psf = all;
+        }
+        Ok(Psf::Exact(vectors.psf * scale))
+    }
+
+    fn block(&self, key: BlockKey) -> Arc<Block> {
+        self.blocks.get(key, || {
+            let cells = RegionCells::sampled(self.model.field(), region_of(key));
+            let modes = LocalModes::new(self.space(), &cells, MARGIN * self.tolerance);
+            let rows: Vec<_> = modes
+                .reference()
+                .into_iter()
+                .chain(modes.modes.outer_iter())
+                .collect();
+            let directions = ndarray::stack(Axis(0), &rows).expect("rows of one length");
+            // The values at the corners of cells begin with the flux, also without a reference.
+            let mut values = vec![0.0; modes.rank() + 1];
+            let mut largest = vec![0.0_f64; directions.nrows()];
+            let first = values.len() - directions.nrows();
+            for corner in cells.all_corners().flatten() {
+                modes.values_into(corner, &mut values);
+                for (largest, value) in largest.iter_mut().zip(&values[first..]) {
+                    *largest = largest.max(value.abs());
+                }
+            }
+            let typical = LocalModes::mean(self.space(), &cells);
+            let kernels = Kernels::new(
+                self.stamps(),
+                directions,
+                &largest,
+                typical.view(),
+                self.extent.accuracy(),
+            );
+            Block { modes, kernels }
+        })
+    }
+
+    /// The transformed stamps of a block. They are kept for later galaxies within the limit of the
+    /// memory.
+    fn spectra(&self, key: GroupKey, kernels: &Kernels) -> Arc<Spectra<T>> {
+        self.spectra.get(key, || {
+            let made = self.stamps().spectra_of(kernels, key.1, key.2);
+            let bytes = made.bytes();
+            if self.bytes.fetch_add(bytes, Ordering::Relaxed) + bytes > self.options.memory_bytes() {
+                self.spectra.clear();
+                self.bytes.store(0, Ordering::Relaxed);
+            }
+            made
+        })
+    }
+
+    /// The light of a galaxy outside its window. Its reach is 0 if there is too little of it.
+    pub(super) fn far_light(
+        &self,
+        moments: [f64; 6],
+        light: Light,
+        (x, y): (f64, f64),
+        window: Window,
+    ) -> FarLight {
+        let [flux, mx, my, xx, xy, yy] = moments;
+        let reach = self.extent.reach(light.as_ref(), window.2);
+        // Without flux there is no centroid, and no light far out.
+        let has_flux = flux.abs() > f64::MIN_POSITIVE;
+        let (dx, dy) = if has_flux {
+            (mx / flux, my / flux)
+        } else {
+            (0.0, 0.0)
+        };
+        FarLight {
+            flux,
+            centre: (x + dx, y + dy),
+            covariance: if has_flux {
+                [xx / flux - dx * dx, xy / flux - dx * dy, yy / flux - dy * dy]
+            } else {
+                [0.0; 3]
+            },
+            window,
+            faintest: self.extent.left_out() / (2.0 * reach).powi(2),
+            relative_error: self.extent.relative_error(light.as_ref(), window.2),
+            reach: if has_flux && reach > window.2 as f64 {
+                reach
+            } else {
+                0.0
+            },
+            light,
+        }
+    }
+}
+
+/// The local PSFs of a block, transformed for windows of one side.
+struct Local<T> {
+    block: Arc<Block>,
+    spectra: Arc<Spectra<T>>,
+}
+
+/// The PSF of a galaxy, times its flux.
+enum Psf<'a, T> {
+    /// The coefficients of the local PSFs.
+    Local(&'a Local<T>, Vec<f64>),
+    /// The PSF of all components, as a vector of [`PsfSpace`].
+    Exact(Array1<f64>),
+}
+
+pub(super) fn window_at((x, y): (f64, f64), side: usize) -> Window {
+    let first = |at: f64| {
+        let step = SMALLEST as f64;
+        ((at - 0.5 * side as f64) / step).round() as i64 * SMALLEST as i64
+    };
+    (first(x), first(y), side)
+}
+
+/// Whether a square around a point of the frame overlaps a region.
+fn is_near((x, y): (f64, f64), reach: f64, region: PixelRegion) -> bool {
+    let near = |at: f64, first: i64, count: usize| {
+        at + reach >= first as f64 && at - reach <= (first + count as i64) as f64
+    };
+    near(x, region.x0(), region.shape().nx()) && near(y, region.y0(), region.shape().ny())
+}

@@ -1,0 +1,337 @@
+//! The stamps of a model, and the PSFs of some galaxies as combinations of them.
+
+use std::f64::consts::PI;
+use std::sync::Arc;
+
+use ndarray::{Array2, ArrayView1, ArrayView2, Axis};
+use psf_types::{LightProfile, StampGrid};
+use rustfft::num_complex::{Complex, Complex64};
+
+use super::kept::Kept;
+use super::spectrum::{Wavenumbers, discrete_transform, kernel_transform, spectrum};
+use super::window::Spectra;
+use crate::ConvReal;
+
+/// The stamps that combine to all PSFs of a model.
+#[derive(Debug)]
+pub(super) struct Stamps {
+    grid: StampGrid,
+    /// `[stamp, pixel]`.
+    values: Array2<f64>,
+    moments: Vec<Moments>,
+    /// Transforms up to the stamps' Nyquist frequency. They tell the power of PSFs.
+    coarse: Transforms,
+    copies: Copies,
+    /// Transforms for windows of each side, and the number of the band.
+    spectra: Kept<(usize, usize), Transforms>,
+    /// Transforms that need more memory than this are not kept.
+    memory_bytes: usize,
+}
+
+/// Transforms of stamps, `[stamp, 2 wavenumber]`: the real part of each value, then the imaginary
+/// part.
+#[derive(Debug)]
+struct Transforms(Array2<f64>);
+
+impl Transforms {
+    fn new(stamps: &[Vec<Complex64>]) -> Self {
+        let columns = stamps.first().map_or(0, |stamp| 2 * stamp.len());
+        let mut values = Array2::zeros((stamps.len(), columns));
+        for (mut row, stamp) in values.outer_iter_mut().zip(stamps) {
+            let parts = stamp.iter().flat_map(|v| [v.re, v.im]);
+            row.iter_mut().zip(parts).for_each(|(to, v)| *to = v);
+        }
+        Self(values)
+    }
+
+    /// The transforms of combinations `[PSF, stamp]` of the stamps. `value` converts the real and
+    /// the imaginary part at each wavenumber.
+    fn combined<V>(&self, directions: ArrayView2<'_, f64>, value: impl Fn(f64, f64) -> V) -> Vec<Vec<V>> {
+        let transforms = directions.dot(&self.0);
+        let of_row = |row: ArrayView1<'_, f64>| {
+            let parts = row.to_slice().expect("row-major").chunks_exact(2);
+            parts.map(|v| value(v[0], v[1])).collect()
+        };
+        transforms.outer_iter().map(of_row).collect()
+    }
+}
+
+/// PSFs as combinations of a model's [`Stamps`], and the properties that decide how a galaxy is
+/// drawn through them.
+#[derive(Debug)]
+pub(super) struct Kernels {
+    /// `[PSF, stamp]`.
+    directions: Array2<f64>,
+    moments: Vec<Moments>,
+    /// Beyond this wavenumber, in radians per pixel, no PSF has light that matters.
+    band: f64,
+    spectrum: PowerSpectrum,
+}
+
+/// Moments of a stamp about its centre, in frame pixels: flux, x, y, xx, xy, yy.
+pub(super) type Moments = [f64; 6];
+
+/// Power of PSFs by wavenumber, in rings of equal width.
+#[derive(Debug)]
+struct PowerSpectrum {
+    /// Width of the rings in radians per pixel.
+    step: f64,
+    /// An upper limit of the power of any PSF in each ring.
+    largest: Vec<f64>,
+    /// The power of a typical PSF in each ring.
+    typical: Vec<f64>,
+}
+
+impl Stamps {
+    /// The stamps `[stamp, pixel]`. Transforms of windows are kept up to the given memory.
+    pub(super) fn new(values: Array2<f64>, grid: StampGrid, memory_bytes: usize) -> Self {
+        let copies = Copies::new(grid);
+        let coarse: Vec<Vec<Complex64>> = (0..values.nrows())
+            .map(|i| {
+                let stamp = stamp_of(values.row(i), grid);
+                discrete_transform(stamp, grid, copies.step, copies.radius)
+                    .into_iter()
+                    .collect()
+            })
+            .collect();
+        Self {
+            moments: values
+                .outer_iter()
+                .map(|stamp| moments(stamp_of(stamp, grid), grid))
+                .collect(),
+            grid,
+            values,
+            coarse: Transforms::new(&coarse),
+            copies,
+            spectra: Kept::default(),
+            memory_bytes,
+        }
+    }
+
+    /// The moments of a combination of the stamps.
+    pub(super) fn moments_of(&self, direction: ArrayView1<'_, f64>) -> Moments {
+        combined(&self.moments, direction.iter())
+    }
+
+    /// The transforms of PSFs for windows of a side, up to a band of this number.
+    pub(super) fn spectra_of<T: ConvReal>(
+        &self,
+        kernels: &Kernels,
+        side: usize,
+        number: usize,
+    ) -> Spectra<T> {
+        let wavenumbers = Wavenumbers::within(BAND_RATIO.powi(number as i32) * LEAST_BAND, side);
+        let bytes = self.values.nrows() * wavenumbers.count * size_of::<Complex64>();
+        let stamps = if bytes > self.memory_bytes {
+            let combined = kernels.directions.dot(&self.values);
+            let stamps = combined.outer_iter();
+            stamps
+                .map(|stamp| spectrum(stamp_of(stamp, self.grid), self.grid, &wavenumbers))
+                .collect()
+        } else {
+            let own = self.transforms(side, number, &wavenumbers);
+            own.combined(kernels.directions.view(), |re, im| {
+                Complex::new(T::nearest(re), T::nearest(im))
+            })
+        };
+        Spectra { wavenumbers, stamps }
+    }
+
+    /// The transforms of all stamps.
+    fn transforms(&self, side: usize, number: usize, wavenumbers: &Wavenumbers) -> Arc<Transforms> {
+        self.spectra.get((side, number), || {
+            let stamps: Vec<Vec<Complex64>> = (0..self.values.nrows())
+                .map(|i| spectrum(stamp_of(self.values.row(i), self.grid), self.grid, wavenumbers))
+                .collect();
+            Transforms::new(&stamps)
+        })
+    }
+}
+
+impl Kernels {
+    /// PSFs `[PSF, stamp]`, with the largest absolute values of the coefficients with which they
+    /// are combined. `typical` is one of the combinations. Light at wavenumbers beyond the band is
+    /// at most `accuracy` of this one, in the L2 norm.
+    pub(super) fn new(
+        stamps: &Stamps,
+        directions: Array2<f64>,
+        largest: &[f64],
+        typical: ArrayView1<'_, f64>,
+        accuracy: f64,
+    ) -> Self {
+        let spectrum = PowerSpectrum::new(stamps, directions.view(), largest, typical, accuracy);
+        let rows = directions.outer_iter();
+        Self {
+            moments: rows.map(|direction| stamps.moments_of(direction)).collect(),
+            band: spectrum.band(accuracy, |_| [1.0; 2]),
+            directions,
+            spectrum,
+        }
+    }
+
+    /// The band of a galaxy: the light of its image at wavenumbers beyond is at most `accuracy` of
+    /// the image, in the L2 norm.
+    pub(super) fn band_of(&self, light: &dyn LightProfile, accuracy: f64) -> f64 {
+        self.spectrum
+            .band(accuracy, |k| light.transform_limits(k))
+            .min(self.band)
+    }
+
+    /// The moments of a PSF.
+    pub(super) fn moments_of(&self, coefficients: &[f64]) -> Moments {
+        combined(&self.moments, coefficients.iter())
+    }
+}
+
+/// Transforms end at bands of a geometric series, so that galaxies and blocks of the field share
+/// them. This is the narrowest band, in radians per frame pixel.
+const LEAST_BAND: f64 = 1e-3;
+/// Each band is wider than the one before by this factor.
+const BAND_RATIO: f64 = 1.4;
+
+/// The number of the narrowest band that holds a wavenumber.
+pub(super) fn band_number(k: f64) -> usize {
+    ((k / LEAST_BAND).ln() / BAND_RATIO.ln()).ceil().max(0.0) as usize
+}
+
+fn combined<'a>(moments: &[Moments], coefficients: impl Iterator<Item = &'a f64>) -> Moments {
+    let mut sum = [0.0; 6];
+    for (moments, c) in moments.iter().zip(coefficients) {
+        sum.iter_mut().zip(moments).for_each(|(sum, m)| *sum += c * m);
+    }
+    sum
+}
+
+fn stamp_of(values: ArrayView1<'_, f64>, grid: StampGrid) -> ArrayView2<'_, f64> {
+    values
+        .into_shape_with_order(grid.dim())
+        .expect("the size of a stamp")
+}
+
+fn moments(stamp: ArrayView2<'_, f64>, grid: StampGrid) -> Moments {
+    let s = grid.oversampling();
+    let mut sum = [0.0; 6];
+    for ((j, i), &v) in stamp.indexed_iter() {
+        let (x, y) = ((i as f64 - grid.centre_x()) / s, (j as f64 - grid.centre_y()) / s);
+        let flux = v / (s * s);
+        for (sum, power) in sum.iter_mut().zip([1.0, x, y, x * x, x * y, y * y]) {
+            *sum += flux * power;
+        }
+    }
+    sum
+}
+
+/// Interpolated stamps have copies of their transform around the multiples of the sampling
+/// frequency. Copies farther from 0 than this number are left out.
+const COPIES: i64 = 2;
+
+/// The wavenumbers `kx = 0 ... radius` and `ky = -radius ... radius`, in units of `step` radians per
+/// frame pixel, and the factors by which interpolation multiplies the power of their copies.
+#[derive(Debug)]
+struct Copies {
+    step: f64,
+    radius: usize,
+    /// For each copy along an axis, the wavenumber and the factor at `-radius ... radius`.
+    along: Vec<Vec<(f64, f64)>>,
+    rings: usize,
+}
+
+impl Copies {
+    fn new(grid: StampGrid) -> Self {
+        let s = grid.oversampling();
+        let step = 2.0 * PI * s / grid.nx().max(grid.ny()) as f64;
+        // The wavenumbers up to the Nyquist frequency of the stamps.
+        let nyquist = PI * s;
+        let radius = (nyquist / step).floor() as usize;
+        let kernel = |m: i64, copy: i64| {
+            let k = m as f64 * step + 2.0 * nyquist * copy as f64;
+            (k, kernel_transform(grid.interpolation(), k / s).powi(2))
+        };
+        Self {
+            step,
+            radius,
+            along: (-COPIES..=COPIES)
+                .map(|copy| {
+                    (-(radius as i64)..=radius as i64)
+                        .map(|m| kernel(m, copy))
+                        .collect()
+                })
+                .collect(),
+            rings: ((2 * COPIES + 1) as f64 * nyquist * std::f64::consts::SQRT_2 / step) as usize + 2,
+        }
+    }
+
+    /// Adds the power of each wavenumber to the rings of its copies. Wavenumbers whose power is at
+    /// most `least` are left out.
+    fn add_to_rings(&self, power: &[f64], least: f64, rings: &mut [f64]) {
+        let row = 2 * self.radius + 1;
+        for (index, &power) in power.iter().enumerate().filter(|&(_, &power)| power > least) {
+            let (kx, at) = (index / row, index % row);
+            for by_x in &self.along {
+                let (x, fx) = by_x[kx + self.radius];
+                for by_y in &self.along {
+                    let (y, fy) = by_y[at];
+                    let ring = ((x * x + y * y).sqrt() / self.step) as usize;
+                    rings[ring] += power * fx * fy;
+                }
+            }
+        }
+    }
+}
+
+/// Wavenumbers with less than this fraction of the power that the accuracy allows are left out.
+const NEGLIGIBLE: f64 = 1e-3;
+
+impl PowerSpectrum {
+    fn new(
+        stamps: &Stamps,
+        directions: ArrayView2<'_, f64>,
+        largest: &[f64],
+        typical: ArrayView1<'_, f64>,
+        accuracy: f64,
+    ) -> Self {
+        let power =
+            |directions: ArrayView2<'_, f64>| stamps.coarse.combined(directions, |re, im| re * re + im * im);
+        let typical = power(typical.insert_axis(Axis(0))).swap_remove(0);
+        let mut limit = vec![0.0; typical.len()];
+        for (power, &largest) in power(directions).iter().zip(largest) {
+            for (sum, v) in limit.iter_mut().zip(power) {
+                *sum += largest * v.sqrt();
+            }
+        }
+        for v in &mut limit {
+            *v *= *v;
+        }
+        let least = typical.iter().sum::<f64>() * NEGLIGIBLE * accuracy * accuracy / typical.len() as f64;
+        let rings = |power: &[f64]| {
+            let mut rings = vec![0.0; stamps.copies.rings];
+            stamps.copies.add_to_rings(power, least, &mut rings);
+            rings
+        };
+        Self {
+            step: stamps.copies.step,
+            largest: rings(&limit),
+            typical: rings(&typical),
+        }
+    }
+
+    /// The wavenumber beyond which at most the square of `accuracy` of the power lies, if `limits`
+    /// returns the smallest and the largest factor of the amplitude at a wavenumber.
+    fn band(&self, accuracy: f64, limits: impl Fn(f64) -> [f64; 2]) -> f64 {
+        let factors: Vec<[f64; 2]> = (0..self.largest.len())
+            .map(|ring| {
+                let [_, largest] = limits(ring as f64 * self.step);
+                let [least, _] = limits((ring + 1) as f64 * self.step);
+                [least * least, largest * largest]
+            })
+            .collect();
+        let total: f64 = self.typical.iter().zip(&factors).map(|(p, f)| p * f[0]).sum();
+        let allowed = accuracy * accuracy * total;
+        let mut beyond = 0.0;
+        let last = self.largest.iter().zip(&factors).rposition(|(p, f)| {
+            beyond += p * f[1];
+            beyond > allowed
+        });
+        (last.unwrap_or(0) + 1) as f64 * self.step
+    }
+}

@@ -1,0 +1,23 @@
+//! Drawing of galaxies.
+//!
+//! A galaxy is light on the sky, and its image is that light convolved with the interpolated PSF of
+//! the galaxy's position, at the centres of the frame's pixels. The PSF holds the response of a
+//! pixel, so it is applied once.
+//!
+//! Near its centre, a galaxy is drawn on a square window: the product of the transforms of light
+//! ([`psf_types::LightProfile`]) and PSF ([`spectrum`]), folded into the wavenumbers of the
+//! window's pixels, is transformed back ([`window`]). The PSF is a combination of the few stamps of
+//! a block of the field ([`kernels`]), as for stars. Outside the window, the light is nearly the
+//! image ([`far_field`]). The window is as small as the tolerance allows ([`extent`]). Single pixels
+//! and galaxies beyond the tolerance use all components ([`all_components`]).
+
+mod all_components;
+mod extent;
+mod far_field;
+mod galaxy_plan;
+mod kept;
+mod kernels;
+mod spectrum;
+mod window;
+
+pub use galaxy_plan::GalaxyPlan;

@@ -1,0 +1,266 @@
+//! Fourier transforms of interpolated stamps.
+//!
+//! Between its pixels a stamp is interpolated, so it is a function of a continuous offset `u`. Its
+//! transform is the discrete transform of its values times the transform of the interpolation
+//! kernel, which is a product of a function of `kx` and one of `ky`. Wavenumbers are multiples of
+//! `2 pi / N` radians per frame pixel, where `N` is the side of the window that is drawn.
+
+use std::f64::consts::TAU;
+use std::sync::Arc;
+
+use ndarray::{Array2, ArrayView2};
+use psf_types::{StampGrid, StampInterpolation};
+use rustfft::num_complex::{Complex, Complex64};
+use rustfft::{Fft, FftPlanner};
+
+use crate::ConvReal;
+use crate::plan::cost_model::fast_size;
+use crate::stamp_interpolator::Kernel;
+
+/// The wavenumbers of a window: `kx = 0 ... most`, and for each `kx` all `ky` within a circle.
+/// Wavenumbers of the other half-plane hold the complex conjugates.
+#[derive(Debug, Clone)]
+pub(super) struct Wavenumbers {
+    /// The side of the window in pixels.
+    pub(super) side: usize,
+    /// For each `kx`, the largest `ky`. The smallest is its negative.
+    pub(super) most_ky: Vec<usize>,
+    /// For each `kx`, the index of its first value.
+    pub(super) starts: Vec<usize>,
+    pub(super) count: usize,
+}
+
+impl Wavenumbers {
+    /// The wavenumbers up to `band` radians per pixel.
+    pub(super) fn within(band: f64, side: usize) -> Self {
+        let radius = (band * side as f64 / TAU).ceil();
+        let most_ky: Vec<usize> = (0..=radius as usize)
+            .map(|kx| (radius * radius - (kx * kx) as f64).max(0.0).sqrt() as usize)
+            .collect();
+        let mut count = 0;
+        let starts = most_ky
+            .iter()
+            .map(|most| {
+                let start = count;
+                count += 2 * most + 1;
+                start
+            })
+            .collect();
+        Self {
+            side,
+            most_ky,
+            starts,
+            count,
+        }
+    }
+
+    /// The distance between neighbouring wavenumbers, in radians per pixel.
+    pub(super) fn step(&self) -> f64 {
+        TAU / self.side as f64
+    }
+}
+
+/// The transform of a stamp `[y, x]` at some wavenumbers, in their order: `integral of h(u)
+/// exp(-i k u) du`, with `u` counted from the stamp's centre in frame pixels.
+pub(super) fn spectrum<T: ConvReal>(
+    stamp: ArrayView2<'_, f64>,
+    grid: StampGrid,
+    wavenumbers: &Wavenumbers,
+) -> Vec<Complex<T>> {
+    let radius = wavenumbers.most_ky.len() - 1;
+    let step = wavenumbers.step();
+    let planes = discrete_transform(stamp, grid, step, radius);
+    let kernel: Vec<f64> = (0..=radius)
+        .map(|m| kernel_transform(grid.interpolation(), m as f64 * step / grid.oversampling()))
+        .collect();
+    let mut values = Vec::with_capacity(wavenumbers.count);
+    for (kx, &most) in wavenumbers.most_ky.iter().enumerate() {
+        let column = planes.row(kx);
+        for at in radius - most..=radius + most {
+            let value = column[at] * (kernel[kx] * kernel[at.abs_diff(radius)]);
+            values.push(Complex::new(T::nearest(value.re), T::nearest(value.im)));
+        }
+    }
+    values
+}
+
+/// The discrete transform of a stamp at `kx = 0 ... radius` and `ky = -radius ... radius`, in units
+/// of `step` radians per frame pixel: `[kx, ky]`.
+pub(super) fn discrete_transform(
+    stamp: ArrayView2<'_, f64>,
+    grid: StampGrid,
+    step: f64,
+    radius: usize,
+) -> Array2<Complex64> {
+    let (ny, nx) = stamp.dim();
+    let s = grid.oversampling();
+    let along_x = Chirp::new(nx, grid.centre_x(), step / s, 0, radius + 1);
+    let along_y = Chirp::new(ny, grid.centre_y(), step / s, -(radius as i64), 2 * radius + 1);
+    // [kx, row]
+    let mut columns = Array2::zeros((radius + 1, ny));
+    let mut work = Vec::new();
+    for (row, values) in stamp.outer_iter().enumerate() {
+        let values = values.iter().map(|&v| Complex64::new(v, 0.0));
+        let line = along_x.transform(values, &mut work);
+        columns
+            .column_mut(row)
+            .iter_mut()
+            .zip(line)
+            .for_each(|(to, v)| *to = v);
+    }
+    let mut planes = Array2::zeros((radius + 1, 2 * radius + 1));
+    let area = 1.0 / (s * s);
+    for (column, mut to) in columns.outer_iter().zip(planes.outer_iter_mut()) {
+        let line = along_y.transform(column.iter().map(|v| v * area), &mut work);
+        to.iter_mut().zip(line).for_each(|(to, v)| *to = v);
+    }
+    planes
+}
+
+/// The transform of an interpolation kernel of unit spacing, at `w` radians per stamp pixel.
+pub(super) fn kernel_transform(interpolation: StampInterpolation, w: f64) -> f64 {
+    match interpolation {
+        StampInterpolation::Lanczos3 => {
+            // A ratio without a closed form, which is smooth within each of six pieces.
+            let kernel = |t: f64| {
+                let rule = Kernel::Lanczos3;
+                rule.weights(t.fract())[(-rule.first_tap() - t as i64) as usize]
+            };
+            let piece = |first: f64| -> f64 {
+                GAUSS_8
+                    .iter()
+                    .flat_map(|&(node, weight)| [(first + 0.5 + node, weight), (first + 0.5 - node, weight)])
+                    .map(|(t, weight)| weight * kernel(t) * (w * t).cos())
+                    .sum()
+            };
+            2.0 * [0.0, 1.0, 2.0].map(piece).iter().sum::<f64>()
+        }
+        // The B-spline's transform over that of its values at the pixels (Unser et al. 1993).
+        _ => sinc(0.5 * w).powi(4) * 3.0 / (2.0 + w.cos()),
+    }
+}
+
+/// Half of the 16 Gauss-Legendre nodes on an interval of length 1 around 0 (the other nodes are
+/// their negatives), with their weights.
+const GAUSS_8: [(f64, f64); 8] = [
+    (0.047_506_254_918_818_72, 0.094_725_305_227_534_25),
+    (0.140_801_775_389_629_46, 0.091_301_707_522_461_79),
+    (0.229_008_388_828_613_7, 0.084_578_259_697_501_27),
+    (0.308_938_122_201_321_9, 0.074_797_994_408_288_37),
+    (0.377_702_204_177_501_5, 0.062_314_485_627_766_94),
+    (0.432_815_601_193_915_9, 0.047_579_255_841_246_39),
+    (0.472_287_511_536_616_3, 0.031_126_761_969_323_946),
+    (0.494_700_467_495_825, 0.013_576_229_705_877_047),
+];
+
+fn sinc(x: f64) -> f64 {
+    if x == 0.0 { 1.0 } else { x.sin() / x }
+}
+
+/// The chirp z-transform (Rabiner, Schafer and Rader 1969): values of a discrete Fourier transform
+/// at equal steps of any size, as a convolution.
+struct Chirp {
+    /// For each input, its factor.
+    before: Vec<Complex64>,
+    /// For each output, its factor.
+    after: Vec<Complex64>,
+    /// The transformed chirp, divided by the length of the convolution.
+    transformed: Vec<Complex64>,
+    forward: Arc<dyn Fft<f64>>,
+    inverse: Arc<dyn Fft<f64>>,
+}
+
+impl Chirp {
+    /// The transform `sum_j v_j exp(-i angle m (j - centre))` of `length` values, at `count`
+    /// integers `m` from `first` on.
+    fn new(length: usize, centre: f64, angle: f64, first: i64, count: usize) -> Self {
+        // - m j = ((m - j)^2 - m^2 - j^2) / 2.
+        let chirp_at = |t: i64| Complex64::from_polar(1.0, 0.5 * angle * (t as f64) * (t as f64));
+        let size = fast_size(length + count - 1, 1);
+        let mut planner = FftPlanner::new();
+        let (forward, inverse) = (planner.plan_fft_forward(size), planner.plan_fft_inverse(size));
+        let mut chirp = vec![Complex64::default(); size];
+        let lowest = first - (length as i64 - 1);
+        for (at, value) in chirp.iter_mut().enumerate().take(length + count - 1) {
+            *value = chirp_at(lowest + at as i64) / size as f64;
+        }
+        forward.process(&mut chirp);
+        let after = (0..count as i64).map(|i| {
+            let m = first + i;
+            chirp_at(m).conj() * Complex64::from_polar(1.0, angle * m as f64 * centre)
+        });
+        Self {
+            before: (0..length as i64).map(|j| chirp_at(j).conj()).collect(),
+            after: after.collect(),
+            transformed: chirp,
+            forward,
+            inverse,
+        }
+    }
+
+    fn transform<'a>(
+        &'a self,
+        values: impl Iterator<Item = Complex64>,
+        work: &'a mut Vec<Complex64>,
+    ) -> impl Iterator<Item = Complex64> + 'a {
+        work.clear();
+        work.extend(values.zip(&self.before).map(|(v, factor)| v * factor));
+        work.resize(self.transformed.len(), Complex64::default());
+        self.forward.process(work);
+        work.iter_mut()
+            .zip(&self.transformed)
+            .for_each(|(v, chirp)| *v *= chirp);
+        self.inverse.process(work);
+        let first = self.before.len() - 1;
+        work[first..]
+            .iter()
+            .zip(&self.after)
+            .map(|(v, factor)| v * factor)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    use crate::stamp_interpolator::StampInterpolator;
+
+    /// The integral of the interpolated stamp times `exp(-i k u)`, on a fine grid of points.
+    #[test]
+    fn spectra_are_transforms_of_the_interpolated_stamp() {
+        for interpolation in [StampInterpolation::CubicSpline, StampInterpolation::Lanczos3] {
+            for s in [1.0, 2.3] {
+                let grid = StampGrid::new(21, 19)
+                    .and_then(|g| g.with_oversampling(s))
+                    .and_then(|g| g.with_centre(9.6, 9.0))
+                    .unwrap()
+                    .with_interpolation(interpolation);
+                let gauss = |d: f64, sigma: f64| (-0.5 * (d / sigma).powi(2)).exp();
+                let stamp = Array2::from_shape_fn((19, 21), |(y, x)| {
+                    gauss(y as f64 - 9.3, 1.9) * gauss(x as f64 - 9.9, 1.6) * (1.0 + 0.1 * (x * y % 7) as f64)
+                });
+                // Eight points per stamp pixel: the trapezoidal rule is exact for the wavenumbers
+                // below.
+                let fine = 8.0;
+                let target = StampGrid::new(321, 321)
+                    .and_then(|g| g.with_oversampling(fine * s))
+                    .unwrap();
+                let dense = StampInterpolator::new(stamp.view(), grid).resample((0.0, 0.0), target);
+                let wavenumbers = Wavenumbers::within(2.9, 40);
+                let found = spectrum::<f64>(stamp.view(), grid, &wavenumbers);
+                for (kx, ky) in [(0_usize, 0_i64), (3, -2), (9, 14), (17, -5)] {
+                    let k = |m: f64| m * wavenumbers.step() / (fine * s);
+                    let mut sum = Complex64::default();
+                    for ((j, i), v) in dense.indexed_iter() {
+                        let phase = k(kx as f64) * (i as f64 - 160.0) + k(ky as f64) * (j as f64 - 160.0);
+                        sum += Complex64::from_polar(*v, -phase) / (fine * s).powi(2);
+                    }
+                    let at = wavenumbers.starts[kx] + (ky + wavenumbers.most_ky[kx] as i64) as usize;
+                    let error = (found[at] - sum).norm()
+                        / found[wavenumbers.starts[0] + wavenumbers.most_ky[0]].norm();
+                    assert!(error < 2e-5, "{interpolation} {s} {kx} {ky}: {error:e}");
+                }
+            }
+        }
+    }
+}

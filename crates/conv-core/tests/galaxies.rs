@@ -1,0 +1,232 @@
+//! Galaxies drawn through a PSF, compared with closed forms and with a direct integral.
+
+use std::sync::Arc;
+
+use conv_core::{GalaxyPlan, PlanOptions};
+use ndarray::{Array2, Array3};
+use psf_types::{
+    Anchor, CoefficientField, FieldError, FrameShape, LightProfile, NoProgress, Normalisation, PixelRegion,
+    Position, PsfBasis, PsfModel, SersicProfile, SersicSource, StampGrid,
+};
+use sersic::SersicLight;
+
+/// No component at all: the mean stamp everywhere.
+#[derive(Debug)]
+struct Constant;
+impl CoefficientField for Constant {
+    fn component_count(&self) -> usize {
+        0
+    }
+    fn evaluate_into(&self, _: Position, _: &mut [f64]) -> Result<(), FieldError> {
+        Ok(())
+    }
+}
+
+fn model(size: usize, oversampling: f64, psf: impl Fn(f64, f64) -> f64) -> PsfModel {
+    let grid = StampGrid::new(size, size)
+        .and_then(|grid| grid.with_oversampling(oversampling))
+        .unwrap();
+    let stamp = Array2::from_shape_fn((size, size), |(y, x)| {
+        psf(
+            (x as f64 - grid.centre_x()) / oversampling,
+            (y as f64 - grid.centre_y()) / oversampling,
+        )
+    });
+    let basis = PsfBasis::new(Some(stamp), Array3::zeros((0, size, size)), grid).unwrap();
+    PsfModel::new(&basis, Arc::new(Constant), Normalisation::Keep, None).unwrap()
+}
+
+fn light(galaxy: &SersicSource) -> Box<dyn LightProfile + Send + Sync> {
+    Box::new(SersicLight::new(galaxy))
+}
+
+fn galaxy(at: (f64, f64), re: f64, n: f64, q: f64, angle: f64) -> SersicSource {
+    let profile = SersicProfile::new(re, n, q, angle).unwrap();
+    SersicSource::new(Position::new(at.0, at.1).unwrap(), 1.0, profile).unwrap()
+}
+
+fn drawn(model: &PsfModel, galaxy: SersicSource, side: usize, tolerance: f64) -> Array2<f64> {
+    let plan = GalaxyPlan::<f64>::new(model, PlanOptions::new(tolerance).unwrap(), None).unwrap();
+    let frame = FrameShape::new(side, side).unwrap().region();
+    let mut image = Array2::zeros((side, side));
+    plan.draw_into(&[galaxy], &light, frame, frame, image.view_mut(), &NoProgress)
+        .unwrap();
+    image
+}
+
+/// Largest error of the interpolation of stamps, relative to the peak.
+const INTERPOLATION: f64 = 3e-4;
+
+/// A Gaussian galaxy through a Gaussian PSF is a Gaussian.
+#[test]
+fn gaussian_galaxies_through_gaussian_psfs() {
+    let gauss = |d: f64, s: f64| (-0.5 * (d / s).powi(2)).exp() / (s * std::f64::consts::TAU.sqrt());
+    // Native stamps are interpolated well if they are wide.
+    for (s, size, sigma) in [(1.0, 51, 3.2), (2.0, 61, 1.4), (3.0, 90, 1.4), (2.5, 75, 1.6)] {
+        let model = model(size, s, |x, y| gauss(x, sigma) * gauss(y, sigma));
+        for (re, q) in [(0.01, 1.0), (1.0, 0.5), (3.0, 0.2), (20.0, 0.7)] {
+            let galaxy = galaxy((70.3, 66.8), re, 0.5, q, 0.0);
+            let image = drawn(&model, galaxy, 140, 1e-6);
+            let own = re / (2.0 * std::f64::consts::LN_2).sqrt();
+            let (sx, sy) = (own.hypot(sigma), (q * own).hypot(sigma));
+            let peak = gauss(0.0, sx) * gauss(0.0, sy);
+            for ((j, i), v) in image.indexed_iter() {
+                let truth = gauss(i as f64 - 70.3, sx) * gauss(j as f64 - 66.8, sy);
+                let error = (v - truth).abs() / peak;
+                assert!(
+                    error < INTERPOLATION,
+                    "s = {s}, re = {re}, ({i}, {j}): {v} {truth} {error:e}"
+                );
+            }
+        }
+    }
+}
+
+/// Two components, whose coefficients grow along the axes of the field.
+#[derive(Debug)]
+struct Slopes;
+impl CoefficientField for Slopes {
+    fn component_count(&self) -> usize {
+        2
+    }
+    fn evaluate_into(&self, at: Position, coefficients: &mut [f64]) -> Result<(), FieldError> {
+        let wave = (0.1 * at.x()).sin();
+        coefficients.copy_from_slice(&[2e-3 * at.x() + 0.05 * wave, 1e-3 * at.y() - 0.1]);
+        Ok(())
+    }
+}
+
+/// A round PSF whose ellipticity varies over the field. The PSF sums to 1.
+fn elliptical() -> PsfModel {
+    const SIDE: usize = 60;
+    let grid = StampGrid::new(SIDE, SIDE)
+        .and_then(|grid| grid.with_oversampling(2.0))
+        .unwrap();
+    let stamp = |factor: fn(f64, f64) -> f64| {
+        Array2::from_shape_fn((SIDE, SIDE), |(y, x)| {
+            let (x, y) = (x as f64 - grid.centre_x(), y as f64 - grid.centre_y());
+            factor(x, y) * (-(x * x + y * y) / 18.0).exp()
+        })
+    };
+    let round = stamp(|_, _| 1.0);
+    let parts = [stamp(|x, y| x * x - y * y), stamp(|x, y| x * y)].map(|part| {
+        let norm = part.mapv(|v| v * v).sum().sqrt();
+        part / norm
+    });
+    let components = ndarray::stack(ndarray::Axis(0), &[parts[0].view(), parts[1].view()]).unwrap();
+    let basis = PsfBasis::new(Some(&round / round.sum() * 4.0), components, grid).unwrap();
+    PsfModel::new(&basis, Arc::new(Slopes), Normalisation::Keep, None).unwrap()
+}
+
+/// Galaxies on the frame and around it, some with light far from their centres.
+fn catalogue() -> Vec<SersicSource> {
+    let shapes = [(1e-3, 0.5), (0.4, 1.0), (1.5, 2.5), (3.0, 4.0), (6.0, 1.5)];
+    (0..25)
+        .map(|i| {
+            let at = (f64::from(i * 37 % 170) - 10.3, f64::from(i * 53 % 150) - 9.6);
+            let (re, n) = shapes[i as usize % shapes.len()];
+            galaxy(at, re, n, 0.3 + 0.02 * f64::from(i), f64::from(i * 20))
+        })
+        .collect()
+}
+
+const FRAME: (usize, usize) = (130, 150);
+
+fn frame() -> PixelRegion {
+    FrameShape::new(FRAME.1, FRAME.0).unwrap().region()
+}
+
+fn exact(plan: &GalaxyPlan<f64>, galaxies: &[SersicSource], pixels: &[(usize, usize)]) -> Vec<f64> {
+    plan.at_pixels(galaxies, &light, frame(), pixels, &NoProgress)
+        .unwrap()
+}
+
+fn planned(tolerance: f64, anchor: Anchor) -> GalaxyPlan<f64> {
+    let options = PlanOptions::new(tolerance).unwrap().with_anchor(anchor);
+    GalaxyPlan::new(&elliptical(), options, None).unwrap()
+}
+
+fn image_of(plan: &GalaxyPlan<f64>, galaxies: &[SersicSource], region: PixelRegion) -> Array2<f64> {
+    let mut image = Array2::zeros((region.shape().ny(), region.shape().nx()));
+    plan.draw_into(galaxies, &light, frame(), region, image.view_mut(), &NoProgress)
+        .unwrap();
+    image
+}
+
+/// The image of a galaxy is the light convolved with its PSF. So its relative error is at most that
+/// of the PSF, but for the galaxy's smaller norm, and for windows and outskirts.
+#[test]
+fn every_galaxy_is_within_the_tolerance() {
+    let all: Vec<(usize, usize)> = (0..FRAME.0)
+        .flat_map(|y| (0..FRAME.1).map(move |x| (x, y)))
+        .collect();
+    let precise = planned(1e-8, Anchor::Source);
+    for tolerance in [1e-2, 1e-3, 1e-4, 1e-5] {
+        let plan = planned(tolerance, Anchor::Source);
+        let inside = |galaxy: &SersicSource| {
+            let at = galaxy.position();
+            (20.0..130.0).contains(&at.x()) && (20.0..110.0).contains(&at.y())
+        };
+        for galaxy in catalogue().into_iter().filter(inside) {
+            let galaxy = [galaxy];
+            let drawn = image_of(&plan, &galaxy, frame());
+            let truth = exact(&precise, &galaxy, &all);
+            let norm = |values: &mut dyn Iterator<Item = f64>| values.map(|v| v * v).sum::<f64>().sqrt();
+            let difference = norm(&mut drawn.iter().zip(&truth).map(|(a, b)| a - b));
+            let stars = [SersicSource::new(
+                galaxy[0].position(),
+                1.0,
+                SersicProfile::new(1e-6, 0.5, 1.0, 0.0).unwrap(),
+            )
+            .unwrap()];
+            let psf = norm(&mut exact(&precise, &stars, &all).into_iter());
+            let peak = truth.iter().copied().fold(0.0, f64::max);
+            // Windows and outskirts: an error of the pixels that a window holds.
+            let windows = 0.3 * tolerance * peak * 100.0_f64.sqrt();
+            assert!(
+                difference <= tolerance * psf + windows,
+                "{tolerance} {galaxy:?}: {difference:e} {psf}"
+            );
+        }
+    }
+}
+
+/// Regions of a frame, and single pixels, have the light of the whole frame.
+#[test]
+fn light_does_not_depend_on_the_region() {
+    for anchor in [Anchor::Source, Anchor::Output] {
+        let plan = planned(1e-5, anchor);
+        let whole = image_of(&plan, &catalogue(), frame());
+        let region = PixelRegion::new(37, 41, FrameShape::new(50, 60).unwrap());
+        let part = image_of(&plan, &catalogue(), region);
+        assert_eq!(part, whole.slice(ndarray::s![41..101, 37..87]), "{anchor}");
+        // At this tolerance, a galaxy's own modes represent its PSF to less than 1e-5.
+        let pixels = [(0, 0), (75, 60), (149, 129), (40, 100)];
+        for (&(x, y), exact) in pixels.iter().zip(exact(&plan, &catalogue(), &pixels)) {
+            assert!(
+                (whole[[y, x]] - exact).abs() < 1e-5,
+                "{anchor} {x} {y}: {} {exact}",
+                whole[[y, x]]
+            );
+        }
+    }
+}
+
+/// No light is lost or counted twice where windows end.
+#[test]
+fn the_flux_of_galaxies_is_complete() {
+    const TOLERANCE: f64 = 1e-5;
+    let model = model(61, 2.0, |x, y| {
+        (-(x * x + y * y) / 4.0).exp() / (4.0 * std::f64::consts::PI)
+    });
+    for (re, n, q) in [(0.3, 4.0, 0.5), (2.0, 2.5, 0.2), (4.0, 4.0, 0.8), (8.0, 8.0, 0.9)] {
+        let side = 1500;
+        let galaxy = galaxy((700.2, 751.9), re, n, q, 30.0);
+        let flux = drawn(&model, galaxy, side, TOLERANCE).sum();
+        let missing = SersicLight::new(&galaxy).flux_beyond(q * 700.0);
+        assert!(
+            (1.0 - flux).abs() <= missing + TOLERANCE,
+            "re = {re}, n = {n}: {flux}"
+        );
+    }
+}

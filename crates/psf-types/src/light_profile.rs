@@ -1,0 +1,43 @@
+//! The light of an extended source, as a function on the sky.
+
+/// The light of an extended source of unit flux, as a function of the offset from its centre. The
+/// light at an offset equals the light at the opposite offset, so its Fourier transform is real.
+///
+/// Offsets `(dx, dy)` and distances are in pixels of the frame, brightness is flux per pixel.
+/// Brightness falls with the distance along every line from the centre.
+pub trait LightProfile {
+    /// Computes the Fourier transform `G(k) = integral of I(v) exp(-i k v) dv` at wavenumbers in
+    /// radians per pixel: at `kx`, and at `ky = first_ky + i * step` for value `i`. `G(0) = 1`.
+    fn transform_into(&self, kx: f64, first_ky: f64, step: f64, values: &mut [f64]);
+
+    /// Returns the smallest and the largest value of the transform at `k` radians per pixel, over all
+    /// directions. For larger `k`, both are smaller.
+    fn transform_limits(&self, k: f64) -> [f64; 2];
+
+    /// Returns the brightness `I` at an offset other than 0, and its derivatives `I_xx`, `I_xy` and
+    /// `I_yy`.
+    fn brightness(&self, dx: f64, dy: f64) -> [f64; 4];
+
+    /// Describes the light at a distance from the centre, for the direction in which it is
+    /// brightest and changes most.
+    fn outskirts(&self, distance_px: f64) -> Outskirts;
+
+    /// Describes the light at points at most `reach_px` from the offset `(dx, dy)`.
+    fn around(&self, offset: (f64, f64), reach_px: f64) -> Outskirts;
+
+    /// Returns the ratio of the minor to the major axis of the isophotes.
+    fn axis_ratio(&self) -> f64;
+
+    /// An upper limit of the flux farther than `distance_px` from the centre, from 0 to 1.
+    fn flux_beyond(&self, distance_px: f64) -> f64;
+}
+
+/// Limits of a profile's brightness and of its derivatives, in some part of the sky.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Outskirts {
+    /// The largest brightness, in flux per pixel.
+    pub brightness: f64,
+    /// A length: the m-th derivative of the brightness is at most about
+    /// `brightness / scale_px^m`, for orders up to 8.
+    pub scale_px: f64,
+}

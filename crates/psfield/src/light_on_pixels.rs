@@ -1,0 +1,38 @@
+//! Images of galaxies without a telescope.
+
+use conv_core::ConvReal;
+use ndarray::Array3;
+use psf_types::{FrameShape, Image, Position, PsfSamples, SamplePositions, SersicSource, StampGrid};
+
+use crate::{FitOptions, Psf, PsfieldError, Scene};
+
+/// Pixels of the stamp for each pixel of an image of [`light_on_pixels`].
+const FINE: usize = 4;
+
+/// The light of galaxies as an image: the flux that falls in each pixel. It is the image of the
+/// galaxies through a PSF that is only the response of a pixel, with edges softened over a quarter
+/// of a pixel. Use it as a scene whose pixels hold integrated light. To simulate galaxies, give
+/// them to [`Scene::with_galaxies`] instead: that blurs them once.
+///
+/// # Errors
+/// [`PsfieldError`] if the image is too large.
+pub fn light_on_pixels<T: ConvReal>(
+    galaxies: &[SersicSource],
+    shape: FrameShape,
+) -> Result<Image<T>, PsfieldError> {
+    let side = 2 * FINE + 1;
+    let grid = StampGrid::new(side, side)?
+        .with_oversampling(FINE as f64)?
+        .with_pixel_response_included(false);
+    let mut stamps = Array3::zeros((1, side, side));
+    stamps[[0, FINE, FINE]] = (FINE * FINE) as f64;
+    let samples = PsfSamples::new(
+        stamps,
+        SamplePositions::new(vec![Position::of_pixel(0, 0)], None)?,
+        grid,
+    )?;
+    let simulator = Psf::new(samples, FitOptions::default())
+        .simulator((shape.ny(), shape.nx()))
+        .build()?;
+    simulator.simulate(&Scene::dark().with_galaxies(galaxies))
+}
