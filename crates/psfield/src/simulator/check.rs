@@ -1,5 +1,6 @@
 //! Checks images against the direct sum, and warns of errors that this check cannot detect.
 
+use std::convert::Infallible;
 use std::fmt;
 
 use conv_core::{ConvError, ConvReal, Direct, RowStream, ScenePixelFilter};
@@ -11,6 +12,7 @@ use rand_chacha::ChaCha8Rng;
 
 use super::stream::SceneRows;
 use super::{Simulator, has_sources, light_of};
+use crate::psf::get_or_make;
 use crate::spot_check::Allowed;
 use crate::{
     EvaluateOptions, Method, OutputGrid, PixelPicker, PsfieldError, Scene, ScenePixels, SpotCheck,
@@ -422,7 +424,8 @@ impl<T: ConvReal> Simulator<T> {
         let interpolated = scene.stars().iter().any(between) || !scene.galaxies().is_empty();
         if self.psf().grid().oversampling() < MIN_STAMP_OVERSAMPLING && interpolated {
             // Computed once, because every simulated scene asks for warnings.
-            let flux = *self.shared.star_flux.get_or_init(|| self.flux_over_phases().ok());
+            let flux = || Ok::<_, Infallible>(self.flux_over_phases().ok());
+            let Ok(&flux) = get_or_make(&self.shared.star_flux, flux);
             warnings.push(SimulationWarning::SourcesBetweenPixels { flux });
         }
         warnings
