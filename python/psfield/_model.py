@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import warnings
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -35,6 +36,7 @@ from psfield._choices import (
     text_or_none,
 )
 from psfield._defaults import DEFAULTS
+from psfield._errors import PsfieldWarning
 from psfield._plan import Plan
 from psfield._progress import Progress, as_callback
 from psfield._spelling import american, british
@@ -753,6 +755,11 @@ class PsfModel:
         numpy.ndarray
             ``[y, x]`` for one position, else ``[..., y, x]`` with the shape of the positions.
 
+        Warns
+        -----
+        PsfieldWarning
+            If the PSF is a polynomial that was fitted to a much smaller range than the positions.
+
         Examples
         --------
         >>> import psfield
@@ -777,7 +784,9 @@ class PsfModel:
             np.ascontiguousarray(column(axis.ravel(), name))
             for axis, name in ((xs, "x"), (ys, "y"))
         )
-        stamps = self._handle.evaluate(flat_x, flat_y, at_frame, size, sub_pixel)
+        stamps, warning = self._handle.evaluate(flat_x, flat_y, at_frame, size, sub_pixel)
+        if warning is not None:
+            warnings.warn(warning, PsfieldWarning, stacklevel=2)
         return stamps.reshape(*shape, *stamps.shape[1:])
 
     def to_gridded_psf_model(self, grid_shape: tuple[int, int] | None = None) -> GriddedPSFModel:

@@ -118,6 +118,22 @@ def test_a_basis_of_one_s_own(model):
         )
 
 
+def test_polynomials_are_evaluated_far_away_with_a_warning():
+    def of(outside):
+        return psfield.PsfModel.from_samples(
+            [gaussian_stamp(sigma) for sigma in (1.3, 1.6, 1.4, 1.7)],
+            [(0, 0), (60, 0), (0, 60), (60, 60)],
+            field_shape=(200, 200),
+            interpolation="polynomial=1",
+            outside=outside,
+        )
+
+    of("extend").evaluate([0, 60], 64)
+    with pytest.warns(psfield.PsfieldWarning, match="extrapolated by 67 % of the range in x"):
+        of("extend").evaluate(100, 20)
+    of("nearest").evaluate(100, 20)
+
+
 @pytest.mark.parametrize(
     "make",
     [

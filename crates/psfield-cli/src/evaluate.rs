@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use anyhow::Context as _;
 use psfield::{EvaluateOptions, OutputGrid};
 
-use super::context::{Context, object, signature};
+use super::context::{Context, object, signature, with_option};
 use super::values::{Precision, stamp_size};
 use crate::files::OutputFile;
 use crate::psf_args::{PsfArgs, notes_of};
@@ -70,6 +70,9 @@ impl EvaluateArgs {
             size: self.size,
             sub_pixel: self.sub_pixel,
         };
+        if let Some(extrapolation) = psf.extrapolation(&positions) {
+            context.warn(&with_option(&extrapolation, Some("outside")));
+        }
         let stamps = psf
             .evaluate(positions, options)
             .with_context(|| format!("at the positions of {}", self.at.display()))?;

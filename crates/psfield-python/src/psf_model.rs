@@ -204,7 +204,7 @@ impl PsfModel {
         native: bool,
         size: Option<usize>,
         sub_pixel: bool,
-    ) -> PyResult<Cube<'py>> {
+    ) -> PyResult<(Cube<'py>, Option<String>)> {
         let at = positions(&x.as_array().to_vec(), &y.as_array().to_vec())?;
         let grid = if native {
             OutputGrid::Native
@@ -216,8 +216,13 @@ impl PsfModel {
             size,
             sub_pixel,
         };
-        let (stamps, _) = self.apart(py, move |psf| evaluate_stamps(psf.model()?, &at, options))?;
-        Ok(stamps.into_pyarray(py))
+        let (stamps, extrapolation) = self.apart(py, move |psf| {
+            let (stamps, _) = evaluate_stamps(psf.model()?, &at, options)?;
+            Ok((stamps, psf.extrapolation(&at)))
+        })?;
+        let warning =
+            extrapolation.map(|extrapolation| with_argument(extrapolation.to_string(), Some("outside")));
+        Ok((stamps.into_pyarray(py), warning))
     }
 
     /// Returns a gridded library: stamps, positions (x and y), oversampling, and the largest error

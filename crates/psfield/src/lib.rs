@@ -84,7 +84,7 @@ pub use fit::{Fit, FitOptions, FitReport, LeaveOneOutReport, fit, fit_trained, f
 pub use image_cards::{JOB_KEYWORD, PSF_FILE_KEYWORD, provenance_cards, utc_now};
 pub use light_on_pixels::light_on_pixels;
 pub use measure::{MEASUREMENT_COLUMNS, MeasureOptions, Measurement};
-pub use psf::{FitChoices, Note, Psf, PsfFileOptions, check_stack, record_of_psfex};
+pub use psf::{Extrapolation, FitChoices, Note, Psf, PsfFileOptions, check_stack, record_of_psfex};
 pub use readable::readable;
 pub use scene::Scene;
 pub use simulate_options::{Device, Method, ScenePixels, SimulateOptions};

@@ -1,5 +1,6 @@
 //! A PSF over a field, from samples, a model or a file.
 
+mod extrapolation;
 mod format_records;
 mod open;
 mod resample;
@@ -11,13 +12,14 @@ use ndarray::{Array3, ArrayView3};
 use psf_io::{FileKind, PsfexModel};
 use psf_sample::{SamplingMethod, SamplingReport};
 use psf_types::{
-    FrameShape, Interpolation, OutsidePolicy, Position, Progress, PsfModel, PsfModelRecord, PsfSamples,
-    PsfSource, SamplePositions, StampGrid,
+    FrameShape, Position, Progress, PsfModel, PsfModelRecord, PsfSamples, PsfSource, SamplePositions,
+    StampGrid,
 };
 
 use crate::fit::{Fit, fit, model_of};
 use crate::{ErrorKind, FitOptions, PsfieldError};
 
+pub use extrapolation::Extrapolation;
 pub use format_records::record_of_psfex;
 pub use open::{FitChoices, PsfFileOptions};
 pub(crate) use resample::native_grid_of;
@@ -193,26 +195,6 @@ impl Psf {
     pub fn field_shape(&self) -> Option<FrameShape> {
         let stated = self.positions().field();
         stated.or_else(|| self.psfex()?.polynomial()?.frame_shape())
-    }
-
-    /// The ranges of x and of y, in pixels, over which the polynomials of the PSF were fitted, if
-    /// the PSF continues these polynomials outside the ranges. None for other PSFs.
-    pub(crate) fn polynomial_range(&self) -> Option<[(f64, f64); 2]> {
-        let (interpolation, outside) = match &self.0.origin {
-            Origin::Samples(_, options) => (options.interpolation, options.outside),
-            Origin::Record(record) => (record.interpolation(), record.outside()),
-            Origin::Model(..) => return None,
-        };
-        let varies = matches!(interpolation, Interpolation::Polynomial { degree } if degree > 0);
-        let positions = self.positions().as_slice();
-        (varies && outside == OutsidePolicy::Extend).then(|| {
-            [Position::x, Position::y].map(|of: fn(Position) -> f64| {
-                let coordinates = positions.iter().map(|&position| of(position));
-                coordinates.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| {
-                    (low.min(v), high.max(v))
-                })
-            })
-        })
     }
 
     /// Notes for the user on how the file was read, in plain sentences.

@@ -15,8 +15,8 @@ use super::{Simulator, has_sources, light_of};
 use crate::psf::get_or_make;
 use crate::spot_check::Allowed;
 use crate::{
-    EvaluateOptions, Method, OutputGrid, PixelPicker, PsfieldError, Scene, ScenePixels, SpotCheck,
-    evaluate_stamps,
+    EvaluateOptions, Extrapolation, Method, OutputGrid, PixelPicker, PsfieldError, Scene, ScenePixels,
+    SpotCheck, evaluate_stamps,
 };
 
 /// A spot check compares the pixels around at most this many stars, galaxies, and pixels of the
@@ -31,9 +31,6 @@ const MIN_STAMP_OVERSAMPLING: f64 = 2.0;
 /// centre of a pixel.
 const ON_PIXEL: f64 = 1e-9;
 
-/// A frame may extend beyond the range of the PSF's polynomials by this part of the range. Stars of
-/// a frame, to which polynomials are fitted, reach less far than the frame.
-const BEYOND_RANGE: f64 = 0.1;
 /// The number of sub-pixel phases along x and along y at which the flux of a star is measured.
 const PHASES: usize = 4;
 
@@ -365,23 +362,6 @@ impl<T: ConvReal> Simulator<T> {
         Ok((!picked).then_some(SimulationWarning::InterpolatedStamps))
     }
 
-    /// Returns a warning if the PSF is a polynomial that the frame extrapolates far beyond the range
-    /// to which it was fitted.
-    fn range_warning(&self) -> Option<SimulationWarning> {
-        let [x, y] = self.psf().polynomial_range()?;
-        let shape = self.geometry.frame.shape();
-        let beyond = |(low, high): (f64, f64), pixels: usize| {
-            low.max((pixels - 1) as f64 - high).max(0.0) / (high - low)
-        };
-        let (of_x, of_y) = (beyond(x, shape.nx()), beyond(y, shape.ny()));
-        (of_x.max(of_y) > BEYOND_RANGE).then(|| SimulationWarning::BeyondPolynomial {
-            file: self.psf().file_name(),
-            range: [x, y],
-            frame: [shape.nx(), shape.ny()],
-            beyond: [of_x, of_y],
-        })
-    }
-
     /// Returns the smallest and the largest flux that a star of flux 1 in the middle of the frame
     /// gets, at different sub-pixel phases.
     fn flux_over_phases(&self) -> Result<(f64, f64), PsfieldError> {
@@ -406,7 +386,11 @@ impl<T: ConvReal> Simulator<T> {
 
     /// Returns warnings about a scene's stars and galaxies, and about the PSF at them.
     pub fn warnings(&self, scene: &Scene<'_, T>) -> Vec<SimulationWarning> {
-        let mut warnings: Vec<_> = self.range_warning().into_iter().collect();
+        let shape = self.geometry.frame.shape();
+        let last = Position::of_pixel(shape.nx() as i64 - 1, shape.ny() as i64 - 1);
+        let extrapolation = self.psf().extrapolation(&[Position::of_pixel(0, 0), last]);
+        let beyond = extrapolation.map(SimulationWarning::BeyondPolynomial);
+        let mut warnings: Vec<_> = beyond.into_iter().collect();
         let grid = self.psf().grid();
         let stamp = grid.nx().max(grid.ny()) as f64 / grid.oversampling();
         let stars = scene.stars().iter().map(|star| (star.position(), stamp));
@@ -451,17 +435,7 @@ pub enum SimulationWarning {
         flux: Option<(f64, f64)>,
     },
     /// The frame reaches far beyond the range over which the polynomials of the PSF were fitted.
-    BeyondPolynomial {
-        /// The PSF file.
-        file: Option<String>,
-        /// The smallest and the largest coordinate of the range, for x and y.
-        range: [(f64, f64); 2],
-        /// Columns and rows of the frame.
-        frame: [usize; 2],
-        /// Distance of the frame's farthest pixel from the range, in parts of the range, along x
-        /// and y.
-        beyond: [f64; 2],
-    },
+    BeyondPolynomial(Extrapolation),
 }
 
 impl SimulationWarning {
@@ -469,7 +443,7 @@ impl SimulationWarning {
     /// [`FitChoices`](crate::FitChoices), that avoids the error, if one does.
     pub fn setting(&self) -> Option<&'static str> {
         match self {
-            Self::BeyondPolynomial { .. } => Some("outside"),
+            Self::BeyondPolynomial(_) => Some("outside"),
             _ => None,
         }
     }
@@ -501,30 +475,7 @@ impl fmt::Display for SimulationWarning {
                      its position within a pixel"
                 )
             }
-            Self::BeyondPolynomial {
-                file,
-                range: [x, y],
-                frame: [nx, ny],
-                beyond,
-            } => {
-                if let Some(file) = file {
-                    write!(f, "{file}: ")?;
-                }
-                let [of_x, of_y] = beyond.map(|part| (100.0 * part).round());
-                write!(
-                    f,
-                    "the polynomials of the PSF were fitted to x = {:.0} to {:.0} and y = {:.0} to {:.0}, but the frame has \
-                     x = 0 to {} and y = 0 to {}. The PSF is extrapolated by {of_x} % of the range in x and {of_y} % in y, where it may \
-                     be wrong. Check whether columns and rows of the frame are exchanged, or use the PSF at the edge of the range \
-                     (nearest)",
-                    x.0,
-                    x.1,
-                    y.0,
-                    y.1,
-                    nx - 1,
-                    ny - 1
-                )
-            }
+            Self::BeyondPolynomial(extrapolation) => extrapolation.fmt(f),
         }
     }
 }

@@ -268,15 +268,20 @@ fn frames_beyond_the_polynomials_of_the_psf_are_warned_of() {
         (60, 90, [33.0 / 53.0, 3.0 / 83.0]),
         (100, 60, [3.0 / 53.0, 13.0 / 83.0]),
     ] {
-        let [SimulationWarning::BeyondPolynomial { beyond, frame, .. }] = &warnings(&psf, ny, nx)[..] else {
+        let [SimulationWarning::BeyondPolynomial(crate::Extrapolation { beyond, used, .. })] =
+            &warnings(&psf, ny, nx)[..]
+        else {
             panic!("{ny} x {nx}: no warning");
         };
-        assert_eq!(*frame, [nx, ny]);
+        assert_eq!(*used, [nx, ny].map(|count| (0.0, (count - 1) as f64)));
         assert!(
             (beyond[0] - far[0]).abs() < 1e-9 && (beyond[1] - far[1]).abs() < 1e-9,
             "{beyond:?}"
         );
     }
+    // The same holds for single positions.
+    let at = |x: i64, y: i64| psf.extrapolation(&[Position::of_pixel(20, 20), Position::of_pixel(x, y)]);
+    assert!(at(58, 88).is_none() && at(70, 20).is_some());
     // With this policy, nothing is extrapolated.
     let record = psf.record().unwrap();
     let nearest = psf_types::PsfModelRecord::new(
