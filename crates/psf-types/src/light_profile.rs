@@ -14,9 +14,10 @@ pub trait LightProfile {
     /// directions. For larger `k`, both are smaller.
     fn transform_limits(&self, k: f64) -> [f64; 2];
 
-    /// Returns the brightness `I` at an offset other than 0, and its derivatives `I_xx`, `I_xy` and
-    /// `I_yy`.
-    fn brightness(&self, dx: f64, dy: f64) -> [f64; 4];
+    /// Adds the light at offsets `[dx, dy]` other than 0, blurred by a kernel that is narrow there:
+    /// `flux * (I + xx I_xx / 2 + xy I_xy + yy I_yy / 2)`, with the kernel's covariance
+    /// `[xx, xy, yy]` in square pixels and the second derivatives of the brightness `I`.
+    fn add_blurred(&self, covariance: [f64; 3], flux: f64, offsets: &[[f32; 2]], values: &mut [f64]);
 
     /// Describes the light at a distance from the centre, for the direction in which it is
     /// brightest and changes most.

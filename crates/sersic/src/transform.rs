@@ -47,8 +47,9 @@ const KEPT: usize = 64;
 /// cubic piece that contains it.
 #[derive(Debug)]
 pub(crate) struct Transform {
-    /// Coefficients of the powers 0 to 3 of the position within a piece, which is from 0 to 1.
-    pieces: Vec<[f64; 4]>,
+    /// Coefficients of the powers 0 to 3 of the position within a piece, which is from 0 to 1. The
+    /// first piece holds all smaller wavenumbers, the last one all larger wavenumbers.
+    pieces: Box<[[f64; 4]; PIECES + 2]>,
 }
 
 impl Transform {
@@ -79,7 +80,7 @@ impl Transform {
             let factor = |&other: &i32| (place - f64::from(other)) / f64::from(node - other);
             others.map(factor).product::<f64>()
         });
-        let mut samples = vec![[0.0; 2]; piece_count() + 1];
+        let mut samples = vec![[0.0; 2]; PIECES + 1];
         for (&node, weight) in nodes.iter().zip(weights) {
             for (sum, sample) in samples.iter_mut().zip(computed(node)) {
                 sum[0] += weight * sample[0];
@@ -96,40 +97,35 @@ impl Transform {
                 slope + end_slope - 2.0 * rise,
             ]
         };
-        Self {
-            pieces: samples.windows(2).enumerate().map(piece).collect(),
-        }
+        let mut pieces: Box<[_; PIECES + 2]> = vec![[0.0; 4]; PIECES + 2]
+            .try_into()
+            .expect("the number of pieces");
+        pieces[0] = [1.0, 0.0, 0.0, 0.0];
+        let computed = samples.windows(2).enumerate().map(piece);
+        pieces[1..].iter_mut().zip(computed).for_each(|(to, v)| *to = v);
+        Self { pieces }
     }
 
-    /// The transform at a squared wavenumber.
+    /// The transform at a squared wavenumber, which is not negative.
     #[inline(always)]
     pub(crate) fn at(&self, x: f64) -> f64 {
         const WITHIN: u64 = (1 << BITS_WITHIN) - 1;
         let bits = x.to_bits();
-        let index = (bits >> BITS_WITHIN).wrapping_sub(first_piece()) as usize;
-        match self.pieces.get(index) {
-            Some([c0, c1, c2, c3]) => {
-                let place = (bits & WITHIN) as f64 * const { 1.0 / (1_u64 << BITS_WITHIN) as f64 };
-                c0 + place * (c1 + place * (c2 + place * c3))
-            }
-            None if x < 1.0 => 1.0,
-            None => 0.0,
-        }
+        let piece = (bits >> BITS_WITHIN) as i64 - (FIRST_PIECE as i64 - 1);
+        let [c0, c1, c2, c3] = self.pieces[piece.clamp(0, PIECES as i64 + 1) as usize];
+        let place = (bits & WITHIN) as f64 * const { 1.0 / (1_u64 << BITS_WITHIN) as f64 };
+        c0 + place * (c1 + place * (c2 + place * c3))
     }
 }
 
 /// The leading bits of the first squared wavenumber of the tables.
-const fn first_piece() -> u64 {
-    ((OCTAVES[0] + 1023) as u64) << PIECES_LOG2
-}
-
-const fn piece_count() -> usize {
-    ((OCTAVES[1] - OCTAVES[0]) as usize) << PIECES_LOG2
-}
+const FIRST_PIECE: u64 = ((OCTAVES[0] + 1023) as u64) << PIECES_LOG2;
+/// Number of pieces of a table.
+const PIECES: usize = ((OCTAVES[1] - OCTAVES[0]) as usize) << PIECES_LOG2;
 
 /// The squared wavenumber at which a piece starts.
 fn start_of(piece: usize) -> f64 {
-    f64::from_bits((first_piece() + piece as u64) << BITS_WITHIN)
+    f64::from_bits((FIRST_PIECE + piece as u64) << BITS_WITHIN)
 }
 
 /// The transform and its derivative with respect to `x` at the starts of the pieces, for the index
@@ -140,7 +136,7 @@ fn computed(node: i32) -> &'static [[f64; 2]] {
         let n = (f64::from(node) * STEP).exp();
         let lines = [Line::new(n, 1.0), Line::new(n, -1.0)];
         let shift = n * half_light_constant(n).ln();
-        (0..=piece_count())
+        (0..=PIECES)
             .map(|piece| {
                 let x = start_of(piece);
                 let ln_p = 0.5 * x.ln() - shift;

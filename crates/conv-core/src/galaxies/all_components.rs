@@ -5,7 +5,7 @@ use psf_types::{Anchor, FrameShape, LightProfile, PixelRegion, Position, Progres
 use rayon::prelude::*;
 
 use super::extent::{FRACTION, RELATIVE_ERROR};
-use super::far_field::SMALLEST;
+use super::far_field::{PolynomialWeights, SMALLEST};
 use super::galaxy_plan::{Catalogue, GalaxyPlan, Light, Window, window_at};
 use super::kernels::{Kernels, band_number};
 use super::window::{Drawn, Spectra, WindowDrawer};
@@ -86,7 +86,9 @@ impl<T: ConvReal> GalaxyPlan<T> {
                     of_window = Some(norm);
                     (1.0 + FRACTION) * self.tolerance * norm
                 } else {
-                    RELATIVE_ERROR[1] * light.brightness(dx, dy)[0] + self.extent.left_out() / reach.powi(2)
+                    let mut brightness = [0.0];
+                    light.add_blurred([0.0; 3], 1.0, &[[dx as f32, dy as f32]], &mut brightness);
+                    RELATIVE_ERROR[1] * brightness[0] + self.extent.left_out() / reach.powi(2)
                 };
                 take(index, error * galaxy.flux().abs());
             }
@@ -117,7 +119,7 @@ impl<T: ConvReal> GalaxyPlan<T> {
         let light = (catalogue.light)(galaxy);
         let (x, y) = catalogue.position(index);
         let side = self.extent.side(light.as_ref());
-        let reach = self.extent.reach(light.as_ref(), side).max(side as f64);
+        let reach = self.extent.reach(light.as_ref(), side);
         let near = |&(column, row): &(usize, usize)| {
             (column as f64 - x).abs() <= reach && (row as f64 - y).abs() <= reach
         };
@@ -130,8 +132,9 @@ impl<T: ConvReal> GalaxyPlan<T> {
         let scale = vectors.set(position)? * galaxy.flux();
         let psf = vectors.psf * scale;
         let far = (catalogue.light)(galaxy);
-        let outside = self.far_light(self.stamps().moments_of(psf.view()), far, (x, y), window);
-        let repeated = (outside.reach > 0.0).then(|| outside.repeated());
+        let outside = self.far_light(self.stamps().moments_of(psf.view()), far, (x, y), window, reach);
+        let weights = PolynomialWeights::new(side);
+        let repeated = (outside.reach > 0.0).then(|| outside.repeated(&weights));
         let place = |&(column, row): &(usize, usize)| {
             let inside =
                 |at: usize, first: i64| usize::try_from(at as i64 - first).ok().filter(|&i| i < side);
@@ -154,7 +157,11 @@ impl<T: ConvReal> GalaxyPlan<T> {
                     }
                     line[column]
                 }
-                _ if near(pixel) && outside.reach > 0.0 => outside.at(pixel.0 as f64, pixel.1 as f64),
+                _ if near(pixel) && outside.reach > 0.0 => {
+                    let mut value = [0.0];
+                    outside.add_at([(pixel.0 as f64, pixel.1 as f64)], &mut value);
+                    value[0]
+                }
                 _ => 0.0,
             })
             .collect())

@@ -1,6 +1,5 @@
 //! Plans for galaxies.
 
-use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, OnceLock};
 
 use ndarray::{Array1, Array2, ArrayViewMut2, Axis};
@@ -8,7 +7,7 @@ use psf_types::{Anchor, LightProfile, PixelRegion, Position, Progress, PsfModel,
 use rayon::prelude::*;
 
 use super::extent::{Extent, truncate};
-use super::far_field::{FarLight, SMALLEST, add_far_light};
+use super::far_field::{FarLight, PolynomialWeights, SMALLEST, add_far_light};
 use super::kept::Kept;
 use super::kernels::{Kernels, Stamps, band_number};
 use super::window::{Drawn, Spectra, WindowDrawer};
@@ -45,8 +44,6 @@ pub struct GalaxyPlan<T> {
     pub(super) extent: Extent,
     blocks: Kept<BlockKey, Block>,
     spectra: Kept<GroupKey, Spectra<T>>,
-    /// The size of all `spectra`.
-    bytes: AtomicUsize,
 }
 
 /// A block of the field with its local basis.
@@ -56,6 +53,9 @@ struct Block {
     kernels: Kernels,
 }
 
+/// Columns and rows of a block of the field. In a larger block, more galaxies share its transformed
+/// stamps, but it needs more of them.
+const BLOCK: i64 = 512;
 /// Modes of a block are chosen from a few of its rows for this fraction of the tolerance.
 const MARGIN: f64 = 0.5;
 /// The most galaxies of a group, which one task draws.
@@ -68,8 +68,20 @@ const GROUPS_AT_ONCE: usize = 32;
 const BAND: usize = 32;
 
 /// Galaxies that use the transformed stamps of one block, on windows of one side and up to one band:
-/// the block, the side and the number of the band.
-type GroupKey = (BlockKey, usize, usize);
+/// the side, the number of the band, and the block. In this order, the blocks that need the same
+/// transforms of all stamps follow each other.
+type GroupKey = (usize, usize, BlockKey);
+
+/// A galaxy that reaches the region, and how it is drawn.
+struct Placed {
+    key: GroupKey,
+    /// Its index in the catalogue.
+    index: usize,
+    /// Light at wavenumbers beyond this one, in radians per pixel, is left out.
+    band: f64,
+    /// Light farther than this from the centre is left out.
+    reach: f64,
+}
 
 /// A galaxy's window: first column and row, and its side.
 pub(super) type Window = (i64, i64, usize);
@@ -81,12 +93,6 @@ pub(super) struct Catalogue<'a> {
     pub(super) light: &'a (dyn Fn(&SersicSource) -> Light + Sync),
     pub(super) frame: PixelRegion,
     pub(super) progress: &'a dyn Progress,
-}
-
-impl Block {
-    fn band_of(&self, light: &dyn LightProfile, extent: Extent) -> f64 {
-        self.kernels.band_of(light, extent.accuracy())
-    }
 }
 
 impl Catalogue<'_> {
@@ -119,9 +125,8 @@ impl<T: ConvReal> GalaxyPlan<T> {
             stamps: OnceLock::new(),
             tolerance,
             extent: Extent::new(model, size, tolerance),
-            blocks: Kept::default(),
-            spectra: Kept::default(),
-            bytes: AtomicUsize::new(0),
+            blocks: Kept::new(usize::MAX),
+            spectra: Kept::new(options.memory_bytes()),
             model: model.clone(),
             options,
         })
@@ -182,7 +187,7 @@ impl<T: ConvReal> GalaxyPlan<T> {
         region: PixelRegion,
         mut image: ArrayViewMut2<'_, T>,
     ) -> Result<(), ConvError> {
-        let mut keys: Vec<(GroupKey, usize)> = (0..catalogue.galaxies.len())
+        let mut placed: Vec<Placed> = (0..catalogue.galaxies.len())
             .into_par_iter()
             .map(|index| -> Result<_, ConvError> {
                 catalogue.progress.check_cancelled()?;
@@ -194,18 +199,27 @@ impl<T: ConvReal> GalaxyPlan<T> {
                 if galaxy.flux() == 0.0 || !is_near((x, y), reach, region) {
                     return Ok(None);
                 }
-                let block = block_of((x.round() as i64, y.round() as i64));
+                let block = block_of((x.round() as i64, y.round() as i64), BLOCK);
                 let band = match self.options.anchor() {
-                    Anchor::Output => 0,
-                    _ => band_number(self.block(block).band_of(light.as_ref(), self.extent)),
+                    Anchor::Output => 0.0,
+                    _ => self
+                        .block(block)
+                        .kernels
+                        .band_of(light.as_ref(), self.extent.accuracy()),
                 };
-                Ok(Some(((block, side, band), index)))
+                let key = (side, band_number(band), block);
+                Ok(Some(Placed {
+                    key,
+                    index,
+                    band,
+                    reach,
+                }))
             })
             .filter_map(Result::transpose)
             .collect::<Result<_, _>>()?;
-        keys.par_sort_unstable();
-        let groups: Vec<&[(GroupKey, usize)]> = keys
-            .chunk_by(|a, b| a.0 == b.0)
+        placed.par_sort_unstable_by_key(|galaxy| (galaxy.key, galaxy.index));
+        let groups: Vec<&[Placed]> = placed
+            .chunk_by(|a, b| a.key == b.key)
             .flat_map(|group| group.chunks(PER_GROUP))
             .collect();
         let mut far = Vec::new();
@@ -235,14 +249,14 @@ impl<T: ConvReal> GalaxyPlan<T> {
     fn draw_group(
         &self,
         catalogue: Catalogue<'_>,
-        group: &[(GroupKey, usize)],
+        group: &[Placed],
         region: PixelRegion,
     ) -> Result<(Piece<T>, Vec<FarLight>), ConvError> {
-        let key = group[0].0;
-        let side = key.1;
+        let key = group[0].key;
+        let (side, ..) = key;
         let windows: Vec<Window> = group
             .iter()
-            .map(|&(_, index)| window_at(catalogue.position(index), side))
+            .map(|galaxy| window_at(catalogue.position(galaxy.index), side))
             .collect();
         let shape = region.shape();
         let hull = |starts: &dyn Fn(&Window) -> i64, first: i64, count: usize| {
@@ -261,8 +275,10 @@ impl<T: ConvReal> GalaxyPlan<T> {
         let mut far = Vec::new();
         let mut drawer = WindowDrawer::new(side);
         let mut line = vec![T::zero(); side];
-        for (&(_, index), &window) in group.iter().zip(&windows) {
+        let weights = PolynomialWeights::new(side);
+        for (placed, &window) in group.iter().zip(&windows) {
             catalogue.progress.check_cancelled()?;
+            let index = placed.index;
             let galaxy = &catalogue.galaxies[index];
             let (x, y) = catalogue.position(index);
             let position = Position::new(x, y).map_err(ConvError::Result)?;
@@ -274,8 +290,9 @@ impl<T: ConvReal> GalaxyPlan<T> {
                 Psf::Exact(psf) => self.stamps().moments_of(psf.view()),
             };
             // The light outside is kept until all galaxies are drawn, without a transform.
-            let outside = self.far_light(moments, (catalogue.light)(galaxy), (x, y), window);
-            let repeated = (outside.reach > 0.0).then(|| outside.repeated());
+            let far_light = (catalogue.light)(galaxy);
+            let outside = self.far_light(moments, far_light, (x, y), window, placed.reach);
+            let repeated = (outside.reach > 0.0).then(|| outside.repeated(&weights));
             let rows = overlap(window.1 - first_row, side, height);
             let columns = overlap(window.0 - first_column, side, width);
             if let (Some((row, to_row, count)), Some((column, to, width))) = (rows, columns) {
@@ -297,7 +314,7 @@ impl<T: ConvReal> GalaxyPlan<T> {
                             light,
                             centre,
                             coefficients,
-                            band: local.block.band_of(light, self.extent),
+                            band: placed.band,
                         },
                         row..row + count,
                         add,
@@ -329,7 +346,7 @@ impl<T: ConvReal> GalaxyPlan<T> {
     }
 
     fn local(&self, key: GroupKey) -> Local<T> {
-        let block = self.block(key.0);
+        let block = self.block(key.2);
         Local {
             spectra: self.spectra(key, &block.kernels),
             block,
@@ -362,8 +379,8 @@ impl<T: ConvReal> GalaxyPlan<T> {
     }
 
     fn block(&self, key: BlockKey) -> Arc<Block> {
-        self.blocks.get(key, || {
-            let cells = RegionCells::sampled(self.model.field(), region_of(key));
+        let make = || {
+            let cells = RegionCells::sampled(self.model.field(), region_of(key, BLOCK));
             let modes = LocalModes::new(self.space(), &cells, MARGIN * self.tolerance);
             let rows: Vec<_> = modes
                 .reference()
@@ -390,33 +407,28 @@ impl<T: ConvReal> GalaxyPlan<T> {
                 self.extent.accuracy(),
             );
             Block { modes, kernels }
-        })
+        };
+        self.blocks.get(key, make, |_| 0)
     }
 
     /// The transformed stamps of a block. They are kept for later galaxies within the limit of the
     /// memory.
     fn spectra(&self, key: GroupKey, kernels: &Kernels) -> Arc<Spectra<T>> {
-        self.spectra.get(key, || {
-            let made = self.stamps().spectra_of(kernels, key.1, key.2);
-            let bytes = made.bytes();
-            if self.bytes.fetch_add(bytes, Ordering::Relaxed) + bytes > self.options.memory_bytes() {
-                self.spectra.clear();
-                self.bytes.store(0, Ordering::Relaxed);
-            }
-            made
-        })
+        let make = || self.stamps().spectra_of(kernels, key.0, key.1);
+        self.spectra.get(key, make, Spectra::bytes)
     }
 
-    /// The light of a galaxy outside its window. Its reach is 0 if there is too little of it.
+    /// The light of a galaxy outside its window, up to the distance `reach`. The result's reach is 0
+    /// if there is too little of it.
     pub(super) fn far_light(
         &self,
         moments: [f64; 6],
         light: Light,
         (x, y): (f64, f64),
         window: Window,
+        reach: f64,
     ) -> FarLight {
         let [flux, mx, my, xx, xy, yy] = moments;
-        let reach = self.extent.reach(light.as_ref(), window.2);
         // Without flux there is no centroid, and no light far out.
         let has_flux = flux.abs() > f64::MIN_POSITIVE;
         let (dx, dy) = if has_flux {

@@ -24,7 +24,7 @@ pub(super) struct Stamps {
     copies: Copies,
     /// Transforms for windows of each side, and the number of the band.
     spectra: Kept<(usize, usize), Transforms>,
-    /// Transforms that need more memory than this are not kept.
+    /// Transforms of one side and band that need more memory than this are not made.
     memory_bytes: usize,
 }
 
@@ -103,7 +103,7 @@ impl Stamps {
             values,
             coarse: Transforms::new(&coarse),
             copies,
-            spectra: Kept::default(),
+            spectra: Kept::new(memory_bytes),
             memory_bytes,
         }
     }
@@ -139,12 +139,14 @@ impl Stamps {
 
     /// The transforms of all stamps.
     fn transforms(&self, side: usize, number: usize, wavenumbers: &Wavenumbers) -> Arc<Transforms> {
-        self.spectra.get((side, number), || {
+        let make = || {
             let stamps: Vec<Vec<Complex64>> = (0..self.values.nrows())
                 .map(|i| spectrum(stamp_of(self.values.row(i), self.grid), self.grid, wavenumbers))
                 .collect();
             Transforms::new(&stamps)
-        })
+        };
+        let bytes = |made: &Transforms| made.0.len() * size_of::<f64>();
+        self.spectra.get((side, number), make, bytes)
     }
 }
 

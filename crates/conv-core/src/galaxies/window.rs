@@ -193,29 +193,30 @@ impl<T: ConvReal> WithIsa<T> for Fold<'_, '_, T> {
                             value.re * turned.im + value.im * turned.re,
                         );
                     }
+                    // A real image: the value at -k is the conjugate of that at k. Of each pair, one
+                    // lies in the columns that are kept, and both if the column is its own opposite.
+                    let column = kx % side;
+                    if column <= half {
+                        let to = &mut work.folded[column * side..(column + 1) * side];
+                        add_folded(to, psf, -(most_ky as i64));
+                    }
+                    if kx > 0 && (column == 0 || column >= half) {
+                        let opposite = (side - column) % side;
+                        psf.reverse();
+                        for v in psf.iter_mut() {
+                            v.im = -v.im;
+                        }
+                        let to = &mut work.folded[opposite * side..(opposite + 1) * side];
+                        add_folded(to, psf, -(most_ky as i64));
+                    }
                 },
             );
-            // A real image: the value at -k is the conjugate of that at k. Of each pair, one lies
-            // in the columns that are kept, and both if the column is its own opposite.
-            let column = kx % side;
-            if column <= half {
-                let to = &mut work.folded[column * side..(column + 1) * side];
-                add_folded(to, psf, -(most_ky as i64));
-            }
-            if kx > 0 && (column == 0 || column >= half) {
-                let opposite = (side - column) % side;
-                psf.reverse();
-                for v in psf.iter_mut() {
-                    v.im = -v.im;
-                }
-                let to = &mut work.folded[opposite * side..(opposite + 1) * side];
-                add_folded(to, psf, -(most_ky as i64));
-            }
         }
     }
 }
 
 /// Adds values to a column, the first at index `first`, modulo the length of the column.
+#[inline(always)]
 fn add_folded<T: ConvReal>(column: &mut [Complex<T>], values: &[Complex<T>], first: i64) {
     let mut rest = values;
     let mut at = first.rem_euclid(column.len() as i64) as usize;

@@ -215,7 +215,7 @@ impl<T: ConvReal> StarPlan<T> {
                 let star = Star::new(index, source, catalogue.frame);
                 let lights = star.reaches(self.window, region);
                 lights.then(|| StarKey {
-                    block: block_of(star.pixel),
+                    block: block_of(star.pixel, BLOCK),
                     part: index / MOST_AT_ONCE,
                     phases: star.phase_numbers(&phased.axes),
                     index,
@@ -286,7 +286,7 @@ impl<T: ConvReal> StarPlan<T> {
     ) -> Result<(Group<T>, Vec<usize>), ConvError> {
         catalogue.progress.check_cancelled()?;
         let key = stars[0].block;
-        let (region, space, axes) = (region_of(key), &phased.space, &phased.axes);
+        let (region, space, axes) = (region_of(key, BLOCK), &phased.space, &phased.axes);
         let (norms, tolerance) = (&phased.norms, phased.tolerance);
         let make = || StarBlock::new(&self.model, space, region, axes, norms, tolerance);
         let block = phased.blocks.get(key, make);
@@ -362,13 +362,15 @@ impl<T: ConvReal> StarPlan<T> {
     }
 }
 
-pub(crate) fn block_of((column, row): (i64, i64)) -> BlockKey {
-    (row.div_euclid(BLOCK), column.div_euclid(BLOCK))
+/// The block that holds a pixel, if blocks have `side` pixels along each side.
+pub(crate) fn block_of((column, row): (i64, i64), side: i64) -> BlockKey {
+    (row.div_euclid(side), column.div_euclid(side))
 }
 
-pub(crate) fn region_of((row, column): BlockKey) -> PixelRegion {
-    let shape = FrameShape::new(BLOCK as usize, BLOCK as usize).expect("blocks have pixels");
-    PixelRegion::new(column * BLOCK, row * BLOCK, shape)
+/// The pixels of such a block.
+pub(crate) fn region_of((row, column): BlockKey, side: i64) -> PixelRegion {
+    let shape = FrameShape::new(side as usize, side as usize).expect("blocks have pixels");
+    PixelRegion::new(column * side, row * side, shape)
 }
 
 /// Computes the vectors of stars' PSFs in [`PsfSpace`], one star at a time. All stars use the same
