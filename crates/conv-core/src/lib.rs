@@ -69,6 +69,7 @@ mod galaxies;
 #[cfg(feature = "gpu")]
 pub mod gpu;
 mod image_memory;
+mod kept;
 mod overlap;
 mod plan;
 mod reference;

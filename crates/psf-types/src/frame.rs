@@ -92,6 +92,23 @@ impl Position {
     pub fn distance(self, other: Self) -> f64 {
         (self.x - other.x).hypot(self.y - other.y)
     }
+
+    /// The smallest and the largest coordinate of some positions, for x and for y. Without
+    /// positions they are plus and minus infinity.
+    ///
+    /// ```
+    /// use psf_types::Position;
+    /// let positions = [Position::of_pixel(3, -1), Position::of_pixel(0, 7)];
+    /// assert_eq!(Position::bounds(&positions), [(0.0, 3.0), (-1.0, 7.0)]);
+    /// ```
+    pub fn bounds(positions: &[Self]) -> [(f64, f64); 2] {
+        [Self::x, Self::y].map(|of: fn(Self) -> f64| {
+            let coordinates = positions.iter().map(|&position| of(position));
+            coordinates.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| {
+                (low.min(v), high.max(v))
+            })
+        })
+    }
 }
 
 impl std::fmt::Display for Position {

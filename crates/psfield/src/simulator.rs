@@ -3,6 +3,7 @@
 mod both_precisions;
 mod builder;
 mod check;
+mod flux;
 mod geometry;
 mod stream;
 #[cfg(test)]
@@ -18,7 +19,7 @@ use conv_core::{
 use ndarray::{Array2, ArrayViewMut2};
 use psf_types::{
     DataError, FrameShape, Image, ImageView, LightProfile, NoProgress, PixelRegion, PointSource, Progress,
-    PsfModel, SersicSource, ToleranceOn,
+    PsfModel, SersicSource,
 };
 use sersic::SersicLight;
 
@@ -26,6 +27,7 @@ use crate::device::{self, CpuReason, GpuSeconds, Placement};
 use crate::psf::get_or_make;
 use crate::{Device, ErrorKind, Psf, PsfieldError, Scene, ScenePixels, SimulateOptions};
 
+use flux::check_flux;
 use geometry::Geometry;
 
 pub use builder::{OwnMethodBuilder, SimulatorBuilder};
@@ -140,10 +142,6 @@ pub struct Preparation<'a> {
     /// Seconds that this call spent on plans. 0 if the plans existed.
     pub plan_seconds: f64,
 }
-
-/// PSFs have no flux if their values nearly cancel: their sum is at most this part of the sum of
-/// their absolute values.
-const NO_FLUX: f64 = 1e-13;
 
 /// The image of a scene, or a part of it, and the column and the row of the scene at which it begins.
 type Light<'a, T> = (ImageView<'a, T>, (usize, usize));
@@ -408,6 +406,12 @@ impl<T: ConvReal> Simulator<T> {
         Ok(())
     }
 
+    /// The options of the plans. None for methods without a plan.
+    fn planned(&self) -> Result<Option<PlanOptions>, PsfieldError> {
+        let options = self.options.plan_options()?;
+        Ok(options.filter(|_| self.shared.method.is_none()))
+    }
+
     /// The model on the scene's pixels, and the seconds that its fit took.
     fn image_model(&self) -> Result<(&PsfModel, f64), PsfieldError> {
         let (psf, options) = (self.psf(), &self.options);
@@ -433,10 +437,7 @@ impl<T: ConvReal> Simulator<T> {
             let model = self.psf().with_pixel_response()?.model()?.clone();
             let fit_seconds = clock.elapsed().as_secs_f64();
             let size = self.options.stamp_size;
-            let planned = self
-                .options
-                .plan_options()?
-                .filter(|_| self.shared.method.is_none());
+            let planned = self.planned()?;
             let stars = planned
                 .map(|options| StarPlan::new(&model, options, size))
                 .transpose()?;
@@ -453,59 +454,22 @@ impl<T: ConvReal> Simulator<T> {
         })
     }
 
-    /// Refuses PSFs without flux if the tolerance is relative to their flux.
-    fn check_flux(&self, model: &PsfModel, options: Option<&PlanOptions>) -> Result<(), PsfieldError> {
-        let weights = model.field().node_values();
-        if options.is_none_or(|o| o.tolerance_on() != ToleranceOn::Aperture) || weights.nrows() == 0 {
-            return Ok(());
-        }
-        let first = usize::from(model.is_mean_centred());
-        let sums: Vec<[f64; 2]> = model
-            .stamps()
-            .outer_iter()
-            .map(|stamp| {
-                stamp
-                    .iter()
-                    .fold([0.0, 0.0], |[sum, size], v| [sum + v, size + v.abs()])
-            })
-            .collect();
-        let has_flux = weights.outer_iter().any(|weights| {
-            let mut psf = if first == 1 { sums[0] } else { [0.0; 2] };
-            for (w, [sum, size]) in weights.iter().zip(&sums[first..]) {
-                psf = [psf[0] + w * sum, psf[1] + w.abs() * size];
-            }
-            psf[0].abs() > NO_FLUX * psf[1]
-        });
-        if has_flux {
-            return Ok(());
-        }
-        let file = self
-            .psf()
-            .file_name()
-            .map_or_else(String::new, |file| format!("{file}: "));
-        let message = format!(
-            "{file}the total flux of the PSFs is 0, so the flux in a circle has no relative error: let the tolerance bound \
-             the L2 error alone (l2)"
-        );
-        Err(PsfieldError::new(ErrorKind::Setting, message).with_setting("tolerance_on"))
-    }
-
     /// Returns the convolver for the images of scenes.
     #[inline(never)]
     fn convolver(&self, progress: &dyn Progress) -> Result<&Convolver<T>, PsfieldError> {
         get_or_make(&self.convolver, || {
             let (model, _) = self.image_model()?;
             let clock = Instant::now();
-            let (engine, placement) = match self.options.plan_options()? {
-                Some(options) if self.shared.method.is_none() => {
-                    self.check_flux(model, Some(&options))?;
+            let (engine, placement) = match self.planned()? {
+                Some(options) => {
+                    check_flux(self.psf(), model, &options)?;
                     let (shape, frame) = (self.geometry.shape, self.geometry.fine(self.geometry.frame)?);
                     let region = self.geometry.fine(self.geometry.region)?;
                     let plan = Plan::for_region(model, shape, frame, region, options, progress)?;
                     let (engine, placement) = device::place(plan, &self.options)?;
                     (Some(engine), placement)
                 }
-                _ => (None, self.placement_of_sources()),
+                None => (None, self.placement_of_sources()),
             };
             let seconds = clock.elapsed().as_secs_f64();
             Ok(Convolver {

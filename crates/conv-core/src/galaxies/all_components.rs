@@ -69,8 +69,7 @@ impl<T: ConvReal> GalaxyPlan<T> {
             let at = galaxy.position();
             let (x, y) = (at.x() - frame.x0() as f64, at.y() - frame.y0() as f64);
             let light = light(galaxy);
-            let side = self.extent.side(light.as_ref());
-            let reach = self.extent.reach(light.as_ref(), side);
+            let (side, reach) = self.extent.side_and_reach(light.as_ref());
             let mut of_window = None;
             for (index, &(column, row)) in pixels.iter().enumerate() {
                 let (dx, dy) = (column as f64 - x, row as f64 - y);
@@ -118,8 +117,7 @@ impl<T: ConvReal> GalaxyPlan<T> {
         let galaxy = &catalogue.galaxies[index];
         let light = (catalogue.light)(galaxy);
         let (x, y) = catalogue.position(index);
-        let side = self.extent.side(light.as_ref());
-        let reach = self.extent.reach(light.as_ref(), side);
+        let (side, reach) = self.extent.side_and_reach(light.as_ref());
         let near = |&(column, row): &(usize, usize)| {
             (column as f64 - x).abs() <= reach && (row as f64 - y).abs() <= reach
         };

@@ -98,8 +98,14 @@ impl Extent {
         self.accuracy().max(LEAST_ACCURACY) * at_peak
     }
 
+    /// The side of a galaxy's window, and the distance up to which it has light that matters.
+    pub(super) fn side_and_reach(&self, light: &dyn LightProfile) -> (usize, f64) {
+        let side = self.side(light);
+        (side, self.reach(light, side))
+    }
+
     /// The smallest side of a window outside which the image of a galaxy is its light.
-    pub(super) fn side(&self, light: &dyn LightProfile) -> usize {
+    fn side(&self, light: &dyn LightProfile) -> usize {
         let Self {
             half,
             peak,
@@ -136,7 +142,7 @@ impl Extent {
     }
 
     /// The distance up to which a galaxy has light that matters, at least the side of its window.
-    pub(super) fn reach(&self, light: &dyn LightProfile, side: usize) -> f64 {
+    fn reach(&self, light: &dyn LightProfile, side: usize) -> f64 {
         let left_out = self.left_out();
         let mut reach = nearest_edge(side);
         if light.flux_beyond(reach) <= left_out {

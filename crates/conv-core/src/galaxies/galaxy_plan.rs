@@ -8,15 +8,15 @@ use rayon::prelude::*;
 
 use super::extent::{Extent, truncate};
 use super::far_field::{FarLight, PolynomialWeights, SMALLEST, add_far_light};
-use super::kept::Kept;
 use super::kernels::{Kernels, Stamps, band_number};
 use super::window::{Drawn, Spectra, WindowDrawer};
 use crate::image_memory::{check_shape, with_rows_in_memory};
+use crate::kept::Kept;
 use crate::overlap::{Piece, overlap};
 use crate::plan::PlanOptions;
 use crate::plan::local_modes::{LocalModes, PsfSpace};
 use crate::plan::region_cells::RegionCells;
-use crate::stars::{BlockKey, StarVectors, block_of, region_of};
+use crate::stars::{BlockKey, StarVectors, block_of, check_stamps, region_of};
 use crate::{ConvError, ConvReal};
 
 /// A galaxy's light, made when it is drawn.
@@ -112,12 +112,7 @@ impl<T: ConvReal> GalaxyPlan<T> {
     /// [`ConvError::StampSize`] if `size` is 0.
     #[inline(never)]
     pub fn new(model: &PsfModel, options: PlanOptions, size: Option<usize>) -> Result<Self, ConvError> {
-        if !model.grid().pixel_response_included() {
-            return Err(ConvError::PixelResponse);
-        }
-        if size == Some(0) {
-            return Err(ConvError::StampSize);
-        }
+        check_stamps(model.grid(), size)?;
         let tolerance = options.tolerance_in::<T>();
         Ok(Self {
             size,
@@ -194,8 +189,7 @@ impl<T: ConvReal> GalaxyPlan<T> {
                 let galaxy = &catalogue.galaxies[index];
                 let light = (catalogue.light)(galaxy);
                 let (x, y) = catalogue.position(index);
-                let side = self.extent.side(light.as_ref());
-                let reach = self.extent.reach(light.as_ref(), side);
+                let (side, reach) = self.extent.side_and_reach(light.as_ref());
                 if galaxy.flux() == 0.0 || !is_near((x, y), reach, region) {
                     return Ok(None);
                 }
@@ -244,7 +238,7 @@ impl<T: ConvReal> GalaxyPlan<T> {
         add_far_light(&far, image, first, catalogue.progress)
     }
 
-    /// Draws the windows of galaxies of one block and one side. Returns the piece of the image that
+    /// Draws the windows of a group of galaxies. Returns the piece of the image that
     /// holds them, and the galaxies with light outside their windows.
     fn draw_group(
         &self,
@@ -284,7 +278,6 @@ impl<T: ConvReal> GalaxyPlan<T> {
             let position = Position::new(x, y).map_err(ConvError::Result)?;
             let centre = (x - window.0 as f64, y - window.1 as f64);
             let psf = self.psf(local.as_ref(), position, galaxy.flux())?;
-            let light = (catalogue.light)(galaxy);
             let moments = match &psf {
                 Psf::Local(local, coefficients) => local.block.kernels.moments_of(coefficients),
                 Psf::Exact(psf) => self.stamps().moments_of(psf.view()),
@@ -306,6 +299,7 @@ impl<T: ConvReal> GalaxyPlan<T> {
                         *sum += v;
                     }
                 };
+                let light = (catalogue.light)(galaxy);
                 let light = light.as_ref();
                 match &psf {
                     Psf::Local(local, coefficients) => drawer.draw(

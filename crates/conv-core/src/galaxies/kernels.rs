@@ -7,10 +7,10 @@ use ndarray::{Array2, ArrayView1, ArrayView2, Axis};
 use psf_types::{LightProfile, StampGrid};
 use rustfft::num_complex::{Complex, Complex64};
 
-use super::kept::Kept;
 use super::spectrum::{Wavenumbers, discrete_transform, kernel_transform, spectrum};
 use super::window::Spectra;
 use crate::ConvReal;
+use crate::kept::Kept;
 
 /// The stamps that combine to all PSFs of a model.
 #[derive(Debug)]

@@ -15,7 +15,6 @@ mod all_components;
 mod extent;
 mod far_field;
 mod galaxy_plan;
-mod kept;
 mod kernels;
 mod spectrum;
 mod window;

@@ -19,6 +19,7 @@ mod star_block;
 mod star_plan;
 
 pub use painter::StarPainter;
+pub(crate) use painter::check_stamps;
 pub(crate) use star_block::BlockKey;
 pub use star_plan::StarPlan;
 pub(crate) use star_plan::{StarVectors, block_of, region_of};

@@ -30,6 +30,17 @@ pub struct StarPainter<'a> {
     pub(crate) target: StampGrid,
 }
 
+/// Checks that stars and galaxies can be drawn with stamps, which may be truncated to a size.
+pub(crate) fn check_stamps(grid: StampGrid, size: Option<usize>) -> Result<(), ConvError> {
+    if !grid.pixel_response_included() {
+        return Err(ConvError::PixelResponse);
+    }
+    if size == Some(0) {
+        return Err(ConvError::StampSize);
+    }
+    Ok(())
+}
+
 /// The kernel that interpolates the PSFs of a model's stars. It reaches as far beyond the stamps as
 /// their edges require ([`edge_reach_of`]).
 fn star_kernel(model: &PsfModel) -> Kernel {
@@ -79,12 +90,7 @@ impl<'a> StarPainter<'a> {
         kernel: Kernel,
     ) -> Result<Self, ConvError> {
         let grid = model.grid();
-        if !grid.pixel_response_included() {
-            return Err(ConvError::PixelResponse);
-        }
-        if size == Some(0) {
-            return Err(ConvError::StampSize);
-        }
+        check_stamps(grid, size)?;
         let splines = (anchor == Anchor::Output).then(StampSplines::default);
         let reach = |room: f64, side: usize| {
             let reach = ((room + kernel.reach()) / grid.oversampling() + 0.5).ceil() as usize;

@@ -1,8 +1,5 @@
 //! Blocks of the field whose stars are drawn from one local basis.
 
-use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex};
-
 use ndarray::{Array1, Array2, ArrayView1, ArrayView2};
 use psf_types::{PixelRegion, PsfModel, StampGrid};
 
@@ -149,38 +146,3 @@ fn coefficients_of(
 
 /// Row and column of a block of the field. The row is first, so that blocks are sorted by rows.
 pub(crate) type BlockKey = (i64, i64);
-
-/// Blocks, and the size of all of them in bytes.
-type Kept<T> = (BTreeMap<BlockKey, Arc<StarBlock<T>>>, usize);
-
-/// Blocks computed so far, as many as the memory limit allows.
-#[derive(Debug)]
-pub(super) struct BlockCache<T> {
-    blocks: Mutex<Kept<T>>,
-    memory_bytes: usize,
-}
-
-impl<T: ConvReal> BlockCache<T> {
-    pub(super) fn new(memory_bytes: usize) -> Self {
-        Self {
-            blocks: Mutex::default(),
-            memory_bytes,
-        }
-    }
-
-    /// Returns the block, kept or computed now. Its content is the same in both cases.
-    pub(super) fn get(&self, key: BlockKey, make: impl FnOnce() -> StarBlock<T>) -> Arc<StarBlock<T>> {
-        let kept = self.blocks.lock().ok();
-        if let Some(block) = kept.and_then(|kept| kept.0.get(&key).cloned()) {
-            return block;
-        }
-        let block = Arc::new(make());
-        if let Ok(mut kept) = self.blocks.lock()
-            && kept.1 + block.bytes() <= self.memory_bytes
-        {
-            kept.1 += block.bytes();
-            kept.0.insert(key, Arc::clone(&block));
-        }
-        block
-    }
-}

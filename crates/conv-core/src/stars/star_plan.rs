@@ -8,8 +8,9 @@ use super::draw::{DrawGroups, Group, StarKey};
 use super::painter::{StampSplines, StarPainter};
 use super::phase_norms::PhaseNorms;
 use super::phases::{PhasedAxis, PhasedStar, Star, Window};
-use super::star_block::{BlockCache, BlockKey, RowLayout, StarBlock};
+use super::star_block::{BlockKey, RowLayout, StarBlock};
 use crate::image_memory::{check_shape, with_rows_in_memory};
+use crate::kept::Kept;
 use crate::plan::PlanOptions;
 use crate::plan::local_modes::{LocalModes, PsfSpace};
 use crate::stamp_interpolator::Kernel;
@@ -88,7 +89,7 @@ struct Phased<T> {
     tolerance: f64,
     /// Errors of PSFs up to this fraction count as rounding.
     rounding: f64,
-    blocks: BlockCache<T>,
+    blocks: Kept<BlockKey, StarBlock<T>>,
 }
 
 /// Stars, with positions in pixels of a scene, and the frame, which is a region of the scene.
@@ -142,7 +143,7 @@ impl<T: ConvReal> StarPlan<T> {
                         space,
                         tolerance: options.tolerance_in::<T>(),
                         rounding: PlanOptions::rounding_in::<T>(),
-                        blocks: BlockCache::new(options.memory_bytes()),
+                        blocks: Kept::new(options.memory_bytes()),
                     })
                 })
                 .transpose()?,
@@ -289,7 +290,7 @@ impl<T: ConvReal> StarPlan<T> {
         let (region, space, axes) = (region_of(key, BLOCK), &phased.space, &phased.axes);
         let (norms, tolerance) = (&phased.norms, phased.tolerance);
         let make = || StarBlock::new(&self.model, space, region, axes, norms, tolerance);
-        let block = phased.blocks.get(key, make);
+        let block = phased.blocks.get(key, make, StarBlock::bytes);
         let mut vectors = StarVectors::new(&self.model, &phased.space);
         let mut coefficients = Vec::with_capacity(block.kernel_count());
         let taps = phased.axes[1].tap_count();

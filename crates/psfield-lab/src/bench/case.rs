@@ -65,8 +65,8 @@ const WAVE: f64 = 7.0;
 /// [`DataError`] if two samples at different positions move to one position.
 pub fn stretched(record: &PsfModelRecord, frame: FrameShape) -> Result<PsfModelRecord, DataError> {
     let positions = record.coefficients().positions().as_slice();
-    let x = Stretch::new(positions.iter().map(|p| p.x()), frame.nx());
-    let y = Stretch::new(positions.iter().map(|p| p.y()), frame.ny());
+    let [x, y] = Position::bounds(positions);
+    let (x, y) = (Stretch::new(x, frame.nx()), Stretch::new(y, frame.ny()));
     let positions: Result<Vec<Position>, DataError> = positions
         .iter()
         .map(|p| Position::new(x.apply(p.x()), y.apply(p.y())))
@@ -90,10 +90,7 @@ struct Stretch {
 }
 
 impl Stretch {
-    fn new(coordinates: impl Iterator<Item = f64>, pixels: usize) -> Self {
-        let (low, high) = coordinates.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), c| {
-            (low.min(c), high.max(c))
-        });
+    fn new((low, high): (f64, f64), pixels: usize) -> Self {
         Self {
             low,
             extent: high - low,

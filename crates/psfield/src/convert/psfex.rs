@@ -8,7 +8,7 @@ use psf_types::{
     Interpolation, Normalisation, OutsidePolicy, Position, PsfModelRecord, PsfSamples, StampInterpolation,
 };
 
-use super::samples::{SamplesAt, bounds, to_samples, with_centre_in_the_middle};
+use super::samples::{SamplesAt, to_samples, with_centre_in_the_middle};
 use crate::{ErrorKind, EvaluateOptions, Psf, PsfieldError, evaluate, model_of};
 
 const FORMAT: &str = "a PSFEx file";
@@ -125,7 +125,7 @@ fn notes(psf: &Psf) -> Vec<String> {
 /// Returns the unscaled PSFs of a polynomial model, at enough nodes over its area to determine a
 /// polynomial of this degree.
 fn polynomial_samples(record: &PsfModelRecord, degree: usize) -> Result<PsfSamples, PsfieldError> {
-    let [x, y] = bounds(record.coefficients().positions().as_slice());
+    let [x, y] = Position::bounds(record.coefficients().positions().as_slice());
     let along = |name, (low, high): (f64, f64)| -> Result<_, PsfieldError> {
         let mut nodes = axis(name, (low, high))?.extrema(degree);
         if low < high && degree > 0 {
@@ -159,7 +159,7 @@ fn axis(name: &str, (low, high): (f64, f64)) -> Result<PsfexAxis, PsfieldError> 
 
 /// Fits each pixel by least squares in double precision, then rounds to single.
 fn fitted(samples: &PsfSamples, degree: usize) -> Result<PsfexModel, PsfieldError> {
-    let [x, y] = bounds(samples.positions().as_slice());
+    let [x, y] = Position::bounds(samples.positions().as_slice());
     let polynomial = PsfexPolynomial::new(axis(X, x)?, axis(Y, y)?, degree)?;
     let terms = PsfexPolynomial::term_count(degree);
     let (count, ny, nx) = samples.stamps().dim();

@@ -55,7 +55,7 @@ fn grid_positions(psf: &Psf, nx: usize, ny: usize) -> Result<Vec<Position>, Psfi
     let known = psf.positions();
     let [x, y] = match known.field() {
         Some(field) => [(0.0, (field.nx() - 1) as f64), (0.0, (field.ny() - 1) as f64)],
-        None => bounds(known.as_slice()),
+        None => Position::bounds(known.as_slice()),
     };
     if (nx > 1 && x.0 == x.1) || (ny > 1 && y.0 == y.1) {
         const NO_AREA: &str = "a grid of positions needs an area, but the PSF is known only along a line or at one \
@@ -66,18 +66,6 @@ fn grid_positions(psf: &Psf, nx: usize, ny: usize) -> Result<Vec<Position>, Psfi
     rows.iter()
         .flat_map(|&y| columns.iter().map(move |&x| Ok(Position::new(x, y)?)))
         .collect()
-}
-
-/// Returns the smallest and the largest coordinate, for x and for y.
-pub(super) fn bounds(positions: &[Position]) -> [(f64, f64); 2] {
-    [Position::x, Position::y].map(|of: fn(Position) -> f64| {
-        positions
-            .iter()
-            .map(|&p| of(p))
-            .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| {
-                (low.min(v), high.max(v))
-            })
-    })
 }
 
 /// Returns `count` evenly spaced numbers from `low` to `high`, both included. A single number is

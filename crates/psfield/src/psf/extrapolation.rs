@@ -29,7 +29,7 @@ impl Psf {
     /// was fitted to a much smaller range.
     pub fn extrapolation(&self, positions: &[Position]) -> Option<Extrapolation> {
         let range = self.polynomial_range()?;
-        let used = ranges_of(positions);
+        let used = Position::bounds(positions);
         let beyond = [0, 1].map(|axis| {
             let ((low, high), (from, to)) = (range[axis], used[axis]);
             (low - from).max(to - high).max(0.0) / (high - low)
@@ -52,18 +52,8 @@ impl Psf {
         };
         let varies = matches!(interpolation, Interpolation::Polynomial { degree } if degree > 0);
         let extended = varies && outside == OutsidePolicy::Extend;
-        extended.then(|| ranges_of(self.positions().as_slice()))
+        extended.then(|| Position::bounds(self.positions().as_slice()))
     }
-}
-
-/// The smallest and the largest coordinate of positions, for x and y.
-fn ranges_of(positions: &[Position]) -> [(f64, f64); 2] {
-    [Position::x, Position::y].map(|of: fn(Position) -> f64| {
-        let coordinates = positions.iter().map(|&position| of(position));
-        coordinates.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| {
-            (low.min(v), high.max(v))
-        })
-    })
 }
 
 impl fmt::Display for Extrapolation {

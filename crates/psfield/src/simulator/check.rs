@@ -248,11 +248,7 @@ impl<T: ConvReal> Simulator<T> {
 
     /// The tolerance of a plan. 0 for methods without a plan.
     fn tolerance(&self) -> Result<f64, PsfieldError> {
-        let planned = self
-            .options
-            .plan_options()?
-            .filter(|_| self.shared.method.is_none());
-        Ok(planned.map_or(0.0, |options| options.tolerance()))
+        Ok(self.planned()?.map_or(0.0, |options| options.tolerance()))
     }
 
     /// Adds the largest errors that the scene's image may have in pixels of the image. `light` is a
@@ -279,17 +275,14 @@ impl<T: ConvReal> Simulator<T> {
             let within = |v: i64| v.clamp(0, length as i64) as usize;
             within(at - reach as i64)..within(at + reach as i64 + 1)
         };
-        for (&pixel, allowed) in pixels.iter().zip(allowed) {
+        let of_frame = self.of_frame(pixels);
+        for ((&pixel, &of_frame), allowed) in pixels.iter().zip(&of_frame).zip(allowed) {
             let (column, row) = self.geometry.sampled_pixel(pixel);
             let columns = near(column, frame.x0(), x0, grid.nx(), light.ncols());
             let rows = near(row, frame.y0(), y0, grid.ny(), light.nrows());
-            let of_frame = (
-                (pixel.0 as i64 + self.geometry.region.x0()),
-                (pixel.1 as i64 + self.geometry.region.y0()),
-            );
             // Where the PSF is not known, nothing is promised.
             let norm = galaxies
-                .psf_norm(Position::of_pixel(of_frame.0, of_frame.1))
+                .psf_norm(Position::of_pixel(of_frame.0 as i64, of_frame.1 as i64))
                 .unwrap_or(f64::INFINITY);
             // An error in one pixel of the frame may be all of the error on the finer pixels.
             let error = tolerance * norm * of_filter * oversample as f64;

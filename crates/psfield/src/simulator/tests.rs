@@ -3,6 +3,7 @@
 use ndarray::{Array2, Array3};
 use psf_types::{
     Anchor, PointSource, Position, PsfSamples, SamplePositions, SersicProfile, SersicSource, StampGrid,
+    ToleranceOn,
 };
 
 use super::*;
@@ -279,7 +280,7 @@ fn frames_beyond_the_polynomials_of_the_psf_are_warned_of() {
             "{beyond:?}"
         );
     }
-    // The same holds for single positions.
+    // The PSF also tells of single positions far beyond its polynomials.
     let at = |x: i64, y: i64| psf.extrapolation(&[Position::of_pixel(20, 20), Position::of_pixel(x, y)]);
     assert!(at(58, 88).is_none() && at(70, 20).is_some());
     // With this policy, nothing is extrapolated.

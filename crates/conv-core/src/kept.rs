@@ -1,4 +1,4 @@
-//! Parts of a plan that are kept for later galaxies.
+//! Parts of a plan that are kept for later sources.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, OnceLock};
@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex, OnceLock};
 /// Values by their keys. A value is computed when it is first needed, and kept while all values
 /// together need at most a limit of memory.
 #[derive(Debug)]
-pub(super) struct Kept<K, V> {
+pub(crate) struct Kept<K, V> {
     values: Mutex<Values<K, V>>,
     memory_bytes: usize,
 }
@@ -21,7 +21,7 @@ struct Values<K, V> {
 
 impl<K: Copy + Ord, V> Kept<K, V> {
     /// Keeps values up to the given memory.
-    pub(super) fn new(memory_bytes: usize) -> Self {
+    pub(crate) fn new(memory_bytes: usize) -> Self {
         let values = Values {
             by_key: BTreeMap::new(),
             computed: Vec::new(),
@@ -34,9 +34,9 @@ impl<K: Copy + Ord, V> Kept<K, V> {
     }
 
     /// Returns the value, kept or computed now. `bytes` returns its size. Other threads that need
-    /// the value wait. So `make` must not share its work with other threads: it could be given the
-    /// work of a galaxy that waits.
-    pub(super) fn get(&self, key: K, make: impl FnOnce() -> V, bytes: impl Fn(&V) -> usize) -> Arc<V> {
+    /// the value wait. So `make` must not share its work with other threads: it could be given work
+    /// that waits for the same value.
+    pub(crate) fn get(&self, key: K, make: impl FnOnce() -> V, bytes: impl Fn(&V) -> usize) -> Arc<V> {
         let cell = self
             .values
             .lock()
@@ -54,9 +54,13 @@ impl<K: Copy + Ord, V> Kept<K, V> {
         if let Some(size) = size
             && let Ok(mut values) = self.values.lock()
         {
-            values.make_room(self.memory_bytes.saturating_sub(size));
-            values.computed.push((key, size));
-            values.bytes += size;
+            if size > self.memory_bytes {
+                values.by_key.remove(&key);
+            } else {
+                values.make_room(self.memory_bytes - size);
+                values.computed.push((key, size));
+                values.bytes += size;
+            }
         }
         Arc::clone(value)
     }

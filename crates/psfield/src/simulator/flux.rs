@@ -1,0 +1,47 @@
+//! The flux of PSFs, to which the tolerance may be relative.
+
+use conv_core::PlanOptions;
+use psf_types::{PsfModel, ToleranceOn};
+
+use crate::{ErrorKind, Psf, PsfieldError};
+
+/// PSFs have no flux if their values nearly cancel: their sum is at most this part of the sum of
+/// their absolute values.
+const NO_FLUX: f64 = 1e-13;
+
+/// Refuses PSFs without flux if the tolerance is relative to their flux. `model` is the model of
+/// `psf` on the scene's pixels.
+pub(super) fn check_flux(psf: &Psf, model: &PsfModel, options: &PlanOptions) -> Result<(), PsfieldError> {
+    let weights = model.field().node_values();
+    if options.tolerance_on() != ToleranceOn::Aperture || weights.nrows() == 0 {
+        return Ok(());
+    }
+    let first = usize::from(model.is_mean_centred());
+    let sums: Vec<[f64; 2]> = model
+        .stamps()
+        .outer_iter()
+        .map(|stamp| {
+            stamp
+                .iter()
+                .fold([0.0, 0.0], |[sum, size], v| [sum + v, size + v.abs()])
+        })
+        .collect();
+    let has_flux = weights.outer_iter().any(|weights| {
+        let mut of_psf = if first == 1 { sums[0] } else { [0.0; 2] };
+        for (w, [sum, size]) in weights.iter().zip(&sums[first..]) {
+            of_psf = [of_psf[0] + w * sum, of_psf[1] + w.abs() * size];
+        }
+        of_psf[0].abs() > NO_FLUX * of_psf[1]
+    });
+    if has_flux {
+        return Ok(());
+    }
+    let file = psf
+        .file_name()
+        .map_or_else(String::new, |file| format!("{file}: "));
+    let message = format!(
+        "{file}the total flux of the PSFs is 0, so the flux in a circle has no relative error: let the tolerance bound the \
+         L2 error alone (l2)"
+    );
+    Err(PsfieldError::new(ErrorKind::Setting, message).with_setting("tolerance_on"))
+}
