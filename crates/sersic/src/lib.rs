@@ -24,6 +24,11 @@
 //! The error of the transform is at most 3e-7 of the flux at every wavenumber, for all indices from
 //! 0.3 to 8. The brightness has a relative error of up to 4e-5, from rounding in single precision.
 
+#![allow(
+    clippy::inline_always,
+    reason = "code that pulp dispatches must be inlined, otherwise it is compiled for the baseline instruction set"
+)]
+
 mod profile;
 mod transform;
 

@@ -1,12 +1,12 @@
 //! The surface brightness of one galaxy, and its Fourier transform.
 
-use std::sync::{Arc, OnceLock};
+use std::sync::OnceLock;
 
 use psf_types::{LightProfile, Outskirts, SersicSource};
 use statrs::function::gamma::{gamma_ur, ln_gamma};
 use wide::f32x8;
 
-use crate::transform::Transform;
+use crate::transform::{LANES, Transform};
 
 /// A half-light radius below this value is replaced by this value. Even for `n = 8`, almost all
 /// light then falls in one pixel.
@@ -19,9 +19,6 @@ const DERIVATIVE_OFFSET: f64 = 3.0;
 /// Light fainter than `exp(-DARK)` times the central brightness counts as 0: single precision holds
 /// no smaller numbers.
 const DARK: f32 = 80.0;
-/// Number of points whose brightness is computed together.
-const LANES: usize = 8;
-
 /// The light of one galaxy of unit flux: `I(r) = central * exp(-b (r / re)^(1/n))` with
 /// `r = |(u, v)|`. Here `u` is the pixel offset along the major axis, and `v` is the offset across
 /// the major axis divided by the axis ratio `q`.
@@ -40,7 +37,7 @@ pub struct SersicLight {
     /// (u, v) of a step of one pixel in y.
     step_y: [f64; 2],
     /// Computed when first needed.
-    transform: OnceLock<Arc<Transform>>,
+    transform: OnceLock<Box<Transform>>,
 }
 
 impl SersicLight {
@@ -66,7 +63,8 @@ impl SersicLight {
     }
 
     fn transform(&self) -> &Transform {
-        self.transform.get_or_init(|| Transform::of_index(self.index))
+        self.transform
+            .get_or_init(|| Box::new(Transform::of_index(self.index)))
     }
 
     /// Returns (u, v) of an offset from the centre in pixels.
@@ -98,26 +96,17 @@ impl LightProfile for SersicLight {
         // With the unit vectors along and across the major axis, k_u^2 + q^2 k_v^2 is a quadratic
         // form in (kx, ky).
         let (cos, sin) = (self.step_x[0], self.step_y[0]);
-        let table = self.transform();
         let (along, across) = (self.re * self.re, self.re * self.re * self.q * self.q);
         let xx = (along * cos * cos + across * sin * sin) * kx * kx;
         let xy = 2.0 * (along - across) * sin * cos * kx;
         let yy = along * sin * sin + across * cos * cos;
-        // Compiled for each instruction set.
-        pulp::Arch::new().dispatch(
-            #[inline(always)]
-            || {
-                for (i, value) in values.iter_mut().enumerate() {
-                    let ky = first_ky + f64::from(i as u32) * step;
-                    *value = table.at((xx + ky * (xy + ky * yy)).max(0.0));
-                }
-            },
-        );
+        self.transform()
+            .along_line([xx, xy, yy], (first_ky, step), values);
     }
 
     fn transform_limits(&self, k: f64) -> [f64; 2] {
         let along = self.re * self.re * k * k;
-        [along, self.q * self.q * along].map(|x| self.transform().at(x))
+        self.transform().at([along, self.q * self.q * along])
     }
 
     fn add_blurred(&self, covariance: [f64; 3], flux: f64, offsets: &[[f32; 2]], values: &mut [f64]) {

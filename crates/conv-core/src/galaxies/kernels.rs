@@ -63,8 +63,7 @@ pub(super) struct Kernels {
     /// `[PSF, stamp]`.
     directions: Array2<f64>,
     moments: Vec<Moments>,
-    /// Beyond this wavenumber, in radians per pixel, no PSF has light that matters.
-    band: f64,
+    /// Up to the wavenumber beyond which no PSF has light that matters.
     spectrum: PowerSpectrum,
 }
 
@@ -78,6 +77,8 @@ struct PowerSpectrum {
     step: f64,
     /// An upper limit of the power of any PSF in each ring.
     largest: Vec<f64>,
+    /// The same beyond the last ring.
+    beyond: f64,
     /// The power of a typical PSF in each ring.
     typical: Vec<f64>,
 }
@@ -161,11 +162,11 @@ impl Kernels {
         typical: ArrayView1<'_, f64>,
         accuracy: f64,
     ) -> Self {
-        let spectrum = PowerSpectrum::new(stamps, directions.view(), largest, typical, accuracy);
+        let mut spectrum = PowerSpectrum::new(stamps, directions.view(), largest, typical, accuracy);
+        spectrum.end_at(spectrum.band(accuracy, |_| [1.0; 2]));
         let rows = directions.outer_iter();
         Self {
             moments: rows.map(|direction| stamps.moments_of(direction)).collect(),
-            band: spectrum.band(accuracy, |_| [1.0; 2]),
             directions,
             spectrum,
         }
@@ -174,9 +175,7 @@ impl Kernels {
     /// The band of a galaxy: the light of its image at wavenumbers beyond is at most `accuracy` of
     /// the image, in the L2 norm.
     pub(super) fn band_of(&self, light: &dyn LightProfile, accuracy: f64) -> f64 {
-        self.spectrum
-            .band(accuracy, |k| light.transform_limits(k))
-            .min(self.band)
+        self.spectrum.band(accuracy, |k| light.transform_limits(k))
     }
 
     /// The moments of a PSF.
@@ -313,23 +312,29 @@ impl PowerSpectrum {
         Self {
             step: stamps.copies.step,
             largest: rings(&limit),
+            beyond: 0.0,
             typical: rings(&typical),
         }
+    }
+
+    /// Leaves out the rings beyond a wavenumber.
+    fn end_at(&mut self, k: f64) {
+        let rings = ((k / self.step).round() as usize).min(self.largest.len());
+        self.beyond = self.largest.drain(rings..).sum();
+        self.typical.truncate(rings);
     }
 
     /// The wavenumber beyond which at most the square of `accuracy` of the power lies, if `limits`
     /// returns the smallest and the largest factor of the amplitude at a wavenumber.
     fn band(&self, accuracy: f64, limits: impl Fn(f64) -> [f64; 2]) -> f64 {
-        let factors: Vec<[f64; 2]> = (0..self.largest.len())
-            .map(|ring| {
-                let [_, largest] = limits(ring as f64 * self.step);
-                let [least, _] = limits((ring + 1) as f64 * self.step);
-                [least * least, largest * largest]
-            })
+        let squares: Vec<[f64; 2]> = (0..=self.largest.len())
+            .map(|ring| limits(ring as f64 * self.step).map(|factor| factor * factor))
             .collect();
+        // Over a ring, the factors fall.
+        let factors: Vec<[f64; 2]> = squares.windows(2).map(|ends| [ends[1][0], ends[0][1]]).collect();
         let total: f64 = self.typical.iter().zip(&factors).map(|(p, f)| p * f[0]).sum();
         let allowed = accuracy * accuracy * total;
-        let mut beyond = 0.0;
+        let mut beyond = self.beyond * squares[self.largest.len()][1];
         let last = self.largest.iter().zip(&factors).rposition(|(p, f)| {
             beyond += p * f[1];
             beyond > allowed
