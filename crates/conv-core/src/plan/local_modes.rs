@@ -120,6 +120,12 @@ pub(crate) fn norm(v: ArrayView1<'_, f64>) -> f64 {
     v.dot(&v).sqrt()
 }
 
+/// The squared norm, summed several values at a time.
+pub(crate) fn norm_squared(v: &[f64]) -> f64 {
+    let v = ndarray::aview1(v);
+    v.dot(&v)
+}
+
 /// A local basis: `h(x) = flux(x) reference + sum_j c_j(x) mode_j`. The modes hold no flux, so
 /// leaving out modes keeps the flux. The exception is a region without a reference: its first mode
 /// holds all the flux, if there is any, and is then always kept.
@@ -391,19 +397,14 @@ impl<'a> Support<'a> {
     }
 
     fn covariance(&self, nodes: ArrayView2<'_, f64>, offset: ArrayView1<'_, f64>) -> Array2<f64> {
-        let n = offset.len();
-        let mut sum = Array2::zeros((n, n));
-        let mut value = offset.to_owned();
-        for end in &self.0 {
+        let mut values = Array2::zeros((self.0.len(), offset.len()));
+        for (mut value, end) in values.outer_iter_mut().zip(&self.0) {
             value.assign(&offset);
             for &(node, weight) in *end {
                 value.scaled_add(weight, &nodes.row(node));
             }
-            for (mut row, &v) in sum.outer_iter_mut().zip(&value) {
-                row.scaled_add(v, &value);
-            }
         }
-        sum
+        values.t().dot(&values)
     }
 }
 
@@ -569,18 +570,20 @@ fn needed(
                     *v += weight * coordinate;
                 }
             }
-            let mut tail = 0.0;
-            for i in (needed..n).rev() {
-                tail += value[i] * value[i];
-                if tail > least {
-                    needed = i + 1;
-                    break;
+            if norm_squared(&value[needed..]) > least {
+                let mut tail = 0.0;
+                for i in (needed..n).rev() {
+                    tail += value[i] * value[i];
+                    if tail > least {
+                        needed = i + 1;
+                        break;
+                    }
                 }
             }
             let Some(growth) = &mut growth else { continue };
             while needed < n {
                 let tail = &value[needed..];
-                if tail.iter().map(|v| v * v).sum::<f64>() <= rounding.powi(2) * least
+                if norm_squared(tail) <= rounding.powi(2) * least
                     || growth.is_within(needed, tail, least_flux)
                 {
                     break;

@@ -36,6 +36,8 @@ const LARGEST_AT_LEAST: usize = 640;
 const LARGEST_BY_CHOICE: usize = 2048;
 /// The smallest tile, as a fraction of the stamp's size.
 const SMALLEST_IN_STAMPS: f64 = 0.4;
+/// Modes are counted for blocks of areas that differ by this factor.
+const AREA_STEP: f64 = 4.0;
 /// The number of threads for which the time of a tiling is predicted. It is a constant, so that
 /// plans do not depend on the machine.
 const THREADS: usize = 4;
@@ -66,42 +68,103 @@ fn best_tiling<T: ConvReal>(
     let largest = largest
         .max(2 * smallest)
         .min(LARGEST_BY_CHOICE.max(smallest + smallest / 4));
-    let mut candidates = Vec::new();
+    let cuts = cuts(model, geometry);
+    let (mut regular, mut along_cuts) = (Vec::new(), Vec::new());
     for n in sizes().filter(|&n| n >= smallest.min(whole.0.max(whole.1)) && n <= largest) {
         let tile = (
             (n + 1).saturating_sub(stamp.0).max(1),
             (n + 1).saturating_sub(stamp.1).max(1),
         );
         for together in BLOCK_SIDES {
-            candidates.push((even(nx, tile.0, together), even(ny, tile.1, together)));
+            let columns = even(nx, tile.0, together);
+            regular.push(Tiling::new(columns, even(ny, tile.1, together), stamp));
         }
-        if let Some([xs, ys]) = cuts(model, geometry) {
+        if let Some([xs, ys]) = &cuts {
             for split in [false, true] {
-                candidates.push((at_cuts(nx, &xs, tile.0, split), at_cuts(ny, &ys, tile.1, split)));
+                let columns = at_cuts(nx, xs, tile.0, split);
+                along_cuts.push(Tiling::new(columns, at_cuts(ny, ys, tile.1, split), stamp));
             }
         }
         if n >= whole.0.max(whole.1) {
             break;
         }
     }
-    let timed: Vec<(f64, Tiling)> = candidates
-        .into_par_iter()
-        .map(|(columns, rows)| {
-            progress.check_cancelled()?;
-            let at_least = (longest(&columns) + stamp.0 - 1, longest(&rows) + stamp.1 - 1);
-            let tiling = Tiling {
-                columns,
-                rows,
-                size: transform_size(at_least),
-            };
-            let seconds = tiling.seconds::<T>(model, space, geometry, options);
-            Ok((seconds, tiling))
-        })
-        .collect::<Result<_, ConvError>>()?;
-    // Of equally fast tilings, takes the first, so that the choice does not depend on the order of
-    // threads.
-    let best = timed.into_iter().reduce(|a, b| if b.0 < a.0 { b } else { a });
+    let fastest = |tilings| fastest::<T>(tilings, model, space, geometry, options, progress);
+    let (regular, along_cuts) = rayon::join(|| fastest(regular), || fastest(along_cuts));
+    let timed = regular?.into_iter().chain(along_cuts?);
+    let best = timed.reduce(|a, b| if b.0 < a.0 { b } else { a });
     Ok(best.expect("at least one size is tried").1)
+}
+
+/// Returns the tiling with the lowest predicted cost, and this cost. The blocks of larger tilings
+/// must contain blocks of smaller ones.
+///
+/// The modes are counted for a few sizes of blocks only, from the smallest on. In between, their
+/// number is taken as a power of the area. Larger blocks need at least as many modes. So the search
+/// ends when with as many modes, no larger tiling would be faster than one that is known.
+fn fastest<T: ConvReal>(
+    mut tilings: Vec<Tiling>,
+    model: &PsfModel,
+    space: &PsfSpace,
+    geometry: &Geometry,
+    options: PlanOptions,
+    progress: &dyn Progress,
+) -> Result<Option<(f64, Tiling)>, ConvError> {
+    let seconds =
+        |tiling: &Tiling, kernels| tiling.seconds::<T>(kernels, space.stamps.nrows(), geometry, options);
+    tilings.sort_by(|a, b| a.block_area().total_cmp(&b.block_area()));
+    let mut best: Option<(f64, usize)> = None;
+    let mut before: Option<(f64, Kernels)> = None;
+    let mut timed = 0;
+    while timed < tilings.len() {
+        progress.check_cancelled()?;
+        let largest = before.map_or(tilings[0].block_area(), |(area, _)| AREA_STEP * area);
+        let to = tilings
+            .partition_point(|t| t.block_area() <= largest)
+            .max(timed + 1);
+        let counted = &tilings[to - 1];
+        let after = (
+            counted.block_area(),
+            counted.kernels::<T>(model, space, geometry, options),
+        );
+        for (i, tiling) in tilings.iter().enumerate().take(to).skip(timed) {
+            let seconds = seconds(
+                tiling,
+                between(before.unwrap_or(after), after, tiling.block_area()),
+            );
+            // Of equally fast tilings, takes the first.
+            if best.is_none_or(|best| seconds < best.0) {
+                best = Some((seconds, i));
+            }
+        }
+        (before, timed) = (Some(after), to);
+        let larger = || tilings[to..].iter().map(|tiling| seconds(tiling, after.1));
+        if best.is_some_and(|best| larger().all(|seconds| seconds >= best.0)) {
+            break;
+        }
+    }
+    Ok(best.map(|(seconds, i)| (seconds, tilings.swap_remove(i))))
+}
+
+/// The mean number of kernels of a block: its modes and the reference.
+#[derive(Clone, Copy)]
+struct Kernels {
+    mean: f64,
+    /// Whether blocks would need coefficients pixel by pixel ([`RegionCells::are_short`]).
+    short_runs: bool,
+}
+
+/// The kernels of blocks of an area between two areas.
+fn between((low, few): (f64, Kernels), (high, many): (f64, Kernels), area: f64) -> Kernels {
+    let part = if low < high {
+        (area / low).ln() / (high / low).ln()
+    } else {
+        0.0
+    };
+    Kernels {
+        mean: few.mean * (many.mean / few.mean).powf(part),
+        short_runs: few.short_runs || many.short_runs,
+    }
 }
 
 /// The first pixels of the field's grid cells, counted from the first pixel of the weighted side
@@ -123,6 +186,15 @@ fn cuts(model: &PsfModel, geometry: &Geometry) -> Option<[Vec<usize>; 2]> {
 }
 
 impl Tiling {
+    fn new(columns: Vec<Stretch>, rows: Vec<Stretch>, stamp: (usize, usize)) -> Self {
+        let at_least = (longest(&columns) + stamp.0 - 1, longest(&rows) + stamp.1 - 1);
+        Self {
+            columns,
+            rows,
+            size: transform_size(at_least),
+        }
+    }
+
     /// Returns the tiling truncated to some columns and rows of pixels. The truncated tiling counts
     /// pixels from the first of these columns and rows. Also returns the columns and rows of blocks
     /// that remain. Transforms keep their size.
@@ -143,46 +215,67 @@ impl Tiling {
         )
     }
 
-    /// Predicted seconds if every pixel is lit, from the numbers of modes of a few blocks.
-    fn seconds<T: ConvReal>(
+    /// The mean area of a block, in pixels.
+    fn block_area(&self) -> f64 {
+        let length = |stretches: &[Stretch]| {
+            stretches.iter().map(Stretch::length).sum::<usize>() as f64 / stretches.len() as f64
+        };
+        length(&self.columns) * length(&self.rows)
+    }
+
+    /// The kernels of a few blocks, which are spread over rows and columns.
+    fn kernels<T: ConvReal>(
         &self,
         model: &PsfModel,
         space: &PsfSpace,
         geometry: &Geometry,
         options: PlanOptions,
-    ) -> f64 {
-        let (cost, tolerance) = (CostModel::of::<T>(), options.tolerance_in::<T>());
+    ) -> Kernels {
         let (across, up) = (self.columns.len(), self.rows.len());
-        let blocks = across * up;
-        let samples = SAMPLES.min(blocks);
-        let tiles = |stretches: &[Stretch]| stretches.iter().map(|s| s.tiles.len()).sum::<usize>();
-        let count = tiles(&self.columns) * tiles(&self.rows);
-        let mut short_runs = false;
-        let kernels: usize = (0..samples)
+        let samples = SAMPLES.min(across * up);
+        let counted: Vec<(usize, bool)> = (0..samples)
+            .into_par_iter()
             .map(|i| {
-                // The sampled blocks are spread over rows and columns.
                 let row = (2 * i + 1) * up / (2 * samples);
                 let column = ((3 * i + 1) % samples * 2 + 1) * across / (2 * samples);
                 let region = self.region(geometry, column.min(across - 1), row.min(up - 1));
                 let cells = RegionCells::sampled(model.field(), region);
-                short_runs |= cells.are_short();
-                LocalModes::new(space, &cells, tolerance).rank() + 1
+                let modes = LocalModes::new(space, &cells, options.tolerance_in::<T>());
+                (modes.rank() + 1, cells.are_short())
             })
-            .sum();
-        if short_runs && count > blocks {
+            .collect();
+        Kernels {
+            mean: counted.iter().map(|&(kernels, _)| kernels).sum::<usize>() as f64 / samples as f64,
+            short_runs: counted.iter().any(|&(_, short)| short),
+        }
+    }
+
+    /// Predicted seconds if every pixel is lit. `stamps` is the number of stamps of the model.
+    fn seconds<T: ConvReal>(
+        &self,
+        kernels: Kernels,
+        stamps: usize,
+        geometry: &Geometry,
+        options: PlanOptions,
+    ) -> f64 {
+        let cost = CostModel::of::<T>();
+        let blocks = self.columns.len() * self.rows.len();
+        let tiles = |stretches: &[Stretch]| stretches.iter().map(|s| s.tiles.len()).sum::<usize>();
+        let (across, up) = (tiles(&self.columns), tiles(&self.rows));
+        if kernels.short_runs && across * up > blocks {
             // Coefficients would be stored pixel by pixel, so blocks of several tiles would take
             // too much memory.
             return f64::INFINITY;
         }
-        let kernels = kernels as f64 / samples as f64;
+        let kernels = kernels.mean;
         let (nx, ny) = geometry.weighted_size();
-        let tile = (nx.div_ceil(tiles(&self.columns)), ny.div_ceil(tiles(&self.rows)));
-        let tiles_a_block = count as f64 / blocks as f64;
+        let tile = (nx.div_ceil(across), ny.div_ceil(up));
+        let tiles_a_block = (across * up) as f64 / blocks as f64;
         // Each execution computes again the stamps that do not fit into the memory.
-        let stamps = cost.stamp_bytes(geometry.stamp) * kernels * blocks as f64;
-        let made_anew = (1.0 - STAMP_MEMORY * options.memory_bytes() as f64 / stamps).clamp(0.0, 1.0);
+        let bytes = cost.stamp_bytes(geometry.stamp) * kernels * blocks as f64;
+        let made_anew = (1.0 - STAMP_MEMORY * options.memory_bytes() as f64 / bytes).clamp(0.0, 1.0);
         let block = kernels * cost.kernel(self.size, geometry.stamp)
-            + made_anew * kernels * CostModel::make_stamp(geometry.stamp, space.stamps.nrows())
+            + made_anew * kernels * CostModel::make_stamp(geometry.stamp, stamps)
             + tiles_a_block * cost.tile(tile, self.size, kernels);
         self.rounds() as f64 * block
     }
