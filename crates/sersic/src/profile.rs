@@ -6,11 +6,13 @@ use psf_types::{LightProfile, Outskirts, SersicSource};
 use statrs::function::gamma::{gamma_ur, ln_gamma};
 use wide::f32x8;
 
-use crate::transform::{LANES, Transform};
+use crate::transform::Transform;
 
 /// A half-light radius below this value is replaced by this value. Even for `n = 8`, almost all
 /// light then falls in one pixel.
 const SMALLEST_RADIUS_PX: f64 = 1e-9;
+/// The number of points at which brightness is computed together.
+const POINTS: usize = 8;
 /// Along any line, the m-th derivative of the brightness `I` is at most about
 /// `I ((k + DERIVATIVE_OFFSET) / r)^m` for the orders used here (up to 8), with
 /// `k = -d ln I / d ln r`. The reason is that the derivatives of a power `r^-k` have the factors
@@ -106,7 +108,11 @@ impl LightProfile for SersicLight {
 
     fn transform_limits(&self, k: f64) -> [f64; 2] {
         let along = self.re * self.re * k * k;
-        self.transform().at([along, self.q * self.q * along])
+        let mut limits = [0.0; 2];
+        let to_across = (self.q * self.q - 1.0) * along;
+        self.transform()
+            .along_line([along, to_across, 0.0], (0.0, 1.0), &mut limits);
+        limits
     }
 
     fn add_blurred(&self, covariance: [f64; 3], flux: f64, offsets: &[[f32; 2]], values: &mut [f64]) {
@@ -126,7 +132,7 @@ impl LightProfile for SersicLight {
         let half = f32x8::splat((0.5 / self.index) as f32);
         let per_re = f32x8::splat((1.0 / (self.re * self.re)) as f32);
         let b = f32x8::splat(self.b as f32);
-        for (offsets, values) in offsets.chunks(LANES).zip(values.chunks_mut(LANES)) {
+        for (offsets, values) in offsets.chunks(POINTS).zip(values.chunks_mut(POINTS)) {
             let axis = |axis: usize| {
                 f32x8::new(std::array::from_fn(|i| {
                     offsets.get(i).map_or(1.0, |offset| offset[axis])

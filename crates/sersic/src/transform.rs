@@ -37,8 +37,9 @@ const FIRST: i32 = -15;
 const TABLES: usize = 40;
 /// The step of the trapezoidal rule. Its error is about `exp(-2 pi / STEP_OF_RULE) = 2e-14`.
 const STEP_OF_RULE: f64 = 0.2;
-/// The number of wavenumbers, or of points, that are computed together.
-pub(crate) const LANES: usize = 8;
+/// The number of wavenumbers that are computed together: several vectors, so that the processor need
+/// not wait for each step of one polynomial.
+const LANES: usize = 32;
 
 /// The Fourier transform of a round profile of unit flux, as a function of the squared wavenumber
 /// `x` in radians per half-light radius: a polynomial for each exponent of `x` (a double).
@@ -94,7 +95,7 @@ impl Transform {
             let mut sum = [coefficients[TERMS - 1]; N];
             for &c in coefficients[..TERMS - 1].iter().rev() {
                 for (sum, within) in sum.iter_mut().zip(&within) {
-                    *sum = *sum * within + c;
+                    *sum = sum.mul_add(*within, c);
                 }
             }
             for ((value, number), sum) in values.iter_mut().zip(&number).zip(sum) {
@@ -326,9 +327,6 @@ mod tests {
             for i in 0..4000 {
                 let x = (f64::from(i) * 0.009_137 - 14.0).exp();
                 let error = transform.at([x])[0] - exact(x);
-                if error.abs() > worst {
-                    eprintln!("{n} {x:e} {error:e}");
-                }
                 worst = worst.max(error.abs());
             }
         }
