@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use conv_core::{GalaxyPlan, PlanOptions};
+use conv_core::{GalaxyPlan, PlanOptions, StampInterpolator};
 use ndarray::{Array2, Array3};
 use psf_types::{
     Anchor, CoefficientField, FieldError, FrameShape, LightProfile, NoProgress, Normalisation, PixelRegion,
@@ -76,6 +76,46 @@ fn gaussian_galaxies_through_gaussian_psfs() {
                 assert!(
                     error < INTERPOLATION,
                     "s = {s}, re = {re}, ({i}, {j}): {v} {truth} {error:e}"
+                );
+            }
+        }
+    }
+}
+
+/// The direct integral of a Gaussian galaxy times an interpolated stamp. The stamps are so sharp
+/// that their interpolation has light far beyond their Nyquist frequency.
+#[test]
+fn galaxies_through_sharp_stamps() {
+    /// Error of the sum over points, relative to the peak.
+    const SUM: f64 = 1e-5;
+    let gauss = |d: f64, s: f64| (-0.5 * (d / s).powi(2)).exp() / (s * std::f64::consts::TAU.sqrt());
+    for (s, size) in [(1.0, 13), (1.0, 12), (2.0, 21), (2.0, 20), (1.5, 16)] {
+        let sigma = 0.4 / s;
+        let model = model(size, s, |x, y| {
+            gauss(x - 0.1, sigma) * gauss(y + 0.2, 1.5 * sigma)
+        });
+        let interpolated = StampInterpolator::new(model.stamp(0), model.grid());
+        // The points around the centre of the stamp, in frame pixels.
+        let (fine, side) = (12.0, 12 * 14 + 1);
+        let points = StampGrid::new(side, side)
+            .and_then(|grid| grid.with_oversampling(fine))
+            .unwrap();
+        let psf = interpolated.resample((0.0, 0.0), points);
+        let at = |i: usize| (i as f64 - (side / 2) as f64) / fine;
+        for (re, q, centre) in [(0.8, 1.0, (30.0, 30.0)), (1.2, 0.6, (30.4, 29.7))] {
+            let image = drawn(&model, galaxy(centre, re, 0.5, q, 0.0), 60, 1e-6);
+            let peak = image.iter().fold(0.0_f64, |m, v| m.max(*v));
+            let own = re / (2.0 * std::f64::consts::LN_2).sqrt();
+            for (i, j) in [(30, 30), (29, 30), (31, 28), (33, 31), (26, 30)] {
+                let offset = (i as f64 - centre.0, j as f64 - centre.1);
+                let sum: f64 = psf
+                    .indexed_iter()
+                    .map(|((v, u), h)| h * gauss(offset.0 - at(u), own) * gauss(offset.1 - at(v), q * own))
+                    .sum();
+                let error = (image[[j, i]] - sum / (fine * fine)).abs() / peak;
+                assert!(
+                    error < SUM,
+                    "s = {s}, size {size}, re = {re}, ({i}, {j}): {error:e}"
                 );
             }
         }

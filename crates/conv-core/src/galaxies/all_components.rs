@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use super::extent::{FRACTION, RELATIVE_ERROR};
 use super::far_field::{PolynomialWeights, SMALLEST};
 use super::galaxy_plan::{Catalogue, GalaxyPlan, Light, Window, window_at};
-use super::kernels::{Kernels, band_number};
+use super::kernels::Kernels;
 use super::window::{Drawn, Spectra, WindowDrawer};
 use crate::stars::StarVectors;
 use crate::{ConvError, ConvReal};
@@ -196,21 +196,21 @@ impl<T: ConvReal> GalaxyPlan<T> {
             });
             values
         };
-        let (count, psf) = (psf.len(), psf.view());
+        let (count, psf, stamps) = (psf.len(), psf.view(), self.stamps());
         let kernels = |directions: Array2<f64>, largest: &[f64]| {
-            Kernels::new(self.stamps(), directions, largest, psf, self.extent.accuracy())
+            Kernels::new(stamps, directions, largest, psf, self.extent.accuracy())
         };
         if self.options.anchor() != Anchor::Output {
             let only = kernels(psf.to_owned().insert_axis(Axis(0)), &[1.0]);
             let band = only.band_of(light, self.extent.accuracy());
-            let spectra = self.stamps().spectra_of(&only, side, band_number(band));
+            let spectra = stamps.spectra_of(&only, side, stamps.band_number(band));
             return Ok(plane(&spectra, &[1.0], band));
         }
         // Each pixel of the frame has its own PSF.
         let largest: Vec<f64> = psf.iter().map(|c| c.abs()).collect();
         let all = kernels(Array2::eye(count), &largest);
         let band = all.band_of(light, self.extent.accuracy());
-        let spectra = self.stamps().spectra_of(&all, side, band_number(band));
+        let spectra = stamps.spectra_of(&all, side, stamps.band_number(band));
         let planes: Vec<Array2<f64>> = (0..count)
             .map(|k| {
                 let mut unit = vec![0.0; count];

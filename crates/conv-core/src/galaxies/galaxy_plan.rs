@@ -8,7 +8,7 @@ use rayon::prelude::*;
 
 use super::extent::{Extent, truncate};
 use super::far_field::{FarLight, PolynomialWeights, SMALLEST, add_far_light};
-use super::kernels::{Kernels, Stamps, band_number};
+use super::kernels::{Kernels, Stamps};
 use super::window::{Drawn, Spectra, WindowDrawer};
 use crate::image_memory::{check_shape, with_rows_in_memory};
 use crate::kept::Kept;
@@ -201,7 +201,7 @@ impl<T: ConvReal> GalaxyPlan<T> {
                         .kernels
                         .band_of(light.as_ref(), self.extent.accuracy()),
                 };
-                let key = (side, band_number(band), block);
+                let key = (side, self.stamps().band_number(band), block);
                 Ok(Some(Placed {
                     key,
                     index,

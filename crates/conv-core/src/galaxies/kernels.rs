@@ -7,7 +7,7 @@ use ndarray::{Array2, ArrayView1, ArrayView2, Axis};
 use psf_types::{LightProfile, StampGrid};
 use rustfft::num_complex::{Complex, Complex64};
 
-use super::spectrum::{Wavenumbers, discrete_transform, kernel_transform, spectrum};
+use super::spectrum::{COPIES, Wavenumbers, discrete_transform, has_copies, kernel_transform, spectrum};
 use super::window::Spectra;
 use crate::ConvReal;
 use crate::kept::Kept;
@@ -21,7 +21,7 @@ pub(super) struct Stamps {
     moments: Vec<Moments>,
     /// Transforms up to the stamps' Nyquist frequency. They tell the power of PSFs.
     coarse: Transforms,
-    copies: Copies,
+    copies: CopiesOfPower,
     /// Transforms for windows of each side, and the number of the band.
     spectra: Kept<(usize, usize), Transforms>,
     /// Transforms of one side and band that need more memory than this are not made.
@@ -86,7 +86,7 @@ struct PowerSpectrum {
 impl Stamps {
     /// The stamps `[stamp, pixel]`. Transforms of windows are kept up to the given memory.
     pub(super) fn new(values: Array2<f64>, grid: StampGrid, memory_bytes: usize) -> Self {
-        let copies = Copies::new(grid);
+        let copies = CopiesOfPower::new(grid);
         let coarse: Vec<Vec<Complex64>> = (0..values.nrows())
             .map(|i| {
                 let stamp = stamp_of(values.row(i), grid);
@@ -114,6 +114,14 @@ impl Stamps {
         combined(&self.moments, direction.iter())
     }
 
+    /// The number of the narrowest band that holds a wavenumber. Bands that hold all wavenumbers
+    /// of the discrete transforms have one number.
+    pub(super) fn band_number(&self, k: f64) -> usize {
+        let whole = PI * self.grid.oversampling() * std::f64::consts::SQRT_2;
+        let k = if has_copies(self.grid) { k.min(whole) } else { k };
+        ((k / LEAST_BAND).ln() / BAND_RATIO.ln()).ceil().max(0.0) as usize
+    }
+
     /// The transforms of PSFs for windows of a side, up to a band of this number.
     pub(super) fn spectra_of<T: ConvReal>(
         &self,
@@ -121,7 +129,7 @@ impl Stamps {
         side: usize,
         number: usize,
     ) -> Spectra<T> {
-        let wavenumbers = Wavenumbers::within(BAND_RATIO.powi(number as i32) * LEAST_BAND, side);
+        let wavenumbers = Wavenumbers::within(BAND_RATIO.powi(number as i32) * LEAST_BAND, side, self.grid);
         let bytes = self.values.nrows() * wavenumbers.count * size_of::<Complex64>();
         let stamps = if bytes > self.memory_bytes {
             let combined = kernels.directions.dot(&self.values);
@@ -190,11 +198,6 @@ const LEAST_BAND: f64 = 1e-3;
 /// Each band is wider than the one before by this factor.
 const BAND_RATIO: f64 = 1.4;
 
-/// The number of the narrowest band that holds a wavenumber.
-pub(super) fn band_number(k: f64) -> usize {
-    ((k / LEAST_BAND).ln() / BAND_RATIO.ln()).ceil().max(0.0) as usize
-}
-
 fn combined<'a>(moments: &[Moments], coefficients: impl Iterator<Item = &'a f64>) -> Moments {
     let mut sum = [0.0; 6];
     for (moments, c) in moments.iter().zip(coefficients) {
@@ -222,14 +225,10 @@ fn moments(stamp: ArrayView2<'_, f64>, grid: StampGrid) -> Moments {
     sum
 }
 
-/// Interpolated stamps have copies of their transform around the multiples of the sampling
-/// frequency. Copies farther from 0 than this number are left out.
-const COPIES: i64 = 2;
-
 /// The wavenumbers `kx = 0 ... radius` and `ky = -radius ... radius`, in units of `step` radians per
 /// frame pixel, and the factors by which interpolation multiplies the power of their copies.
 #[derive(Debug)]
-struct Copies {
+struct CopiesOfPower {
     step: f64,
     radius: usize,
     /// For each copy along an axis, the wavenumber and the factor at `-radius ... radius`.
@@ -237,7 +236,7 @@ struct Copies {
     rings: usize,
 }
 
-impl Copies {
+impl CopiesOfPower {
     fn new(grid: StampGrid) -> Self {
         let s = grid.oversampling();
         let step = 2.0 * PI * s / grid.nx().max(grid.ny()) as f64;

@@ -4,6 +4,9 @@
 //! transform is the discrete transform of its values times the transform of the interpolation
 //! kernel, which is a product of a function of `kx` and one of `ky`. Wavenumbers are multiples of
 //! `2 pi / N` radians per frame pixel, where `N` is the side of the window that is drawn.
+//!
+//! The discrete transform repeats with the sampling frequency of the stamp. So only one period of
+//! it is computed, and a wavenumber beyond takes its value from there.
 
 use std::f64::consts::TAU;
 use std::sync::Arc;
@@ -18,7 +21,8 @@ use crate::plan::cost_model::fast_size;
 use crate::stamp_interpolator::Kernel;
 
 /// The wavenumbers of a window: `kx = 0 ... most`, and for each `kx` all `ky` within a circle.
-/// Wavenumbers of the other half-plane hold the complex conjugates.
+/// Wavenumbers of the other half-plane hold the complex conjugates. If the stamps' oversampling is a
+/// whole number, the wavenumbers end with one period of the discrete transform.
 #[derive(Debug, Clone)]
 pub(super) struct Wavenumbers {
     /// The side of the window in pixels.
@@ -28,14 +32,40 @@ pub(super) struct Wavenumbers {
     /// For each `kx`, the index of its first value.
     pub(super) starts: Vec<usize>,
     pub(super) count: usize,
+    pub(super) copies: Copies,
+}
+
+/// The wavenumbers at which interpolated stamps have light: the period of the discrete transform,
+/// and its copies around it.
+#[derive(Debug, Clone)]
+pub(super) struct Copies {
+    /// The number of wavenumbers in a period. `None` if there are no copies.
+    period: Option<i64>,
+    /// The factor of interpolation at `k = 0, 1, 2 ...` along each axis. Wavenumbers half-way
+    /// between two copies count in both, so there it is half the kernel's transform.
+    kernel: Vec<f64>,
+    /// The stamps' centre, in stamp pixels. From one copy to the next, the transform turns by this
+    /// number of circles.
+    centre: (f64, f64),
+}
+
+/// Copies farther from 0 than this number are left out.
+pub(super) const COPIES: i64 = 2;
+
+/// Whether the discrete transforms of stamps repeat with a whole number of wavenumbers, for windows
+/// of any side.
+pub(super) fn has_copies(grid: StampGrid) -> bool {
+    grid.oversampling().fract() == 0.0
 }
 
 impl Wavenumbers {
     /// The wavenumbers up to `band` radians per pixel.
-    pub(super) fn within(band: f64, side: usize) -> Self {
+    pub(super) fn within(band: f64, side: usize, grid: StampGrid) -> Self {
         let radius = (band * side as f64 / TAU).ceil();
-        let most_ky: Vec<usize> = (0..=radius as usize)
-            .map(|kx| (radius * radius - (kx * kx) as f64).max(0.0).sqrt() as usize)
+        let period = has_copies(grid).then(|| side * grid.oversampling() as usize);
+        let most = period.map_or(usize::MAX, |period| period / 2);
+        let most_ky: Vec<usize> = (0..=most.min(radius as usize))
+            .map(|kx| most.min((radius * radius - (kx * kx) as f64).max(0.0).sqrt() as usize))
             .collect();
         let mut count = 0;
         let starts = most_ky
@@ -46,11 +76,23 @@ impl Wavenumbers {
                 start
             })
             .collect();
+        let last = period.map_or(radius as usize, |period| period / 2 * (2 * COPIES as usize + 1));
+        let angle = TAU / (side as f64 * grid.oversampling());
+        let kernel = (0..=last).map(|k| {
+            let shared = period.is_some_and(|period| 2 * (k % period) == period);
+            let weight = if shared { 0.5 } else { 1.0 };
+            weight * kernel_transform(grid.interpolation(), k as f64 * angle)
+        });
         Self {
             side,
             most_ky,
             starts,
             count,
+            copies: Copies {
+                period: period.map(|period| period as i64),
+                kernel: kernel.collect(),
+                centre: (grid.centre_x(), grid.centre_y()),
+            },
         }
     }
 
@@ -60,32 +102,56 @@ impl Wavenumbers {
     }
 }
 
-/// The transform of a stamp `[y, x]` at some wavenumbers, in their order: `integral of h(u)
-/// exp(-i k u) du`, with `u` counted from the stamp's centre in frame pixels.
+impl Copies {
+    /// The numbers of the copies along an axis that have wavenumbers up to a radius.
+    pub(super) fn numbers(&self, radius: f64) -> std::ops::RangeInclusive<i64> {
+        let most = self.period.map_or(0, |period| {
+            (((radius / period as f64 + 0.5).floor()) as i64).min(COPIES)
+        });
+        -most..=most
+    }
+
+    /// The distance of a copy from the wavenumbers that are computed.
+    pub(super) fn distance(&self, number: i64) -> i64 {
+        number * self.period.unwrap_or(0)
+    }
+
+    /// The largest wavenumber at which stamps have light.
+    pub(super) fn largest(&self) -> usize {
+        self.kernel.len() - 1
+    }
+
+    /// The factor of interpolation at a wavenumber along one axis.
+    pub(super) fn kernel(&self, k: i64) -> f64 {
+        self.kernel[k.unsigned_abs() as usize]
+    }
+
+    /// The factors of the copy with this number along x and along y.
+    pub(super) fn turns(&self, number: i64) -> [Complex64; 2] {
+        [self.centre.0, self.centre.1]
+            .map(|centre| Complex64::from_polar(1.0, TAU * (number as f64 * centre).fract()))
+    }
+}
+
+/// The discrete transform of a stamp `[y, x]` at some wavenumbers, in their order.
 pub(super) fn spectrum<T: ConvReal>(
     stamp: ArrayView2<'_, f64>,
     grid: StampGrid,
     wavenumbers: &Wavenumbers,
 ) -> Vec<Complex<T>> {
     let radius = wavenumbers.most_ky.len() - 1;
-    let step = wavenumbers.step();
-    let planes = discrete_transform(stamp, grid, step, radius);
-    let kernel: Vec<f64> = (0..=radius)
-        .map(|m| kernel_transform(grid.interpolation(), m as f64 * step / grid.oversampling()))
-        .collect();
+    let planes = discrete_transform(stamp, grid, wavenumbers.step(), radius);
     let mut values = Vec::with_capacity(wavenumbers.count);
-    for (kx, &most) in wavenumbers.most_ky.iter().enumerate() {
-        let column = planes.row(kx);
-        for at in radius - most..=radius + most {
-            let value = column[at] * (kernel[kx] * kernel[at.abs_diff(radius)]);
-            values.push(Complex::new(T::nearest(value.re), T::nearest(value.im)));
-        }
+    for (column, &most) in planes.outer_iter().zip(&wavenumbers.most_ky) {
+        let within = column.iter().skip(radius - most).take(2 * most + 1);
+        values.extend(within.map(|v| Complex::new(T::nearest(v.re), T::nearest(v.im))));
     }
     values
 }
 
-/// The discrete transform of a stamp at `kx = 0 ... radius` and `ky = -radius ... radius`, in units
-/// of `step` radians per frame pixel: `[kx, ky]`.
+/// The discrete transform of a stamp, `sum_j h(u_j) exp(-i k u_j) / s^2`, with the offsets `u_j` of
+/// its pixels from its centre in frame pixels. `kx = 0 ... radius` and `ky = -radius ... radius`, in
+/// units of `step` radians per frame pixel: `[kx, ky]`.
 pub(super) fn discrete_transform(
     stamp: ArrayView2<'_, f64>,
     grid: StampGrid,
@@ -246,7 +312,7 @@ mod tests {
                     .and_then(|g| g.with_oversampling(fine * s))
                     .unwrap();
                 let dense = StampInterpolator::new(stamp.view(), grid).resample((0.0, 0.0), target);
-                let wavenumbers = Wavenumbers::within(2.9, 40);
+                let wavenumbers = Wavenumbers::within(2.9, 40, grid);
                 let found = spectrum::<f64>(stamp.view(), grid, &wavenumbers);
                 for (kx, ky) in [(0_usize, 0_i64), (3, -2), (9, 14), (17, -5)] {
                     let k = |m: f64| m * wavenumbers.step() / (fine * s);
@@ -256,7 +322,9 @@ mod tests {
                         sum += Complex64::from_polar(*v, -phase) / (fine * s).powi(2);
                     }
                     let at = wavenumbers.starts[kx] + (ky + wavenumbers.most_ky[kx] as i64) as usize;
-                    let error = (found[at] - sum).norm()
+                    let copies = &wavenumbers.copies;
+                    let interpolated = found[at] * (copies.kernel(kx as i64) * copies.kernel(ky));
+                    let error = (interpolated - sum).norm()
                         / found[wavenumbers.starts[0] + wavenumbers.most_ky[0]].norm();
                     assert!(error < 2e-5, "{interpolation} {s} {kx} {ky}: {error:e}");
                 }

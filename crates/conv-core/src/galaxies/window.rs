@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use psf_types::LightProfile;
 use realfft::{ComplexToReal, RealFftPlanner};
-use rustfft::num_complex::Complex;
+use rustfft::num_complex::{Complex, Complex64};
 use rustfft::{Fft, FftPlanner};
 
 use super::spectrum::Wavenumbers;
@@ -41,8 +41,10 @@ struct Work<T> {
     /// The transform of the window, folded: `[kx, ky]` with `kx = 0 ... side / 2`.
     folded: Vec<Complex<T>>,
     psf: Vec<Complex<T>>,
+    product: Vec<Complex<T>>,
     transform: Vec<f64>,
-    /// `exp(-i ky y)` for the galaxy's row `y`.
+    /// `exp(-i ky y)` for the galaxy's row `y`, times the factors of [`Copies`](super::spectrum::Copies).
+    /// For each copy, from the first wavenumber of a period on.
     turns: Vec<Complex<T>>,
     scratch: Vec<Complex<T>>,
     lines: Vec<Complex<T>>,
@@ -76,6 +78,7 @@ impl<T: ConvReal> WindowDrawer<T> {
             work: Work {
                 folded: vec![zero; half * side],
                 psf: Vec::new(),
+                product: Vec::new(),
                 transform: Vec::new(),
                 turns: Vec::new(),
                 scratch: vec![zero; scratch],
@@ -142,36 +145,37 @@ impl<T: ConvReal> WithIsa<T> for Fold<'_, '_, T> {
     fn run<S: Lanes<T>>(self, simd: S) {
         let Self { side, galaxy, work } = self;
         let wavenumbers = &galaxy.spectra.wavenumbers;
-        let (step, half) = (wavenumbers.step(), side / 2);
+        let step = wavenumbers.step();
+        let copies = &wavenumbers.copies;
         let zero = Complex::new(T::zero(), T::zero());
-        let turn = |k: i64, at: f64| {
-            let (sin, cos) = (-(k as f64) * step * at).sin_cos();
-            Complex::new(T::nearest(cos), T::nearest(sin))
+        let radius = (galaxy.band / step).ceil().min(copies.largest() as f64);
+        let most_at = |kx: i64| {
+            let within = radius * radius - (kx * kx) as f64;
+            (within >= 0.0).then(|| within.sqrt() as i64)
         };
-        let most = wavenumbers.most_ky[0];
+        let most = wavenumbers.most_ky[0] as i64;
+        let row = (2 * most + 1) as usize;
         work.turns.clear();
-        work.turns
-            .extend((-(most as i64)..=most as i64).map(|ky| turn(ky, galaxy.centre.1)));
+        for number in copies.numbers(radius) {
+            let [_, of_copy] = copies.turns(number);
+            work.turns.extend((-most..=most).map(|ky| {
+                let ky = ky + copies.distance(number);
+                turn(ky as f64 * step * galaxy.centre.1, of_copy * copies.kernel(ky))
+            }));
+        }
         work.folded.fill(zero);
-        work.psf.resize(2 * most + 1, zero);
-        work.transform.resize(2 * most + 1, 0.0);
+        work.psf.resize(row, zero);
+        work.product.resize(row, zero);
+        work.transform.resize(2 * radius as usize + 1, 0.0);
         let area = (side * side) as f64;
         let coefficients: Vec<T> = galaxy.coefficients.iter().map(|c| T::nearest(c / area)).collect();
-        let radius = (galaxy.band / step).ceil();
         for (kx, (&stored, &start)) in wavenumbers.most_ky.iter().zip(&wavenumbers.starts).enumerate() {
-            let within = radius * radius - (kx * kx) as f64;
-            if within < 0.0 {
+            let Some(most_ky) = most_at(kx as i64).map(|most_ky| most_ky.min(stored as i64)) else {
                 break;
-            }
-            let most_ky = stored.min(within.sqrt() as usize);
-            let (start, count) = (start + stored - most_ky, 2 * most_ky + 1);
-            let transform = &mut work.transform[..count];
-            galaxy
-                .light
-                .transform_into(kx as f64 * step, -(most_ky as f64) * step, step, transform);
+            };
+            let count = (2 * most_ky + 1) as usize;
+            let start = start + stored - most_ky as usize;
             let psf = &mut work.psf[..count];
-            let turns = &work.turns[most - most_ky..=most + most_ky];
-            let turn_x = turn(kx as i64, galaxy.centre.0);
             simd.vectorized(
                 #[inline(always)]
                 || {
@@ -182,36 +186,90 @@ impl<T: ConvReal> WithIsa<T> for Fold<'_, '_, T> {
                             sum.im += c * v.im;
                         }
                     }
-                    for ((value, &g), turn) in psf.iter_mut().zip(transform.iter()).zip(turns) {
-                        let g = T::nearest(g);
-                        let turned = Complex::new(
-                            (turn_x.re * turn.re - turn_x.im * turn.im) * g,
-                            (turn_x.re * turn.im + turn_x.im * turn.re) * g,
-                        );
-                        *value = Complex::new(
-                            value.re * turned.re - value.im * turned.im,
-                            value.re * turned.im + value.im * turned.re,
-                        );
-                    }
-                    // A real image: the value at -k is the conjugate of that at k. Of each pair, one
-                    // lies in the columns that are kept, and both if the column is its own opposite.
-                    let column = kx % side;
-                    if column <= half {
-                        let to = &mut work.folded[column * side..(column + 1) * side];
-                        add_folded(to, psf, -(most_ky as i64));
-                    }
-                    if kx > 0 && (column == 0 || column >= half) {
-                        let opposite = (side - column) % side;
-                        psf.reverse();
-                        for v in psf.iter_mut() {
-                            v.im = -v.im;
-                        }
-                        let to = &mut work.folded[opposite * side..(opposite + 1) * side];
-                        add_folded(to, psf, -(most_ky as i64));
-                    }
                 },
             );
+            let product = &mut work.product[..count];
+            product.fill(zero);
+            for across in copies.numbers(radius) {
+                let kx = kx as i64 + copies.distance(across);
+                let Some(end) = most_at(kx) else { continue };
+                let transform = &mut work.transform[..(2 * end + 1) as usize];
+                galaxy
+                    .light
+                    .transform_into(kx as f64 * step, -(end as f64) * step, step, transform);
+                let [of_copy, _] = copies.turns(across);
+                let turn_x = turn(kx as f64 * step * galaxy.centre.0, of_copy * copies.kernel(kx));
+                for (up, turns) in copies.numbers(radius).zip(work.turns.chunks_exact(row)) {
+                    // The wavenumbers of this copy that are within the band.
+                    let distance = copies.distance(up);
+                    let from = (-most_ky).max(-end - distance);
+                    let to = most_ky.min(end - distance) + 1;
+                    if from >= to {
+                        continue;
+                    }
+                    let part = |first: i64| (from - first) as usize..(to - first) as usize;
+                    let product = &mut product[part(-most_ky)];
+                    let psf = &psf[part(-most_ky)];
+                    let (transform, turns) = (&transform[part(-end - distance)], &turns[part(-most)]);
+                    simd.vectorized(
+                        #[inline(always)]
+                        || add_product(product, psf, transform, turn_x, turns),
+                    );
+                }
+            }
+            simd.vectorized(
+                #[inline(always)]
+                || add_line(&mut work.folded, side, kx, product),
+            );
         }
+    }
+}
+
+/// `factor exp(-i angle)`.
+fn turn<T: ConvReal>(angle: f64, factor: Complex64) -> Complex<T> {
+    let turned = factor * Complex64::from_polar(1.0, -angle);
+    Complex::new(T::nearest(turned.re), T::nearest(turned.im))
+}
+
+/// Adds the products of the PSF's transform, that of the light and a turn.
+#[inline(always)]
+fn add_product<T: ConvReal>(
+    sums: &mut [Complex<T>],
+    psf: &[Complex<T>],
+    light: &[f64],
+    turn_x: Complex<T>,
+    turns: &[Complex<T>],
+) {
+    for (((sum, psf), &light), turn) in sums.iter_mut().zip(psf).zip(light).zip(turns) {
+        let light = T::nearest(light);
+        let turned = Complex::new(
+            (turn_x.re * turn.re - turn_x.im * turn.im) * light,
+            (turn_x.re * turn.im + turn_x.im * turn.re) * light,
+        );
+        sum.re += psf.re * turned.re - psf.im * turned.im;
+        sum.im += psf.re * turned.im + psf.im * turned.re;
+    }
+}
+
+/// Adds the values at one `kx` and all `ky`, with `ky = 0` in the middle, to the columns of a
+/// folded transform. A real image: the value at `-k` is the conjugate of that at `k`. Of each pair,
+/// one lies in the columns that are kept, and both if the column is its own opposite. The values
+/// are then changed.
+#[inline(always)]
+fn add_line<T: ConvReal>(folded: &mut [Complex<T>], side: usize, kx: usize, values: &mut [Complex<T>]) {
+    let first = -(values.len() as i64 / 2);
+    let half = side / 2;
+    let column = kx % side;
+    if column <= half {
+        add_folded(&mut folded[column * side..(column + 1) * side], values, first);
+    }
+    if kx > 0 && (column == 0 || column >= half) {
+        let opposite = (side - column) % side;
+        values.reverse();
+        for v in values.iter_mut() {
+            v.im = -v.im;
+        }
+        add_folded(&mut folded[opposite * side..(opposite + 1) * side], values, first);
     }
 }
 
