@@ -17,7 +17,7 @@ use std::sync::OnceLock;
 
 use num_complex::Complex64;
 
-use crate::profile::half_light_constant;
+use crate::half_light::half_light_constant;
 
 /// The table begins and ends at these powers of two of the squared wavenumber. Below, the transform
 /// is 1 but for 1e-5, even for `n = 8`. Above, it is below 1e-7.

@@ -12,7 +12,7 @@ use psf_types::{
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use super::local_modes::norm;
+use super::norm::norm;
 use super::{Block, Plan, PlanOptions};
 
 /// Text forms of all interpolators, and whether they need samples on a regular grid.

@@ -3,7 +3,7 @@
 use ndarray::{Array1, Array2, ArrayView1, ArrayView2};
 use psf_types::StampGrid;
 
-use super::local_modes::{norm, norm_squared};
+use super::norm::{norm, norm_squared};
 
 /// Bounds the flux of any vector of a [`PsfSpace`](super::local_modes::PsfSpace) in every circle
 /// about the source.

@@ -5,6 +5,7 @@ use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis, s};
 use psf_types::{PsfModel, ToleranceOn};
 
 use super::growth_curves::{GrowthCurves, TailGrowth};
+use super::norm::{norm, norm_squared};
 use super::region_cells::{CORNERS, RegionCells};
 
 /// Coordinates in which the norm of a vector is the L2 norm of its PSF.
@@ -115,16 +116,6 @@ impl PsfSpace {
 /// An error is rounding if its norm is at most this fraction of the PSF's norm. Its flux in circles
 /// is then not tested.
 const ROUNDING_NORM: f64 = 1e-15;
-
-pub(crate) fn norm(v: ArrayView1<'_, f64>) -> f64 {
-    v.dot(&v).sqrt()
-}
-
-/// The squared norm, summed several values at a time.
-pub(crate) fn norm_squared(v: &[f64]) -> f64 {
-    let v = ndarray::aview1(v);
-    v.dot(&v)
-}
 
 /// A local basis: `h(x) = flux(x) reference + sum_j c_j(x) mode_j`. The modes hold no flux, so
 /// leaving out modes keeps the flux. The exception is a region without a reference: its first mode

@@ -18,6 +18,7 @@ pub(crate) mod cost_model;
 pub(crate) mod geometry;
 mod growth_curves;
 pub(crate) mod local_modes;
+mod norm;
 mod options;
 pub(crate) mod region_cells;
 mod summary;
