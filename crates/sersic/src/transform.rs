@@ -88,7 +88,7 @@ impl Transform {
             (first, last) = (first.min(number), last.max(number));
         }
         // Each polynomial is computed for all, and kept where it holds. This takes fewer steps than
-        // one look-up for each wavenumber, because neighbours mostly need the same one or two.
+        // one look-up for each wavenumber, because neighbours need few different polynomials.
         let mut values = [0.0; N];
         for of in first..=last {
             let coefficients = &self.polynomials[of as usize];
@@ -128,12 +128,14 @@ struct Along<'a> {
 }
 
 impl Along<'_> {
-    /// The transforms of a chunk of the line.
+    /// The transforms of a chunk of a line of `count` wavenumbers. Beyond its end, the last
+    /// wavenumber is repeated, so that no further polynomials are needed.
     #[inline(always)]
-    fn chunk(&self, number: usize) -> [f64; LANES] {
+    fn chunk(&self, number: usize, count: usize) -> [f64; LANES] {
         let ([c0, c1, c2], mut x) = (self.c, [0.0; LANES]);
         for (i, x) in x.iter_mut().enumerate() {
-            let t = self.first + f64::from((number * LANES + i) as u32) * self.step;
+            let at = (number * LANES + i).min(count - 1);
+            let t = self.first + f64::from(at as u32) * self.step;
             *x = (c0 + t * (c1 + t * c2)).max(0.0);
         }
         self.transform.at(x)
@@ -145,11 +147,14 @@ impl pulp::NullaryFnOnce for Along<'_> {
     // Inlined, so that it is compiled for each instruction set.
     #[inline(always)]
     fn call(mut self) {
+        let count = self.values.len();
         let (chunks, rest) = std::mem::take(&mut self.values).as_chunks_mut();
         for (number, values) in chunks.iter_mut().enumerate() {
-            *values = self.chunk(number);
+            *values = self.chunk(number, count);
         }
-        rest.copy_from_slice(&self.chunk(chunks.len())[..rest.len()]);
+        if !rest.is_empty() {
+            rest.copy_from_slice(&self.chunk(chunks.len(), count)[..rest.len()]);
+        }
     }
 }
 

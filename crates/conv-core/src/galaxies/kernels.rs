@@ -114,8 +114,9 @@ impl Stamps {
         combined(&self.moments, direction.iter())
     }
 
-    /// The number of the narrowest band that holds a wavenumber. Bands that hold all wavenumbers
-    /// of the discrete transforms have one number.
+    /// The number of the narrowest band that holds a wavenumber. Wavenumbers beyond one
+    /// period of the discrete transform all get one number, because they need the same stored
+    /// values.
     pub(super) fn band_number(&self, k: f64) -> usize {
         let whole = PI * self.grid.oversampling() * std::f64::consts::SQRT_2;
         let k = if has_copies(self.grid) { k.min(whole) } else { k };

@@ -5,8 +5,9 @@
 //! kernel, which is a product of a function of `kx` and one of `ky`. Wavenumbers are multiples of
 //! `2 pi / N` radians per frame pixel, where `N` is the side of the window that is drawn.
 //!
-//! The discrete transform repeats with the sampling frequency of the stamp. So only one period of
-//! it is computed, and a wavenumber beyond takes its value from there.
+//! The discrete transform repeats with the sampling frequency of the stamp. If the oversampling is
+//! a whole number, only one period of it is computed, and a wavenumber beyond takes its value from
+//! there.
 
 use std::f64::consts::TAU;
 use std::sync::Arc;
@@ -44,8 +45,8 @@ pub(super) struct Copies {
     /// The factor of interpolation at `k = 0, 1, 2 ...` along each axis. Wavenumbers half-way
     /// between two copies count in both, so there it is half the kernel's transform.
     kernel: Vec<f64>,
-    /// The stamps' centre, in stamp pixels. From one copy to the next, the transform turns by this
-    /// number of circles.
+    /// The stamps' centre, in stamp pixels. From one copy to the next, the phase of the transform
+    /// grows by 2 pi times the centre.
     centre: (f64, f64),
 }
 
@@ -76,7 +77,11 @@ impl Wavenumbers {
                 start
             })
             .collect();
-        let last = period.map_or(radius as usize, |period| period / 2 * (2 * COPIES as usize + 1));
+        // Within half a period there are no copies.
+        let last = match period {
+            Some(period) if 2 * radius as usize >= period => COPIES as usize * period + period / 2,
+            _ => radius as usize,
+        };
         let angle = TAU / (side as f64 * grid.oversampling());
         let kernel = (0..=last).map(|k| {
             let shared = period.is_some_and(|period| 2 * (k % period) == period);

@@ -44,7 +44,7 @@ struct Work<T> {
     product: Vec<Complex<T>>,
     transform: Vec<f64>,
     /// `exp(-i ky y)` for the galaxy's row `y`, times the factors of [`Copies`](super::spectrum::Copies).
-    /// For each copy, from the first wavenumber of a period on.
+    /// One row per copy, `ky` ascending.
     turns: Vec<Complex<T>>,
     scratch: Vec<Complex<T>>,
     lines: Vec<Complex<T>>,
@@ -149,6 +149,7 @@ impl<T: ConvReal> WithIsa<T> for Fold<'_, '_, T> {
         let copies = &wavenumbers.copies;
         let zero = Complex::new(T::zero(), T::zero());
         let radius = (galaxy.band / step).ceil().min(copies.largest() as f64);
+        // The largest `ky` within the band at `kx`.
         let most_at = |kx: i64| {
             let within = radius * radius - (kx * kx) as f64;
             (within >= 0.0).then(|| within.sqrt() as i64)
@@ -225,13 +226,13 @@ impl<T: ConvReal> WithIsa<T> for Fold<'_, '_, T> {
     }
 }
 
-/// `factor exp(-i angle)`.
+/// A phase factor: `factor exp(-i angle)`.
 fn turn<T: ConvReal>(angle: f64, factor: Complex64) -> Complex<T> {
     let turned = factor * Complex64::from_polar(1.0, -angle);
     Complex::new(T::nearest(turned.re), T::nearest(turned.im))
 }
 
-/// Adds the products of the PSF's transform, that of the light and a turn.
+/// Adds `psf * light * turn_x * turns` to `sums`.
 #[inline(always)]
 fn add_product<T: ConvReal>(
     sums: &mut [Complex<T>],
@@ -253,8 +254,8 @@ fn add_product<T: ConvReal>(
 
 /// Adds the values at one `kx` and all `ky`, with `ky = 0` in the middle, to the columns of a
 /// folded transform. A real image: the value at `-k` is the conjugate of that at `k`. Of each pair,
-/// one lies in the columns that are kept, and both if the column is its own opposite. The values
-/// are then changed.
+/// one lies in the columns that are kept, and both if the column is its own opposite. Overwrites
+/// `values`.
 #[inline(always)]
 fn add_line<T: ConvReal>(folded: &mut [Complex<T>], side: usize, kx: usize, values: &mut [Complex<T>]) {
     let first = -(values.len() as i64 / 2);

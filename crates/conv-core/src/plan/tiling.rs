@@ -36,7 +36,7 @@ const LARGEST_AT_LEAST: usize = 640;
 const LARGEST_BY_CHOICE: usize = 2048;
 /// The smallest tile, as a fraction of the stamp's size.
 const SMALLEST_IN_STAMPS: f64 = 0.4;
-/// Modes are counted for blocks of areas that differ by this factor.
+/// Modes are counted for blocks of areas that differ by at most about this factor.
 const AREA_STEP: f64 = 4.0;
 /// The number of threads for which the time of a tiling is predicted. It is a constant, so that
 /// plans do not depend on the machine.
@@ -100,8 +100,9 @@ fn best_tiling<T: ConvReal>(
 /// must contain blocks of smaller ones.
 ///
 /// The modes are counted for a few sizes of blocks only, from the smallest on. In between, their
-/// number is taken as a power of the area. Larger blocks need at least as many modes. So the search
-/// ends when with as many modes, no larger tiling would be faster than one that is known.
+/// number is interpolated, as a power of the area. It is assumed that larger blocks need at least as
+/// many modes. The search ends when no larger tiling would be faster than the best one, even without
+/// more modes.
 fn fastest<T: ConvReal>(
     mut tilings: Vec<Tiling>,
     model: &PsfModel,
@@ -114,7 +115,7 @@ fn fastest<T: ConvReal>(
         |tiling: &Tiling, kernels| tiling.seconds::<T>(kernels, space.stamps.nrows(), geometry, options);
     tilings.sort_by(|a, b| a.block_area().total_cmp(&b.block_area()));
     let mut best: Option<(f64, usize)> = None;
-    let mut before: Option<(f64, Kernels)> = None;
+    let mut before: Option<(f64, KernelCount)> = None;
     let mut timed = 0;
     while timed < tilings.len() {
         progress.check_cancelled()?;
@@ -148,20 +149,20 @@ fn fastest<T: ConvReal>(
 
 /// The mean number of kernels of a block: its modes and the reference.
 #[derive(Clone, Copy)]
-struct Kernels {
+struct KernelCount {
     mean: f64,
     /// Whether blocks would need coefficients pixel by pixel ([`RegionCells::are_short`]).
     short_runs: bool,
 }
 
-/// The kernels of blocks of an area between two areas.
-fn between((low, few): (f64, Kernels), (high, many): (f64, Kernels), area: f64) -> Kernels {
+/// Interpolates the number of kernels, as a power of the block's area.
+fn between((low, few): (f64, KernelCount), (high, many): (f64, KernelCount), area: f64) -> KernelCount {
     let part = if low < high {
         (area / low).ln() / (high / low).ln()
     } else {
         0.0
     };
-    Kernels {
+    KernelCount {
         mean: few.mean * (many.mean / few.mean).powf(part),
         short_runs: few.short_runs || many.short_runs,
     }
@@ -230,7 +231,7 @@ impl Tiling {
         space: &PsfSpace,
         geometry: &Geometry,
         options: PlanOptions,
-    ) -> Kernels {
+    ) -> KernelCount {
         let (across, up) = (self.columns.len(), self.rows.len());
         let samples = SAMPLES.min(across * up);
         let counted: Vec<(usize, bool)> = (0..samples)
@@ -244,7 +245,7 @@ impl Tiling {
                 (modes.rank() + 1, cells.are_short())
             })
             .collect();
-        Kernels {
+        KernelCount {
             mean: counted.iter().map(|&(kernels, _)| kernels).sum::<usize>() as f64 / samples as f64,
             short_runs: counted.iter().any(|&(_, short)| short),
         }
@@ -253,7 +254,7 @@ impl Tiling {
     /// Predicted seconds if every pixel is lit. `stamps` is the number of stamps of the model.
     fn seconds<T: ConvReal>(
         &self,
-        kernels: Kernels,
+        kernels: KernelCount,
         stamps: usize,
         geometry: &Geometry,
         options: PlanOptions,
