@@ -166,9 +166,10 @@ impl LightProfile for SersicLight {
 
     fn around(&self, (dx, dy): (f64, f64), reach_px: f64) -> Outskirts {
         let (u, v) = self.turned(dx, dy);
-        let (middle, reach) = (u.hypot(v), reach_px / self.q);
+        let distance = |x: f64, y: f64| (x * x + y * y).sqrt();
+        let (middle, reach) = (distance(u, v), reach_px / self.q);
         // Every point is at least as far from the centre as it is in pixels.
-        let nearest = (middle - reach).max(dx.hypot(dy) - reach_px).max(0.0);
+        let nearest = (middle - reach).max(distance(dx, dy) - reach_px).max(0.0);
         self.between(nearest, middle + reach)
     }
 

@@ -135,11 +135,16 @@ impl<T: ConvReal> PolynomialWeights<T> {
 
     /// Adds the values at the pixels of a row.
     fn add(&self, line: [T; NODES], pixels: &mut [T]) {
-        for (weights, v) in self.0.iter().zip(line) {
-            for (pixel, &weight) in pixels.iter_mut().zip(weights) {
-                *pixel += weight * v;
-            }
-        }
+        pulp::Arch::new().dispatch(
+            #[inline(always)]
+            || {
+                for (weights, v) in self.0.iter().zip(line) {
+                    for (pixel, &weight) in pixels.iter_mut().zip(weights) {
+                        *pixel += weight * v;
+                    }
+                }
+            },
+        );
     }
 }
 

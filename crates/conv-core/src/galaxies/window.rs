@@ -156,12 +156,18 @@ impl<T: ConvReal> WithIsa<T> for Fold<'_, '_, T> {
         };
         let most = wavenumbers.most_ky[0] as i64;
         let row = (2 * most + 1) as usize;
+        // The phase from one `ky` to the next.
+        let angle_y = step * galaxy.centre.1;
+        let to_next = Complex64::from_polar(1.0, -angle_y);
         work.turns.clear();
         for number in copies.numbers(radius) {
             let [_, of_copy] = copies.turns(number);
-            work.turns.extend((-most..=most).map(|ky| {
-                let ky = ky + copies.distance(number);
-                turn(ky as f64 * step * galaxy.centre.1, of_copy * copies.kernel(ky))
+            let first = copies.distance(number) - most;
+            let mut phase = Complex64::from_polar(1.0, -(first as f64) * angle_y);
+            work.turns.extend((first..=first + 2 * most).map(|ky| {
+                let turned = of_copy * phase * copies.kernel(ky);
+                phase *= to_next;
+                nearest(turned)
             }));
         }
         work.folded.fill(zero);
@@ -199,7 +205,8 @@ impl<T: ConvReal> WithIsa<T> for Fold<'_, '_, T> {
                     .light
                     .transform_into(kx as f64 * step, -(end as f64) * step, step, transform);
                 let [of_copy, _] = copies.turns(across);
-                let turn_x = turn(kx as f64 * step * galaxy.centre.0, of_copy * copies.kernel(kx));
+                let phase = Complex64::from_polar(1.0, -(kx as f64) * step * galaxy.centre.0);
+                let turn_x = nearest(of_copy * phase * copies.kernel(kx));
                 for (up, turns) in copies.numbers(radius).zip(work.turns.chunks_exact(row)) {
                     // The wavenumbers of this copy that are within the band.
                     let distance = copies.distance(up);
@@ -226,10 +233,8 @@ impl<T: ConvReal> WithIsa<T> for Fold<'_, '_, T> {
     }
 }
 
-/// A phase factor: `factor exp(-i angle)`.
-fn turn<T: ConvReal>(angle: f64, factor: Complex64) -> Complex<T> {
-    let turned = factor * Complex64::from_polar(1.0, -angle);
-    Complex::new(T::nearest(turned.re), T::nearest(turned.im))
+fn nearest<T: ConvReal>(value: Complex64) -> Complex<T> {
+    Complex::new(T::nearest(value.re), T::nearest(value.im))
 }
 
 /// Adds `psf * light * turn_x * turns` to `sums`.

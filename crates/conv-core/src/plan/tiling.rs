@@ -218,8 +218,10 @@ impl Tiling {
 
     /// The mean area of a block, in pixels.
     fn block_area(&self) -> f64 {
+        // Stretches follow each other, from the first pixel on.
         let length = |stretches: &[Stretch]| {
-            stretches.iter().map(Stretch::length).sum::<usize>() as f64 / stretches.len() as f64
+            let pixels = stretches.last().map_or(0, |last| last.start() + last.length());
+            pixels as f64 / stretches.len() as f64
         };
         length(&self.columns) * length(&self.rows)
     }
