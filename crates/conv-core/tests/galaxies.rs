@@ -6,7 +6,7 @@ use conv_core::{GalaxyPlan, PlanOptions, StampInterpolator};
 use ndarray::{Array2, Array3};
 use psf_types::{
     Anchor, CoefficientField, FieldError, FrameShape, LightProfile, NoProgress, Normalisation, PixelRegion,
-    Position, PsfBasis, PsfModel, SersicProfile, SersicSource, StampGrid,
+    Position, PsfBasis, PsfModel, SersicProfile, SersicSource, StampGrid, StampInterpolation,
 };
 use sersic::SersicLight;
 
@@ -23,16 +23,21 @@ impl CoefficientField for Constant {
 }
 
 fn model(size: usize, oversampling: f64, psf: impl Fn(f64, f64) -> f64) -> PsfModel {
-    let grid = StampGrid::new(size, size)
-        .and_then(|grid| grid.with_oversampling(oversampling))
-        .unwrap();
-    let stamp = Array2::from_shape_fn((size, size), |(y, x)| {
+    let grid = StampGrid::new(size, size).and_then(|grid| grid.with_oversampling(oversampling));
+    model_on(grid.unwrap(), psf)
+}
+
+/// The model of a PSF, which is a function of the offset from the centre in frame pixels.
+fn model_on(grid: StampGrid, psf: impl Fn(f64, f64) -> f64) -> PsfModel {
+    let oversampling = grid.oversampling();
+    let stamp = Array2::from_shape_fn(grid.dim(), |(y, x)| {
         psf(
             (x as f64 - grid.centre_x()) / oversampling,
             (y as f64 - grid.centre_y()) / oversampling,
         )
     });
-    let basis = PsfBasis::new(Some(stamp), Array3::zeros((0, size, size)), grid).unwrap();
+    let components = Array3::zeros((0, grid.ny(), grid.nx()));
+    let basis = PsfBasis::new(Some(stamp), components, grid).unwrap();
     PsfModel::new(&basis, Arc::new(Constant), Normalisation::Keep, None).unwrap()
 }
 
@@ -89,11 +94,26 @@ fn galaxies_through_sharp_stamps() {
     /// Error of the sum over points, relative to the peak.
     const SUM: f64 = 1e-5;
     let gauss = |d: f64, s: f64| (-0.5 * (d / s).powi(2)).exp() / (s * std::f64::consts::TAU.sqrt());
-    for (s, size) in [(1.0, 13), (1.0, 12), (2.0, 21), (2.0, 20), (1.5, 16)] {
+    let (spline, lanczos) = (StampInterpolation::CubicSpline, StampInterpolation::Lanczos3);
+    for (s, size, off_centre, interpolation) in [
+        (1.0, 13, 0.0, spline),
+        (1.0, 12, 0.0, spline),
+        (2.0, 21, 0.0, spline),
+        (2.0, 20, 0.3, spline),
+        (1.5, 16, 0.3, spline),
+        (1.0, 13, 0.3, lanczos),
+        (2.0, 20, 0.0, lanczos),
+        (1.5, 16, 0.3, lanczos),
+    ] {
         let sigma = 0.4 / s;
-        let model = model(size, s, |x, y| {
-            gauss(x - 0.1, sigma) * gauss(y + 0.2, 1.5 * sigma)
-        });
+        let grid = StampGrid::new(size, size)
+            .and_then(|grid| grid.with_oversampling(s))
+            .and_then(|grid| {
+                grid.with_centre(grid.centre_x() + off_centre, grid.centre_y() - 0.7 * off_centre)
+            })
+            .unwrap()
+            .with_interpolation(interpolation);
+        let model = model_on(grid, |x, y| gauss(x - 0.1, sigma) * gauss(y + 0.2, 1.5 * sigma));
         let interpolated = StampInterpolator::new(model.stamp(0), model.grid());
         // The points around the centre of the stamp, in frame pixels.
         let (fine, side) = (12.0, 12 * 14 + 1);
@@ -102,20 +122,24 @@ fn galaxies_through_sharp_stamps() {
             .unwrap();
         let psf = interpolated.resample((0.0, 0.0), points);
         let at = |i: usize| (i as f64 - (side / 2) as f64) / fine;
-        for (re, q, centre) in [(0.8, 1.0, (30.0, 30.0)), (1.2, 0.6, (30.4, 29.7))] {
-            let image = drawn(&model, galaxy(centre, re, 0.5, q, 0.0), 60, 1e-6);
+        for (re, q, angle, centre) in [(0.8, 1.0, 0.0, (30.0, 30.0)), (1.2, 0.6, 35.0, (30.4, 29.7))] {
+            let image = drawn(&model, galaxy(centre, re, 0.5, q, angle), 60, 1e-6);
+            let (sin, cos) = f64::to_radians(angle).sin_cos();
             let peak = image.iter().fold(0.0_f64, |m, v| m.max(*v));
             let own = re / (2.0 * std::f64::consts::LN_2).sqrt();
             for (i, j) in [(30, 30), (29, 30), (31, 28), (33, 31), (26, 30)] {
                 let offset = (i as f64 - centre.0, j as f64 - centre.1);
                 let sum: f64 = psf
                     .indexed_iter()
-                    .map(|((v, u), h)| h * gauss(offset.0 - at(u), own) * gauss(offset.1 - at(v), q * own))
+                    .map(|((v, u), h)| {
+                        let (x, y) = (offset.0 - at(u), offset.1 - at(v));
+                        h * gauss(x * cos + y * sin, own) * gauss(y * cos - x * sin, q * own)
+                    })
                     .sum();
                 let error = (image[[j, i]] - sum / (fine * fine)).abs() / peak;
                 assert!(
                     error < SUM,
-                    "s = {s}, size {size}, re = {re}, ({i}, {j}): {error:e}"
+                    "{interpolation}, s = {s}, size {size}, re = {re}, ({i}, {j}): {error:e}"
                 );
             }
         }
