@@ -5,9 +5,11 @@ use std::sync::Arc;
 
 use ndarray::{Array2, ArrayView1, ArrayView2, Axis};
 use psf_types::{LightProfile, StampGrid};
-use rustfft::num_complex::{Complex, Complex64};
+use rustfft::num_complex::Complex64;
 
-use super::spectrum::{COPIES, Wavenumbers, discrete_transform, has_copies, kernel_transform, spectrum};
+use super::spectrum::{
+    COPIES, Wavenumbers, discrete_transform, has_copies, kernel_transform, nearest, spectrum,
+};
 use super::window::Spectra;
 use crate::ConvReal;
 use crate::kept::Kept;
@@ -141,7 +143,7 @@ impl Stamps {
         } else {
             let own = self.transforms(side, number, &wavenumbers);
             own.combined(kernels.directions.view(), |re, im| {
-                Complex::new(T::nearest(re), T::nearest(im))
+                nearest(Complex64::new(re, im))
             })
         };
         Spectra { wavenumbers, stamps }

@@ -149,9 +149,14 @@ pub(super) fn spectrum<T: ConvReal>(
     let mut values = Vec::with_capacity(wavenumbers.count);
     for (column, &most) in planes.outer_iter().zip(&wavenumbers.most_ky) {
         let within = column.iter().skip(radius - most).take(2 * most + 1);
-        values.extend(within.map(|v| Complex::new(T::nearest(v.re), T::nearest(v.im))));
+        values.extend(within.copied().map(nearest));
     }
     values
+}
+
+/// The complex number in the precision of the image.
+pub(super) fn nearest<T: ConvReal>(value: Complex64) -> Complex<T> {
+    Complex::new(T::nearest(value.re), T::nearest(value.im))
 }
 
 /// The discrete transform of a stamp, `sum_j h(u_j) exp(-i k u_j) / s^2`, with the offsets `u_j` of

@@ -7,7 +7,7 @@ use realfft::{ComplexToReal, RealFftPlanner};
 use rustfft::num_complex::{Complex, Complex64};
 use rustfft::{Fft, FftPlanner};
 
-use super::spectrum::Wavenumbers;
+use super::spectrum::{Wavenumbers, nearest};
 use crate::ConvReal;
 use crate::simd::{Lanes, WithIsa};
 
@@ -231,10 +231,6 @@ impl<T: ConvReal> WithIsa<T> for Fold<'_, '_, T> {
             );
         }
     }
-}
-
-fn nearest<T: ConvReal>(value: Complex64) -> Complex<T> {
-    Complex::new(T::nearest(value.re), T::nearest(value.im))
 }
 
 /// Adds `psf * light * turn_x * turns` to `sums`.
