@@ -1,5 +1,6 @@
 //! Galaxies drawn through a PSF, compared with closed forms and with a direct integral.
 
+use std::f64::consts::TAU;
 use std::sync::Arc;
 
 use conv_core::{GalaxyPlan, PlanOptions, StampInterpolator};
@@ -252,6 +253,40 @@ fn every_galaxy_is_within_the_tolerance() {
                 "{tolerance} {galaxy:?}: {difference:e} {psf}"
             );
         }
+    }
+}
+
+/// A window's image repeats with the period of the window. The light of the repetitions must not
+/// stay in the window, where it would add up to many times the tolerance.
+#[test]
+fn windows_hold_no_light_of_their_repetitions() {
+    const SIDE: usize = 420;
+    const TOLERANCE: f64 = 1e-5;
+    let moffat = |x: f64, y: f64| (1.0 + (x * x + y * y) / 3.0).powf(-2.5) / TAU;
+    let model = model(82, 2.0, moffat);
+    let precise = GalaxyPlan::<f64>::new(&model, PlanOptions::new(1e-8).unwrap(), None).unwrap();
+    let pixels: Vec<(usize, usize)> = (0..SIDE)
+        .step_by(2)
+        .flat_map(|y| (0..SIDE).step_by(2).map(move |x| (x, y)))
+        .collect();
+    let frame = FrameShape::new(SIDE, SIDE).unwrap().region();
+    for (re, n, q, angle) in [(4.9, 2.3, 0.66, 30.0), (4.8, 3.5, 0.24, 0.0)] {
+        let galaxy = galaxy((210.0, 210.0), re, n, q, angle);
+        let image = drawn(&model, galaxy, SIDE, TOLERANCE);
+        let truth = precise
+            .at_pixels(&[galaxy], &light, frame, &pixels, &NoProgress)
+            .unwrap();
+        let peak = truth.iter().copied().fold(0.0, f64::max);
+        let errors = pixels.iter().zip(&truth).map(|(&(x, y), v)| image[[y, x]] - v);
+        let (sum, largest) = errors.fold((0.0, 0.0_f64), |(sum, largest), error| {
+            (sum + 4.0 * error.abs(), largest.max(error.abs()))
+        });
+        assert!(sum < TOLERANCE, "re = {re}, q = {q}: {sum:e}");
+        assert!(
+            largest < TOLERANCE * peak,
+            "re = {re}, q = {q}: {:e}",
+            largest / peak
+        );
     }
 }
 

@@ -23,8 +23,8 @@ pub trait LightProfile {
     /// brightest and changes most.
     fn outskirts(&self, distance_px: f64) -> Outskirts;
 
-    /// Describes the light at points at most `reach_px` from the offset `(dx, dy)`.
-    fn around(&self, offset: (f64, f64), reach_px: f64) -> Outskirts;
+    /// Describes the light on a square of side `2 half_px` around the offset `(dx, dy)`.
+    fn around(&self, offset: (f64, f64), half_px: f64) -> Outskirts;
 
     /// Returns the ratio of the minor to the major axis of the isophotes.
     fn axis_ratio(&self) -> f64;
@@ -39,6 +39,6 @@ pub struct Outskirts {
     /// The largest brightness, in flux per pixel.
     pub brightness: f64,
     /// A length: the m-th derivative of the brightness is at most about
-    /// `brightness / scale_px^m`, for orders up to 8.
+    /// `brightness / scale_px^m`, for orders up to 6.
     pub scale_px: f64,
 }

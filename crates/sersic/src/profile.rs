@@ -14,11 +14,12 @@ use crate::transform::Transform;
 const SMALLEST_RADIUS_PX: f64 = 1e-9;
 /// The number of points at which brightness is computed together.
 const POINTS: usize = 8;
-/// Along any line, the m-th derivative of the brightness `I` is at most about
-/// `I ((k + DERIVATIVE_OFFSET) / r)^m` for the orders used here (up to 8), with
-/// `k = -d ln I / d ln r`. The reason is that the derivatives of a power `r^-k` have the factors
-/// `k, k + 1 ... k + 7`, whose geometric mean is about `k + 3`.
-const DERIVATIVE_OFFSET: f64 = 3.0;
+/// The m-th derivative of a power `r^-k` along a radius is `r^-(k + m)` times `k (k + 1) ... (k + m -
+/// 1)`, whose m-th root is at most about `k + ALONG_RADIUS` for the orders used here (up to 6).
+const ALONG_RADIUS: f64 = 2.3;
+/// Across the radius, the sixth derivative has the factor `15 k (k + 2) (k + 4)`, whose sixth root is
+/// at most about `(ACROSS_RADIUS (k + 2))^(1/2)`. For lower orders the root is smaller.
+const ACROSS_RADIUS: f64 = 2.5;
 /// Light fainter than `exp(-DARK)` times the central brightness counts as 0: single precision holds
 /// no smaller numbers.
 const DARK: f32 = 80.0;
@@ -84,12 +85,15 @@ impl SersicLight {
     }
 
     /// Brightness and its length scale at points with a radius in (u, v) from `nearest` to
-    /// `farthest`.
-    fn between(&self, nearest: f64, farthest: f64) -> Outskirts {
-        let slope = self.exponent(farthest * farthest) / self.index;
+    /// `farthest`, and with an angle to the major axis there whose sine is at most `sine`.
+    fn between(&self, nearest: f64, farthest: f64, sine: f64) -> Outskirts {
+        let k = self.exponent(farthest * farthest) / self.index;
+        // A step of a pixel along the minor axis is 1 / q in (u, v).
+        let along = (k + ALONG_RADIUS) * (sine / self.q).max(1.0);
+        let across = (ACROSS_RADIUS * (k + 2.0)).sqrt() / self.q;
         Outskirts {
             brightness: self.central * (-self.exponent(nearest * nearest)).exp(),
-            scale_px: self.q * nearest / (slope + DERIVATIVE_OFFSET),
+            scale_px: nearest / along.max(across),
         }
     }
 }
@@ -161,16 +165,23 @@ impl LightProfile for SersicLight {
     }
 
     fn outskirts(&self, distance_px: f64) -> Outskirts {
-        self.between(distance_px, distance_px)
+        // Where the light is brightest: at the end of the major axis.
+        self.between(distance_px, distance_px, 0.0)
     }
 
-    fn around(&self, (dx, dy): (f64, f64), reach_px: f64) -> Outskirts {
+    fn around(&self, (dx, dy): (f64, f64), half_px: f64) -> Outskirts {
         let (u, v) = self.turned(dx, dy);
         let distance = |x: f64, y: f64| (x * x + y * y).sqrt();
-        let (middle, reach) = (distance(u, v), reach_px / self.q);
+        let (middle, reach) = (distance(u, v), half_px * std::f64::consts::SQRT_2 / self.q);
         // Every point is at least as far from the centre as it is in pixels.
-        let nearest = (middle - reach).max(distance(dx, dy) - reach_px).max(0.0);
-        self.between(nearest, middle + reach)
+        let in_pixels = distance((dx.abs() - half_px).max(0.0), (dy.abs() - half_px).max(0.0));
+        let nearest = (middle - reach).max(in_pixels);
+        let sine = if nearest > 0.0 {
+            ((v.abs() + reach) / nearest).min(1.0)
+        } else {
+            1.0
+        };
+        self.between(nearest, middle + reach, sine)
     }
 
     fn axis_ratio(&self) -> f64 {

@@ -5,7 +5,7 @@ use psf_types::{Anchor, FrameShape, LightProfile, PixelRegion, Position, Progres
 use rayon::prelude::*;
 
 use super::extent::{FRACTION, RELATIVE_ERROR};
-use super::far_field::{PolynomialWeights, SMALLEST};
+use super::far_field::{BlockWeights, SMALLEST, subtract_row};
 use super::galaxy_plan::{Catalogue, GalaxyPlan, Light, Window, window_at};
 use super::kernels::Kernels;
 use super::window::{Drawn, Spectra, WindowDrawer};
@@ -131,7 +131,7 @@ impl<T: ConvReal> GalaxyPlan<T> {
         let psf = vectors.psf * scale;
         let far = (catalogue.light)(galaxy);
         let outside = self.far_light(self.stamps().moments_of(psf.view()), far, (x, y), window, reach);
-        let weights = PolynomialWeights::new(side);
+        let weights = BlockWeights::new(side);
         let repeated = (outside.reach > 0.0).then(|| outside.repeated(&weights));
         let place = |&(column, row): &(usize, usize)| {
             let inside =
@@ -151,7 +151,7 @@ impl<T: ConvReal> GalaxyPlan<T> {
                 (Some((row, column)), Some(values)) => {
                     line.iter_mut().zip(values.row(row)).for_each(|(to, &v)| *to = v);
                     if let Some(repeated) = &repeated {
-                        repeated.subtract_from(row, &mut line);
+                        subtract_row(&mut line, repeated, row);
                     }
                     line[column]
                 }

@@ -16,7 +16,8 @@ pub(super) struct Extent {
     peak: f64,
     /// The largest value at the stamp's edge, as a fraction of the peak.
     edge: f64,
-    /// The fourth root of the mean fourth power of the distance of the light from the centre.
+    /// The fourth root of the mean fourth power of the light's distance from the centre along a
+    /// line: along x, y or a diagonal, whichever is largest.
     spread: f64,
 }
 
@@ -62,7 +63,8 @@ impl Extent {
         let side = |centre: f64, count: usize| centre.max((count - 1) as f64 - centre) / s;
         let half = side(grid.centre_x(), grid.nx()).max(side(grid.centre_y(), grid.ny()));
         let half = size.map_or(half, |size| half.min(0.5 * size as f64));
-        let (mut peak, mut edge, mut fourth, mut total) = (0.0_f64, 0.0_f64, 0.0, 0.0);
+        let (mut peak, mut edge, mut total) = (0.0_f64, 0.0_f64, 0.0);
+        let mut fourth = [0.0; 4];
         for (index, v) in values.iter().enumerate() {
             let (j, i, v) = (index / grid.nx(), index % grid.nx(), v.abs());
             let (x, y) = ((i as f64 - grid.centre_x()) / s, (j as f64 - grid.centre_y()) / s);
@@ -70,7 +72,10 @@ impl Extent {
             if x.abs().max(y.abs()) > half - 1.0 {
                 edge = edge.max(v);
             }
-            fourth += v * (x * x + y * y).powi(2);
+            let diagonals = [x + y, x - y].map(|d| d * std::f64::consts::FRAC_1_SQRT_2);
+            for (sum, d) in fourth.iter_mut().zip([x, y].into_iter().chain(diagonals)) {
+                *sum += v * d.powi(4);
+            }
             total += v;
         }
         Self {
@@ -78,7 +83,9 @@ impl Extent {
             half: half + BEYOND,
             peak: peak.max(f64::MIN_POSITIVE),
             edge: edge / peak.max(f64::MIN_POSITIVE),
-            spread: (fourth / total.max(f64::MIN_POSITIVE)).sqrt().sqrt(),
+            spread: (fourth.into_iter().fold(0.0, f64::max) / total.max(f64::MIN_POSITIVE))
+                .sqrt()
+                .sqrt(),
         }
     }
 
@@ -166,7 +173,7 @@ impl Extent {
 
 /// The least distance of a window's edge from the galaxy's centre. A window begins at a multiple of
 /// [`SMALLEST`] pixels, so it is not centred on the galaxy.
-fn nearest_edge(side: usize) -> f64 {
+pub(super) fn nearest_edge(side: usize) -> f64 {
     0.5 * (side - SMALLEST) as f64
 }
 

@@ -7,16 +7,15 @@ use ndarray::{ArrayViewMut2, Axis};
 use psf_types::{LightProfile, Progress};
 use rayon::prelude::*;
 
+use super::extent::nearest_edge;
 use crate::overlap::Piece;
 use crate::{ConvError, ConvReal};
 
 /// Pixels along each side of a tile. Tiles, their blocks and the windows of galaxies begin at
 /// multiples of [`SMALLEST`] pixels, so a block lies inside or outside a window.
 const TILE: usize = 128;
-/// Pixels along each side of the smallest blocks of a tile.
+/// The least number of pixels along each side of a block.
 pub(super) const SMALLEST: usize = 8;
-/// Number of block sizes in a tile: 128, 64, 32, 16 and 8 pixels.
-const LEVELS: usize = 5;
 /// Number of nodes along an axis. The values at the nodes determine the polynomial of a block.
 const NODES: usize = 6;
 /// Light that comes to a window from more than this number of periods away is spread evenly.
@@ -58,9 +57,9 @@ impl FarLight {
         self.add_at::<{ NODES * NODES }>(std::array::from_fn(point), values.as_flattened_mut());
     }
 
-    /// The polynomial, on the window, of the light that an image with the period of the window
-    /// brings there from outside. `weights` are those of the window's side.
-    pub(super) fn repeated<'a, T: ConvReal>(&self, weights: &'a PolynomialWeights<T>) -> Polynomial<'a, T> {
+    /// The light that an image with the period of the window brings to the window from outside.
+    /// `weights` are those of the window.
+    pub(super) fn repeated<T: ConvReal>(&self, weights: &BlockWeights<T>) -> Vec<T> {
         let (x0, y0, side) = self.window;
         let period = side as f64;
         let most = (self.reach / period + 0.5).floor().min(MOST_PERIODS) as i64;
@@ -69,18 +68,19 @@ impl FarLight {
         let half_side = (most as f64 + 0.5) * period;
         let ellipse = half_side * (4.0 / (std::f64::consts::PI * self.light.axis_ratio())).sqrt();
         let rest = self.flux * self.light.flux_beyond(ellipse) / (period * period);
-        let mut values = [[rest; NODES]; NODES];
-        let middle = 0.5 * (period - 1.0);
-        let (x, y) = (x0 as f64 + middle, y0 as f64 + middle);
+        let mut square = Square::new(x0, y0, weights);
+        // The errors of fainter light may be as large as those at the nearest edge.
+        square.least_brightness = self.light.outskirts(nearest_edge(side)).brightness;
+        square.blocks[0] = vec![[[rest; NODES]; NODES]];
         for j in -most..=most {
             for i in -most..=most {
                 if (i, j) != (0, 0) {
-                    let centre = (x + i as f64 * period, y + j as f64 * period);
-                    self.add_at_nodes(centre, period, &mut values);
+                    let offset = (i * side as i64, j * side as i64);
+                    square.add_block(self, offset, 0, (0, 0));
                 }
             }
         }
-        Polynomial { values, weights }
+        square.into_values()
     }
 
     /// Whether the square of `size` pixels around a point contains light.
@@ -90,26 +90,12 @@ impl FarLight {
     }
 }
 
-/// A polynomial on a square, by its values at the nodes.
-pub(super) struct Polynomial<'a, T> {
-    values: Block,
-    weights: &'a PolynomialWeights<T>,
-}
-
-impl<T: ConvReal> Polynomial<'_, T> {
-    /// Subtracts the polynomial from a row of the square.
-    pub(super) fn subtract_from(&self, row: usize, values: &mut [T]) {
-        let line = self.weights.line(&self.values, row);
-        self.weights.add(line.map(|v| -v), values);
-    }
-}
-
 /// For each node along an axis, Lagrange's interpolation weights of its value at each pixel.
-pub(super) struct PolynomialWeights<T>([Vec<T>; NODES]);
+struct PolynomialWeights<T>([Vec<T>; NODES]);
 
 impl<T: ConvReal> PolynomialWeights<T> {
     /// The weights on `size` pixels.
-    pub(super) fn new(size: usize) -> Self {
+    fn new(size: usize) -> Self {
         let nodes = chebyshev_nodes();
         let weight = |k: usize, pixel: usize| {
             let at = (pixel as f64 + 0.5) / size as f64 - 0.5;
@@ -148,6 +134,14 @@ impl<T: ConvReal> PolynomialWeights<T> {
     }
 }
 
+/// Subtracts a row of a square from a row of pixels.
+pub(super) fn subtract_row<T: ConvReal>(pixels: &mut [T], square: &[T], row: usize) {
+    let values = square.chunks_exact(pixels.len()).nth(row);
+    for (pixel, &v) in pixels.iter_mut().zip(values.into_iter().flatten()) {
+        *pixel -= v;
+    }
+}
+
 /// Adds the light of galaxies outside their windows to an image, whose first pixel is the pixel
 /// `first` of the frame.
 pub(super) fn add_far_light<T: ConvReal>(
@@ -166,14 +160,15 @@ pub(super) fn add_far_light<T: ConvReal>(
     let corners: Vec<(i64, i64)> = tiles_along(first.1, image.nrows())
         .flat_map(|y| tiles_along(first.0, image.ncols()).map(move |x| (x, y)))
         .collect();
+    let weights = BlockWeights::<f64>::new(TILE);
     for some in corners.chunks(TILES_AT_ONCE) {
         let drawn: Vec<Option<Piece<T>>> = some
             .par_iter()
             .map(|&(x, y)| {
                 progress.check_cancelled()?;
-                let mut tile = Tile::new(x, y);
+                let mut tile = Square::new(x, y, &weights);
                 for galaxy in galaxies {
-                    tile.add_block(galaxy, 0, (0, 0));
+                    tile.add_block(galaxy, (0, 0), 0, (0, 0));
                 }
                 Ok(tile.into_piece())
             })
@@ -194,92 +189,144 @@ pub(super) fn add_far_light<T: ConvReal>(
 /// The values at the nodes of a block, rows first.
 type Block = [[f64; NODES]; NODES];
 
-/// The light on a square of [`TILE`] x [`TILE`] pixels: values of single pixels, and polynomials on
-/// blocks.
-struct Tile {
-    x0: i64,
-    y0: i64,
-    pixels: Vec<f64>,
-    /// Blocks by level, rows first. A level is empty until a galaxy needs it.
-    blocks: [Vec<Block>; LEVELS],
+/// The weights of the blocks of a square. The first level is one block. Each next level has blocks of
+/// half the side.
+pub(super) struct BlockWeights<T>(Vec<PolynomialWeights<T>>);
+
+impl<T: ConvReal> BlockWeights<T> {
+    /// The weights for a square of `side` pixels, down to blocks of less than twice [`SMALLEST`].
+    pub(super) fn new(side: usize) -> Self {
+        let sizes = std::iter::successors(Some(side), |size| {
+            (size % 2 == 0 && size / 2 >= SMALLEST).then_some(size / 2)
+        });
+        Self(sizes.map(PolynomialWeights::new).collect())
+    }
+
+    fn side(&self) -> usize {
+        self.0[0].0[0].len()
+    }
 }
 
-impl Tile {
-    fn new(x0: i64, y0: i64) -> Self {
+/// The light on a square: values of single pixels, and polynomials on blocks.
+struct Square<'a, T> {
+    x0: i64,
+    y0: i64,
+    weights: &'a BlockWeights<T>,
+    /// Fainter light may have errors as large as light of this brightness.
+    least_brightness: f64,
+    /// Empty until it is needed.
+    pixels: Vec<T>,
+    /// Blocks by level, rows first. A level is empty until a galaxy needs it.
+    blocks: Vec<Vec<Block>>,
+}
+
+impl<'a, T: ConvReal> Square<'a, T> {
+    fn new(x0: i64, y0: i64, weights: &'a BlockWeights<T>) -> Self {
         Self {
             x0,
             y0,
+            weights,
+            least_brightness: 0.0,
             pixels: Vec::new(),
-            blocks: std::array::from_fn(|_| Vec::new()),
+            blocks: vec![Vec::new(); weights.0.len()],
         }
     }
 
-    /// Adds a galaxy's light on one block of a level.
-    fn add_block(&mut self, galaxy: &FarLight, level: usize, (row, column): (usize, usize)) {
-        let size = TILE >> level;
-        let (x, y) = (self.x0 + (column * size) as i64, self.y0 + (row * size) as i64);
+    /// Adds the light of a galaxy, moved by an offset in pixels, on one block of a level.
+    fn add_block(
+        &mut self,
+        galaxy: &FarLight,
+        offset: (i64, i64),
+        level: usize,
+        (row, column): (usize, usize),
+    ) {
+        let side = self.weights.side();
+        let size = side >> level;
+        // Where the block lies from the galaxy that is not moved.
+        let x = self.x0 - offset.0 + (column * size) as i64;
+        let y = self.y0 - offset.1 + (row * size) as i64;
         let middle = 0.5 * (size - 1) as f64;
         let centre = (x as f64 + middle, y as f64 + middle);
         if !galaxy.reaches(centre, size as f64) {
             return;
         }
-        let (left, top, side) = galaxy.window;
-        let within = |at: i64, start: i64| at >= start && at + size as i64 <= start + side as i64;
-        let beside = |at: i64, start: i64| at + size as i64 <= start || at >= start + side as i64;
+        let (left, top, width) = galaxy.window;
+        let within = |at: i64, start: i64| at >= start && at + size as i64 <= start + width as i64;
+        let beside = |at: i64, start: i64| at + size as i64 <= start || at >= start + width as i64;
         if within(x, left) && within(y, top) {
             return;
         }
         let outside = beside(x, left) || beside(y, top);
-        let offset = (centre.0 - galaxy.centre.0, centre.1 - galaxy.centre.1);
-        let around = galaxy
-            .light
-            .around(offset, 0.5 * size as f64 * std::f64::consts::SQRT_2);
+        let to_centre = (centre.0 - galaxy.centre.0, centre.1 - galaxy.centre.1);
+        let around = galaxy.light.around(to_centre, 0.5 * size as f64);
         if around.brightness <= galaxy.faintest {
             return;
         }
-        if outside && error_of_polynomial(size as f64 / around.scale_px) <= galaxy.relative_error {
+        let error = around.brightness * error_of_polynomial(size as f64 / around.scale_px);
+        let allowed = galaxy.relative_error * around.brightness.max(self.least_brightness);
+        if outside && error <= allowed {
             let blocks = &mut self.blocks[level];
             blocks.resize(1 << (2 * level), Block::default());
             galaxy.add_at_nodes(centre, size as f64, &mut blocks[(row << level) + column]);
-        } else if level + 1 < LEVELS {
+        } else if level + 1 < self.blocks.len() {
             for (j, i) in [(0, 0), (0, 1), (1, 0), (1, 1)] {
-                self.add_block(galaxy, level + 1, (2 * row + j, 2 * column + i));
+                self.add_block(galaxy, offset, level + 1, (2 * row + j, 2 * column + i));
             }
         } else {
-            self.pixels.resize(TILE * TILE, 0.0);
-            for j in 0..SMALLEST {
-                let at = (row * SMALLEST + j) * TILE + column * SMALLEST;
-                let points = std::array::from_fn(|i| ((x + i as i64) as f64, (y + j as i64) as f64));
-                galaxy.add_at::<SMALLEST>(points, &mut self.pixels[at..at + SMALLEST]);
+            self.pixels.resize(side * side, T::zero());
+            for j in 0..size {
+                let at = (row * size + j) * side + column * size;
+                for (first, pixels) in (0..)
+                    .step_by(SMALLEST)
+                    .zip(self.pixels[at..at + size].chunks_mut(SMALLEST))
+                {
+                    let points =
+                        std::array::from_fn(|i| ((x + first + i as i64) as f64, (y + j as i64) as f64));
+                    let mut values = [0.0; SMALLEST];
+                    galaxy.add_at::<SMALLEST>(points, &mut values);
+                    for (pixel, v) in pixels.iter_mut().zip(values) {
+                        *pixel += T::nearest(v);
+                    }
+                }
             }
         }
     }
 
-    /// Returns the light in every pixel, or `None` for a dark tile.
-    fn into_piece<T: ConvReal>(mut self) -> Option<Piece<T>> {
-        if self.pixels.is_empty() && self.blocks.iter().all(Vec::is_empty) {
-            return None;
-        }
-        self.pixels.resize(TILE * TILE, 0.0);
-        for (level, blocks) in self.blocks.iter().enumerate() {
-            let size = TILE >> level;
-            let weights = PolynomialWeights::new(size);
+    /// Returns the light in every pixel, rows first.
+    fn into_values(mut self) -> Vec<T> {
+        let side = self.weights.side();
+        self.pixels.resize(side * side, T::zero());
+        for (level, (blocks, weights)) in self.blocks.iter().zip(&self.weights.0).enumerate() {
+            let size = side >> level;
             for (number, block) in blocks.iter().enumerate() {
                 if block.iter().flatten().all(|&value| value == 0.0) {
                     continue;
                 }
                 let (row, column) = (number >> level, number & ((1 << level) - 1));
                 for j in 0..size {
-                    let start = (row * size + j) * TILE + column * size;
+                    let start = (row * size + j) * side + column * size;
                     weights.add(weights.line(block, j), &mut self.pixels[start..start + size]);
                 }
             }
         }
-        let values = self.pixels.into_iter().map(T::nearest).collect();
+        self.pixels
+    }
+
+    /// Returns the light in every pixel, or `None` if there is none.
+    fn into_piece<U: ConvReal>(self) -> Option<Piece<U>> {
+        if self.pixels.is_empty() && self.blocks.iter().all(Vec::is_empty) {
+            return None;
+        }
+        let (side, first_column, first_row) = (self.weights.side(), self.x0, self.y0);
+        let values = self
+            .into_values()
+            .into_iter()
+            .map(|v| U::nearest(v.as_f64()))
+            .collect();
         Some(Piece {
-            first_column: self.x0,
-            first_row: self.y0,
-            values: ndarray::Array2::from_shape_vec((TILE, TILE), values).expect("the pixels of a tile"),
+            first_column,
+            first_row,
+            values: ndarray::Array2::from_shape_vec((side, side), values).expect("the pixels of a square"),
         })
     }
 }
@@ -325,11 +372,11 @@ mod tests {
             );
             let source = SersicSource::new(Position::of_pixel(0, 0), 1.0, profile.unwrap()).unwrap();
             let light = SersicLight::new(&source);
-            let size = SMALLEST << rng.random_range(0..LEVELS);
+            let size = SMALLEST << rng.random_range(0..5);
             let angle: f64 = rng.random_range(0.0..std::f64::consts::TAU);
             let distance = size as f64 * rng.random_range(0.8..6.0);
             let centre = (distance * angle.cos(), distance * angle.sin());
-            let around = light.around(centre, 0.5 * size as f64 * std::f64::consts::SQRT_2);
+            let around = light.around(centre, 0.5 * size as f64);
             let estimate = error_of_polynomial(size as f64 / around.scale_px);
             if !(RELATIVE_ERROR[0]..=1e-1).contains(&estimate) || around.brightness < 1e-30 {
                 continue;

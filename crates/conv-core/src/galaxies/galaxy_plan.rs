@@ -7,7 +7,7 @@ use psf_types::{Anchor, LightProfile, PixelRegion, Position, Progress, PsfModel,
 use rayon::prelude::*;
 
 use super::extent::{Extent, truncate};
-use super::far_field::{FarLight, PolynomialWeights, SMALLEST, add_far_light};
+use super::far_field::{BlockWeights, FarLight, SMALLEST, add_far_light, subtract_row};
 use super::kernels::{Kernels, Stamps};
 use super::window::{Drawn, Spectra, WindowDrawer};
 use crate::image_memory::{check_shape, with_rows_in_memory};
@@ -269,7 +269,7 @@ impl<T: ConvReal> GalaxyPlan<T> {
         let mut far = Vec::new();
         let mut drawer = WindowDrawer::new(side);
         let mut line = vec![T::zero(); side];
-        let weights = PolynomialWeights::new(side);
+        let weights = BlockWeights::<T>::new(side);
         for (placed, &window) in group.iter().zip(&windows) {
             catalogue.progress.check_cancelled()?;
             let index = placed.index;
@@ -291,7 +291,7 @@ impl<T: ConvReal> GalaxyPlan<T> {
             if let (Some((row, to_row, count)), Some((column, to, width))) = (rows, columns) {
                 let add = |number: usize, values: &mut [T]| {
                     if let Some(repeated) = &repeated {
-                        repeated.subtract_from(number, values);
+                        subtract_row(values, repeated, number);
                     }
                     let mut target = piece.values.row_mut(number - row + to_row);
                     let target = &mut target.as_slice_mut().expect("row-major")[to..to + width];
