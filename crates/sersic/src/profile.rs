@@ -176,11 +176,7 @@ impl LightProfile for SersicLight {
         // Every point is at least as far from the centre as it is in pixels.
         let in_pixels = distance((dx.abs() - half_px).max(0.0), (dy.abs() - half_px).max(0.0));
         let nearest = (middle - reach).max(in_pixels);
-        let sine = if nearest > 0.0 {
-            ((v.abs() + reach) / nearest).min(1.0)
-        } else {
-            1.0
-        };
+        let sine = ((v.abs() + reach) / nearest).min(1.0);
         self.between(nearest, middle + reach, sine)
     }
 

@@ -5,7 +5,7 @@ use psf_types::{Anchor, FrameShape, LightProfile, PixelRegion, Position, Progres
 use rayon::prelude::*;
 
 use super::extent::{FRACTION, RELATIVE_ERROR};
-use super::far_field::{BlockWeights, SMALLEST, subtract_row};
+use super::far_field::{BlockWeights, SMALLEST};
 use super::galaxy_plan::{Catalogue, GalaxyPlan, Light, Window, window_at};
 use super::kernels::Kernels;
 use super::window::{Drawn, Spectra, WindowDrawer};
@@ -131,8 +131,6 @@ impl<T: ConvReal> GalaxyPlan<T> {
         let psf = vectors.psf * scale;
         let far = (catalogue.light)(galaxy);
         let outside = self.far_light(self.stamps().moments_of(psf.view()), far, (x, y), window, reach);
-        let weights = BlockWeights::new(side);
-        let repeated = (outside.reach > 0.0).then(|| outside.repeated(&weights));
         let place = |&(column, row): &(usize, usize)| {
             let inside =
                 |at: usize, first: i64| usize::try_from(at as i64 - first).ok().filter(|&i| i < side);
@@ -142,19 +140,20 @@ impl<T: ConvReal> GalaxyPlan<T> {
         if pixels.iter().any(|pixel| place(pixel).is_some()) {
             let centre = (x - window.0 as f64, y - window.1 as f64);
             let frame = catalogue.frame.shape();
-            drawn = Some(self.exact_window(&psf, galaxy.flux(), light.as_ref(), window, centre, frame)?);
+            let mut values = self.exact_window(&psf, galaxy.flux(), light.as_ref(), window, centre, frame)?;
+            if outside.reach > 0.0 {
+                let repeated = outside.repeated(&BlockWeights::<f64>::new(side));
+                values
+                    .iter_mut()
+                    .zip(repeated)
+                    .for_each(|(v, repeated)| *v -= repeated);
+            }
+            drawn = Some(values);
         }
-        let mut line = vec![0.0; side];
         Ok(pixels
             .iter()
             .map(|pixel| match (place(pixel), &drawn) {
-                (Some((row, column)), Some(values)) => {
-                    line.iter_mut().zip(values.row(row)).for_each(|(to, &v)| *to = v);
-                    if let Some(repeated) = &repeated {
-                        subtract_row(&mut line, repeated, row);
-                    }
-                    line[column]
-                }
+                (Some(place), Some(values)) => values[place],
                 _ if near(pixel) && outside.reach > 0.0 => {
                     let mut value = [0.0];
                     outside.add_at([(pixel.0 as f64, pixel.1 as f64)], &mut value);

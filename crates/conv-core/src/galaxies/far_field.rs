@@ -57,8 +57,8 @@ impl FarLight {
         self.add_at::<{ NODES * NODES }>(std::array::from_fn(point), values.as_flattened_mut());
     }
 
-    /// The light that an image with the period of the window brings to the window from outside.
-    /// `weights` are those of the window.
+    /// The light that an image with the period of the window brings to the window from outside, for
+    /// every pixel, rows first. `weights` are those of the window.
     pub(super) fn repeated<T: ConvReal>(&self, weights: &BlockWeights<T>) -> Vec<T> {
         let (x0, y0, side) = self.window;
         let period = side as f64;
@@ -134,14 +134,6 @@ impl<T: ConvReal> PolynomialWeights<T> {
     }
 }
 
-/// Subtracts a row of a square from a row of pixels.
-pub(super) fn subtract_row<T: ConvReal>(pixels: &mut [T], square: &[T], row: usize) {
-    let values = square.chunks_exact(pixels.len()).nth(row);
-    for (pixel, &v) in pixels.iter_mut().zip(values.into_iter().flatten()) {
-        *pixel -= v;
-    }
-}
-
 /// Adds the light of galaxies outside their windows to an image, whose first pixel is the pixel
 /// `first` of the frame.
 pub(super) fn add_far_light<T: ConvReal>(
@@ -191,7 +183,11 @@ type Block = [[f64; NODES]; NODES];
 
 /// The weights of the blocks of a square. The first level is one block. Each next level has blocks of
 /// half the side.
-pub(super) struct BlockWeights<T>(Vec<PolynomialWeights<T>>);
+pub(super) struct BlockWeights<T> {
+    /// The side of the square in pixels.
+    side: usize,
+    levels: Vec<PolynomialWeights<T>>,
+}
 
 impl<T: ConvReal> BlockWeights<T> {
     /// The weights for a square of `side` pixels, down to blocks of less than twice [`SMALLEST`].
@@ -199,11 +195,10 @@ impl<T: ConvReal> BlockWeights<T> {
         let sizes = std::iter::successors(Some(side), |size| {
             (size % 2 == 0 && size / 2 >= SMALLEST).then_some(size / 2)
         });
-        Self(sizes.map(PolynomialWeights::new).collect())
-    }
-
-    fn side(&self) -> usize {
-        self.0[0].0[0].len()
+        Self {
+            side,
+            levels: sizes.map(PolynomialWeights::new).collect(),
+        }
     }
 }
 
@@ -228,7 +223,7 @@ impl<'a, T: ConvReal> Square<'a, T> {
             weights,
             least_brightness: 0.0,
             pixels: Vec::new(),
-            blocks: vec![Vec::new(); weights.0.len()],
+            blocks: vec![Vec::new(); weights.levels.len()],
         }
     }
 
@@ -240,7 +235,7 @@ impl<'a, T: ConvReal> Square<'a, T> {
         level: usize,
         (row, column): (usize, usize),
     ) {
-        let side = self.weights.side();
+        let side = self.weights.side;
         let size = side >> level;
         // Where the block lies from the galaxy that is not moved.
         let x = self.x0 - offset.0 + (column * size) as i64;
@@ -294,9 +289,9 @@ impl<'a, T: ConvReal> Square<'a, T> {
 
     /// Returns the light in every pixel, rows first.
     fn into_values(mut self) -> Vec<T> {
-        let side = self.weights.side();
+        let side = self.weights.side;
         self.pixels.resize(side * side, T::zero());
-        for (level, (blocks, weights)) in self.blocks.iter().zip(&self.weights.0).enumerate() {
+        for (level, (blocks, weights)) in self.blocks.iter().zip(&self.weights.levels).enumerate() {
             let size = side >> level;
             for (number, block) in blocks.iter().enumerate() {
                 if block.iter().flatten().all(|&value| value == 0.0) {
@@ -317,7 +312,7 @@ impl<'a, T: ConvReal> Square<'a, T> {
         if self.pixels.is_empty() && self.blocks.iter().all(Vec::is_empty) {
             return None;
         }
-        let (side, first_column, first_row) = (self.weights.side(), self.x0, self.y0);
+        let (side, first_column, first_row) = (self.weights.side, self.x0, self.y0);
         let values = self
             .into_values()
             .into_iter()

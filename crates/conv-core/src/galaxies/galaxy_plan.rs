@@ -7,7 +7,7 @@ use psf_types::{Anchor, LightProfile, PixelRegion, Position, Progress, PsfModel,
 use rayon::prelude::*;
 
 use super::extent::{Extent, truncate};
-use super::far_field::{BlockWeights, FarLight, SMALLEST, add_far_light, subtract_row};
+use super::far_field::{BlockWeights, FarLight, SMALLEST, add_far_light};
 use super::kernels::{Kernels, Stamps};
 use super::window::{Drawn, Spectra, WindowDrawer};
 use crate::image_memory::{check_shape, with_rows_in_memory};
@@ -285,13 +285,17 @@ impl<T: ConvReal> GalaxyPlan<T> {
             // The light outside is kept until all galaxies are drawn, without a transform.
             let far_light = (catalogue.light)(galaxy);
             let outside = self.far_light(moments, far_light, (x, y), window, placed.reach);
-            let repeated = (outside.reach > 0.0).then(|| outside.repeated(&weights));
             let rows = overlap(window.1 - first_row, side, height);
             let columns = overlap(window.0 - first_column, side, width);
             if let (Some((row, to_row, count)), Some((column, to, width))) = (rows, columns) {
+                let repeated = (outside.reach > 0.0).then(|| outside.repeated(&weights));
                 let add = |number: usize, values: &mut [T]| {
                     if let Some(repeated) = &repeated {
-                        subtract_row(values, repeated, number);
+                        let repeated = &repeated[number * side..(number + 1) * side];
+                        values
+                            .iter_mut()
+                            .zip(repeated)
+                            .for_each(|(v, &repeated)| *v -= repeated);
                     }
                     let mut target = piece.values.row_mut(number - row + to_row);
                     let target = &mut target.as_slice_mut().expect("row-major")[to..to + width];
