@@ -12,7 +12,7 @@ use rayon::prelude::*;
 use super::phases::{PhasedAxis, PhasedStar};
 use super::star_block::{BlockKey, CHUNK, RowLayout, StarBlock};
 use crate::overlap::Piece;
-use crate::simd::{Lanes, WithIsa};
+use crate::simd::{Aligned, Lanes, WithIsa};
 use crate::stamp_interpolator::MOST_TAPS;
 use crate::{ConvError, ConvReal};
 
@@ -154,6 +154,7 @@ impl<T: ConvReal> BlockDraw<'_, T> {
         let rows = tile.first_row..tile.first_row + height as i64;
         let values = tile.values.as_slice_mut().expect("new arrays are row-major");
         let row_of_kernels = block.kernel_count() * self.layout.kernel;
+        let mut sums = Aligned::zeros(self.layout.kernel + S::LANES);
         for j in 0..longest.unwrap_or(0) {
             if stars.len() >= STARS_PER_POLL {
                 self.progress.check_cancelled()?;
@@ -171,10 +172,10 @@ impl<T: ConvReal> BlockDraw<'_, T> {
                     values: &block.values()[kept * row_of_kernels..],
                     weights: &weights[star.weights.clone()],
                     layout: self.layout,
-                    first: star.first_residue,
+                    first: star.first_column,
                     taps: star.taps.first_chunk::<TAPS>().expect("a star has all taps"),
                 }
-                .add_to(simd, &mut values[first..first + length]);
+                .add_to(simd, sums.get_mut(), &mut values[first..first + length]);
             }
         }
         Ok(())
@@ -191,62 +192,111 @@ struct StarRow<'a, T, const TAPS: usize> {
     /// `[row tap, kernel]`.
     weights: &'a [T],
     layout: RowLayout,
-    /// The residue of the first column tap.
+    /// The column of coefficients of the first column tap of the first pixel.
     first: usize,
     /// The weights of the column taps.
     taps: &'a [T; TAPS],
 }
 
 impl<T: ConvReal, const TAPS: usize> StarRow<'_, T, TAPS> {
+    /// Adds the row to the pixels `target`. `sums` has room for a row of one kernel and one more
+    /// vector, and is overwritten.
     #[inline(always)]
-    fn add_to<S: Lanes<T>>(self, simd: S, target: &mut [T]) {
-        let mut pixel = 0;
-        let mut pairs = target.chunks_exact_mut(2 * S::LANES);
-        for pair in &mut pairs {
-            let sums = self.sums::<S, 2>(simd, pixel);
-            for (v, sum) in cast_slice_mut::<T, S::V>(pair).iter_mut().zip(sums) {
-                *v = simd.add(*v, sum);
+    fn add_to<S: Lanes<T>>(self, simd: S, sums: &mut [T], target: &mut [T]) {
+        if self.layout.is_shared {
+            self.sum_row(simd, sums);
+            let taps: [usize; TAPS] = self.layout.shared_taps(self.first);
+            for (i, pixels) in target.chunks_mut(S::LANES).enumerate() {
+                let mut by_tap = [[simd.splat(T::zero())]; TAPS];
+                for ([values], tap) in by_tap.iter_mut().zip(taps) {
+                    let from = tap + i * S::LANES;
+                    *values = cast_slice(&sums[from..from + S::LANES])[0];
+                }
+                self.add_taps(simd, by_tap, pixels);
             }
-            pixel += 2 * S::LANES;
+            return;
         }
-        let rest = pairs.into_remainder();
-        if rest.len() > S::LANES {
-            let sums = self.sums::<S, 2>(simd, pixel);
-            for (chunk, sum) in rest.chunks_mut(S::LANES).zip(sums) {
-                simd.partial_store(chunk, simd.add(simd.partial_load(chunk), sum));
+        for (i, pixels) in target.chunks_mut(2 * S::LANES).enumerate() {
+            let pixel = 2 * i * S::LANES;
+            if pixels.len() > S::LANES {
+                self.add_taps(simd, self.sums_by_tap::<S, 2>(simd, pixel), pixels);
+            } else {
+                self.add_taps(simd, self.sums_by_tap::<S, 1>(simd, pixel), pixels);
             }
-        } else if !rest.is_empty() {
-            let [sum] = self.sums::<S, 1>(simd, pixel);
-            simd.partial_store(rest, simd.add(simd.partial_load(rest), sum));
         }
     }
 
-    /// Computes `N` vectors of the star's row, from a pixel on.
+    /// Computes the sums over kernels and row taps for every column of coefficients.
     #[inline(always)]
-    fn sums<S: Lanes<T>, const N: usize>(self, simd: S, pixel: usize) -> [S::V; N] {
-        let zero = simd.splat(T::zero());
+    fn sum_row<S: Lanes<T>>(self, simd: S, sums: &mut [T]) {
+        let sums: &mut [S::V] = cast_slice_mut(&mut sums[..self.layout.kernel]);
+        let (fours, rest) = sums.as_chunks_mut::<4>();
+        for (i, four) in fours.iter_mut().enumerate() {
+            *four = self.sums::<S, 4>(simd, 4 * i * S::LANES);
+        }
+        let first = 4 * fours.len();
+        for (i, one) in rest.iter_mut().enumerate() {
+            [*one] = self.sums::<S, 1>(simd, (first + i) * S::LANES);
+        }
+    }
+
+    /// Computes the sums over kernels and row taps for `N` vectors of coefficients.
+    #[inline(always)]
+    fn sums<S: Lanes<T>, const N: usize>(self, simd: S, first: usize) -> [S::V; N] {
+        let mut sums = [simd.splat(T::zero()); N];
+        for (i, &weight) in self.weights.iter().enumerate() {
+            let w = simd.splat(weight);
+            let first = i * self.layout.kernel + first;
+            let values: &[S::V] = cast_slice(&self.values[first..first + N * S::LANES]);
+            for (sum, &v) in sums.iter_mut().zip(values) {
+                *sum = simd.mul_add(w, v, *sum);
+            }
+        }
+        sums
+    }
+
+    /// Computes the sums over kernels and row taps for the column taps of `N` vectors of pixels, from
+    /// a pixel on.
+    #[inline(always)]
+    fn sums_by_tap<S: Lanes<T>, const N: usize>(self, simd: S, pixel: usize) -> [[S::V; N]; TAPS] {
         let mut starts = [0; N];
         for (n, start) in starts.iter_mut().enumerate() {
             *start = self.layout.index(self.first, pixel + n * S::LANES);
         }
-        let mut by_tap = [[zero; TAPS]; N];
+        let mut by_tap = [[simd.splat(T::zero()); N]; TAPS];
         for (i, &weight) in self.weights.iter().enumerate() {
             let w = simd.splat(weight);
-            for (sums, &start) in by_tap.iter_mut().zip(&starts) {
+            for (n, &start) in starts.iter().enumerate() {
                 let first = i * self.layout.kernel + start;
                 let taps = &self.values[first..first + (TAPS - 1) * CHUNK + S::LANES];
-                for (tap, sum) in sums.iter_mut().enumerate() {
+                for (tap, sums) in by_tap.iter_mut().enumerate() {
                     let v: &[S::V] = cast_slice(&taps[tap * CHUNK..tap * CHUNK + S::LANES]);
-                    *sum = simd.mul_add(w, v[0], *sum);
+                    sums[n] = simd.mul_add(w, v[0], sums[n]);
                 }
             }
         }
-        let mut all = [zero; N];
-        for (all, sums) in all.iter_mut().zip(&by_tap) {
-            for (&sum, &weight) in sums.iter().zip(self.taps) {
-                *all = simd.mul_add(simd.splat(weight), sum, *all);
+        by_tap
+    }
+
+    /// Adds the column taps to at most `N` vectors of pixels.
+    #[inline(always)]
+    fn add_taps<S: Lanes<T>, const N: usize>(self, simd: S, by_tap: [[S::V; N]; TAPS], pixels: &mut [T]) {
+        let mut sums = [simd.splat(T::zero()); N];
+        for (values, &weight) in by_tap.iter().zip(self.taps) {
+            let w = simd.splat(weight);
+            for (sum, &v) in sums.iter_mut().zip(values) {
+                *sum = simd.mul_add(w, v, *sum);
             }
         }
-        all
+        if pixels.len() == N * S::LANES {
+            let pixels: &mut [S::V] = cast_slice_mut(pixels);
+            for (v, sum) in pixels.iter_mut().zip(sums) {
+                *v = simd.add(*v, sum);
+            }
+        } else {
+            for (pixels, sum) in pixels.chunks_mut(S::LANES).zip(sums) {
+                simd.partial_store(pixels, simd.add(simd.partial_load(pixels), sum));
+            }
+        }
     }
 }

@@ -158,8 +158,8 @@ pub(super) struct PhasedStar<T> {
     pub(super) rows: Range<i64>,
     /// The first row of coefficients that its first pixel uses.
     pub(super) first_row: usize,
-    /// The residue of the first column of coefficients that its first pixel uses.
-    pub(super) first_residue: usize,
+    /// The first column of coefficients that its first pixel uses.
+    pub(super) first_column: usize,
     /// The range of its weights in the list of its group, `[row, kernel]`: the weight of each row
     /// of coefficients times the coefficient of each kernel times the star's flux.
     pub(super) weights: Range<usize>,

@@ -339,7 +339,7 @@ impl<T: ConvReal> StarPlan<T> {
                 columns: column + columns.from..column + columns.to,
                 rows: row + rows.from..row + rows.to,
                 first_row: rows.first_of(rows.from, oversampling),
-                first_residue: columns.first_of(columns.from, oversampling),
+                first_column: columns.first_of(columns.from, oversampling),
                 weights: first..weights.len(),
                 taps: columns.weights.map(T::nearest),
             });
