@@ -39,6 +39,6 @@ pub struct Outskirts {
     /// The largest brightness, in flux per pixel.
     pub brightness: f64,
     /// A length: the m-th derivative of the brightness is at most about
-    /// `brightness / scale_px^m`, for orders up to 6.
+    /// `brightness / scale_px^m`, for orders up to 4.
     pub scale_px: f64,
 }

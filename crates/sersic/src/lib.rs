@@ -29,6 +29,7 @@
     reason = "code that pulp dispatches must be inlined, otherwise it is compiled for the baseline instruction set"
 )]
 
+mod elementary;
 mod half_light;
 mod profile;
 mod transform;

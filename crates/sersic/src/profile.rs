@@ -4,22 +4,23 @@ use std::sync::OnceLock;
 
 use psf_types::{LightProfile, Outskirts, SersicSource};
 use statrs::function::gamma::{gamma_ur, ln_gamma};
-use wide::f32x8;
 
+use crate::elementary::{exp, ln};
 use crate::half_light::half_light_constant;
 use crate::transform::Transform;
 
 /// A half-light radius below this value is replaced by this value. Even for `n = 8`, almost all
 /// light then falls in one pixel.
 const SMALLEST_RADIUS_PX: f64 = 1e-9;
-/// The number of points at which brightness is computed together.
-const POINTS: usize = 8;
+/// The number of points at which brightness is computed together: several vectors, so that the
+/// processor need not wait for each step.
+const POINTS: usize = 16;
 /// The m-th derivative of a power `r^-k` along a radius is `r^-(k + m)` times `k (k + 1) ... (k + m -
-/// 1)`, whose m-th root is at most about `k + ALONG_RADIUS` for the orders used here (up to 6).
-const ALONG_RADIUS: f64 = 2.3;
-/// Across the radius, the sixth derivative has the factor `15 k (k + 2) (k + 4)`, whose sixth root is
-/// at most about `(ACROSS_RADIUS (k + 2))^(1/2)`. For lower orders the root is smaller.
-const ACROSS_RADIUS: f64 = 2.5;
+/// 1)`, whose m-th root is at most `k + ALONG_RADIUS` for the orders used here (up to 4).
+const ALONG_RADIUS: f64 = 1.5;
+/// Across the radius, the fourth derivative has the factor `3 k (k + 2)`, whose fourth root is at most
+/// `(ACROSS_RADIUS (k + 1))^(1/2)`. For lower orders the root is smaller.
+const ACROSS_RADIUS: f64 = 1.733;
 /// Light fainter than `exp(-DARK)` times the central brightness counts as 0: single precision holds
 /// no smaller numbers.
 const DARK: f32 = 80.0;
@@ -90,7 +91,7 @@ impl SersicLight {
         let k = self.exponent(farthest * farthest) / self.index;
         // A step of a pixel along the minor axis is 1 / q in (u, v).
         let along = (k + ALONG_RADIUS) * (sine / self.q).max(1.0);
-        let across = (ACROSS_RADIUS * (k + 2.0)).sqrt() / self.q;
+        let across = (ACROSS_RADIUS * (k + 1.0)).sqrt() / self.q;
         Outskirts {
             brightness: self.central * (-self.exponent(nearest * nearest)).exp(),
             scale_px: nearest / along.max(across),
@@ -121,47 +122,28 @@ impl LightProfile for SersicLight {
     }
 
     fn add_blurred(&self, covariance: [f64; 3], flux: f64, offsets: &[[f32; 2]], values: &mut [f64]) {
-        // The covariance in (u, v), and the sum of its uu and vv.
+        // The covariance in (u, v).
         let [xx, xy, yy] = covariance;
         let ([ux, vx], [uy, vy]) = (self.step_x, self.step_y);
         let of = |a: [f64; 2], b: [f64; 2]| {
-            f32x8::splat((xx * a[0] * b[0] + xy * (a[0] * b[1] + a[1] * b[0]) + yy * a[1] * b[1]) as f32)
+            (xx * a[0] * b[0] + xy * (a[0] * b[1] + a[1] * b[0]) + yy * a[1] * b[1]) as f32
         };
-        let (uu, uv, vv) = (
-            of([ux, uy], [ux, uy]),
-            of([ux, uy], [vx, vy]),
-            of([vx, vy], [vx, vy]),
-        );
-        let trace = uu + vv;
-        let [ux, vx, uy, vy] = [ux, vx, uy, vy].map(|step| f32x8::splat(step as f32));
-        let half = f32x8::splat((0.5 / self.index) as f32);
-        let per_re = f32x8::splat((1.0 / (self.re * self.re)) as f32);
-        let b = f32x8::splat(self.b as f32);
-        for (offsets, values) in offsets.chunks(POINTS).zip(values.chunks_mut(POINTS)) {
-            let axis = |axis: usize| {
-                f32x8::new(std::array::from_fn(|i| {
-                    offsets.get(i).map_or(1.0, |offset| offset[axis])
-                }))
-            };
-            let (dx, dy) = (axis(0), axis(1));
-            let (u, v) = (dx * ux + dy * uy, dx * vx + dy * vy);
-            let r_squared = u * u + v * v;
-            let exponent = b * (half * (r_squared * per_re).ln()).exp();
-            let brightness = exponent
-                .simd_gt(f32x8::splat(DARK))
-                .select(f32x8::ZERO, (-exponent).exp());
-            // Derivatives with respect to the squared radius, relative to the brightness and times
-            // powers of the squared radius.
-            let first = -half * exponent;
-            let second = first * (first - (f32x8::ONE - half));
-            let along = (uu * u * u + (uv + uv) * u * v + vv * v * v) / r_squared;
-            let change = (first * trace + (second + second) * along) / r_squared;
-            let sum = (brightness + brightness * change).to_array();
-            let scale = self.central * flux;
-            for (value, sum) in values.iter_mut().zip(sum) {
-                *value += scale * f64::from(sum);
-            }
-        }
+        let blurred = Blurred {
+            uu: of([ux, uy], [ux, uy]),
+            uv: of([ux, uy], [vx, vy]),
+            vv: of([vx, vy], [vx, vy]),
+            step_x: self.step_x.map(|step| step as f32),
+            step_y: self.step_y.map(|step| step as f32),
+            half: (0.5 / self.index) as f32,
+            per_re: (1.0 / (self.re * self.re)) as f32,
+            b: self.b as f32,
+        };
+        pulp::Arch::new().dispatch(AddBlurred {
+            blurred,
+            scale: self.central * flux,
+            offsets,
+            values,
+        });
     }
 
     fn outskirts(&self, distance_px: f64) -> Outskirts {
@@ -189,6 +171,75 @@ impl LightProfile for SersicLight {
             return 1.0;
         }
         gamma_ur(2.0 * self.index, self.exponent(distance_px * distance_px))
+    }
+}
+
+/// A galaxy's light, blurred by a narrow kernel, in single precision.
+struct Blurred {
+    /// The covariance of the kernel in (u, v).
+    uu: f32,
+    uv: f32,
+    vv: f32,
+    /// (u, v) of a step of one pixel in x, and in y.
+    step_x: [f32; 2],
+    step_y: [f32; 2],
+    /// Half the inverse Sersic index.
+    half: f32,
+    /// The inverse of the squared half-light radius.
+    per_re: f32,
+    b: f32,
+}
+
+impl Blurred {
+    /// The light at an offset, relative to the central brightness.
+    #[inline(always)]
+    fn at(&self, [dx, dy]: [f32; 2]) -> f32 {
+        let (u, v) = (
+            dx * self.step_x[0] + dy * self.step_y[0],
+            dx * self.step_x[1] + dy * self.step_y[1],
+        );
+        let r_squared = u * u + v * v;
+        let exponent = self.b * exp((self.half * ln(r_squared * self.per_re)).min(DARK));
+        let brightness = if exponent > DARK {
+            0.0
+        } else {
+            exp(-exponent.min(DARK))
+        };
+        // Derivatives with respect to the squared radius, relative to the brightness and times powers
+        // of the squared radius.
+        let first = -self.half * exponent;
+        let second = first * (first - (1.0 - self.half));
+        let along = (self.uu * u * u + 2.0 * self.uv * u * v + self.vv * v * v) / r_squared;
+        let change = (first * (self.uu + self.vv) + 2.0 * second * along) / r_squared;
+        brightness + brightness * change
+    }
+}
+
+/// The arguments of [`LightProfile::add_blurred`].
+struct AddBlurred<'a> {
+    blurred: Blurred,
+    /// The central brightness times the flux.
+    scale: f64,
+    offsets: &'a [[f32; 2]],
+    values: &'a mut [f64],
+}
+
+impl pulp::NullaryFnOnce for AddBlurred<'_> {
+    type Output = ();
+    // Inlined, so that it is compiled for each instruction set.
+    #[inline(always)]
+    fn call(self) {
+        for (offsets, values) in self.offsets.chunks(POINTS).zip(self.values.chunks_mut(POINTS)) {
+            let mut all = [[1.0; 2]; POINTS];
+            all[..offsets.len()].copy_from_slice(offsets);
+            let mut light = [0.0; POINTS];
+            for (light, offset) in light.iter_mut().zip(all) {
+                *light = self.blurred.at(offset);
+            }
+            for (value, light) in values.iter_mut().zip(light) {
+                *value += self.scale * f64::from(light);
+            }
+        }
     }
 }
 
