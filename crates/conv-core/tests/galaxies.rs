@@ -162,7 +162,7 @@ impl CoefficientField for Slopes {
 }
 
 /// A round PSF whose ellipticity varies over the field. The PSF sums to 1.
-fn elliptical() -> PsfModel {
+fn elliptical(field: impl CoefficientField + 'static) -> PsfModel {
     const SIDE: usize = 60;
     let grid = StampGrid::new(SIDE, SIDE)
         .and_then(|grid| grid.with_oversampling(2.0))
@@ -180,7 +180,7 @@ fn elliptical() -> PsfModel {
     });
     let components = ndarray::stack(ndarray::Axis(0), &[parts[0].view(), parts[1].view()]).unwrap();
     let basis = PsfBasis::new(Some(&round / round.sum() * 4.0), components, grid).unwrap();
-    PsfModel::new(&basis, Arc::new(Slopes), Normalisation::Keep, None).unwrap()
+    PsfModel::new(&basis, Arc::new(field), Normalisation::Keep, None).unwrap()
 }
 
 /// Galaxies on the frame and around it, some with light far from their centres.
@@ -208,7 +208,7 @@ fn exact(plan: &GalaxyPlan<f64>, galaxies: &[SersicSource], pixels: &[(usize, us
 
 fn planned(tolerance: f64, anchor: Anchor) -> GalaxyPlan<f64> {
     let options = PlanOptions::new(tolerance).unwrap().with_anchor(anchor);
-    GalaxyPlan::new(&elliptical(), options, None).unwrap()
+    GalaxyPlan::new(&elliptical(Slopes), options, None).unwrap()
 }
 
 fn image_of(plan: &GalaxyPlan<f64>, galaxies: &[SersicSource], region: PixelRegion) -> Array2<f64> {
@@ -308,6 +308,106 @@ fn light_does_not_depend_on_the_region() {
                 whole[[y, x]]
             );
         }
+    }
+}
+
+/// Bands of a frame have the light of the whole frame bit by bit, also far from a galaxy, where its
+/// light ends.
+#[test]
+fn bands_have_the_light_of_the_whole_frame() {
+    let plan = planned(1e-4, Anchor::Source);
+    let galaxies = [
+        galaxy((12.0, 9.0), 1.5, 4.0, 0.8, 20.0),
+        galaxy((300.0, 30.0), 0.7, 4.0, 0.5, 70.0),
+    ];
+    let shape = FrameShape::new(700, 700).unwrap();
+    let draw = |region: PixelRegion| {
+        let mut image = Array2::zeros((region.shape().ny(), region.shape().nx()));
+        plan.draw_into(
+            &galaxies,
+            &light,
+            shape.region(),
+            region,
+            image.view_mut(),
+            &NoProgress,
+        )
+        .unwrap();
+        image
+    };
+    let whole = draw(shape.region());
+    for first in (0..700).step_by(70) {
+        let band = draw(PixelRegion::new(
+            0,
+            i64::from(first),
+            FrameShape::new(700, 70).unwrap(),
+        ));
+        assert_eq!(
+            band,
+            whole.slice(ndarray::s![first..first + 70, ..]),
+            "from row {first}"
+        );
+    }
+}
+
+#[test]
+fn images_do_not_depend_on_the_number_of_threads() {
+    let image = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
+        pool.unwrap()
+            .install(|| image_of(&planned(1e-4, Anchor::Source), &catalogue(), frame()))
+    };
+    let one = image(1);
+    for threads in [2, 5] {
+        assert_eq!(image(threads), one, "{threads} threads");
+    }
+}
+
+/// [`Slopes`], but only in some columns and rows.
+#[derive(Debug)]
+struct Inside;
+impl CoefficientField for Inside {
+    fn component_count(&self) -> usize {
+        2
+    }
+    fn evaluate_into(&self, at: Position, coefficients: &mut [f64]) -> Result<(), FieldError> {
+        if [at.x(), at.y()].iter().any(|v| !(10.0..=90.0).contains(v)) {
+            return Err(FieldError::OutsideSamples { position: at });
+        }
+        Slopes.evaluate_into(at, coefficients)
+    }
+}
+
+/// A block is planned from some of its rows. None of them has a PSF here, and the galaxy does.
+#[test]
+fn galaxies_need_a_psf_only_at_their_own_positions() {
+    let model = elliptical(Inside);
+    let plan = GalaxyPlan::<f64>::new(&model, PlanOptions::new(1e-4).unwrap(), None).unwrap();
+    let everywhere = planned(1e-4, Anchor::Source);
+    let inside = [galaxy((40.3, 50.1), 1.0, 1.0, 0.5, 10.0)];
+    let difference = image_of(&plan, &inside, frame()) - image_of(&everywhere, &inside, frame());
+    assert!(difference.iter().all(|v| v.abs() < 1e-5));
+    for at in [(5.0, 50.0), (40.0, -3.0)] {
+        let mut image = Array2::zeros(FRAME);
+        let outside = [galaxy(at, 1.0, 1.0, 0.5, 10.0)];
+        let found = plan.draw_into(&outside, &light, frame(), frame(), image.view_mut(), &NoProgress);
+        assert!(found.is_err(), "{at:?}");
+    }
+}
+
+/// A PSF whose values nearly cancel has no centroid, so it must not move light far away.
+#[test]
+fn a_psf_with_hardly_any_flux_stays_at_its_galaxy() {
+    let dipole = |x: f64, y: f64| (x + 0.005) * (-(x * x + y * y) / 4.0).exp();
+    let image = drawn(
+        &model(41, 2.0, dipole),
+        galaxy((150.0, 150.0), 2.0, 4.0, 0.8, 0.0),
+        300,
+        1e-4,
+    );
+    let peak = image.iter().copied().fold(0.0, f64::max);
+    for ((y, x), value) in image.indexed_iter() {
+        let distance = (x as f64 - 150.0).hypot(y as f64 - 150.0);
+        assert!(distance < 60.0 || value.abs() < 1e-3 * peak, "{x} {y} {value:e}");
     }
 }
 

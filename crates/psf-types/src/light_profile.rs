@@ -8,11 +8,12 @@
 pub trait LightProfile {
     /// Computes the Fourier transform `G(k) = integral of I(v) exp(-i k v) dv` at wavenumbers in
     /// radians per pixel: at `kx`, and at `ky = first_ky + i * step` for value `i`. `G(0) = 1`.
-    fn transform_into(&self, kx: f64, first_ky: f64, step: f64, values: &mut [f64]);
+    fn transform_into(&self, kx: f64, first_ky: f64, step: f64, values: &mut [f32]);
 
-    /// Returns the smallest and the largest value of the transform at `k` radians per pixel, over all
-    /// directions. For larger `k`, both are smaller.
-    fn transform_limits(&self, k: f64) -> [f64; 2];
+    /// Computes the transform along the major axis (its smallest value over all directions if it falls
+    /// with the wavenumber) and along the minor axis (its largest value), at `i * step` radians per
+    /// pixel for value `i`.
+    fn transform_limits(&self, step: f64, smallest: &mut [f32], largest: &mut [f32]);
 
     /// Adds the light at offsets `[dx, dy]` other than 0, blurred by a kernel that is narrow there:
     /// `flux * (I + xx I_xx / 2 + xy I_xy + yy I_yy / 2)`, with the kernel's covariance

@@ -11,8 +11,10 @@ const FINE: usize = 4;
 
 /// The light of galaxies as an image: the flux that falls in each pixel. It is the image of the
 /// galaxies through a PSF that is only the response of a pixel, with edges softened over a quarter
-/// of a pixel. Use it as a scene whose pixels hold integrated light. To simulate galaxies, give
-/// them to [`Scene::with_galaxies`] instead: that blurs them once.
+/// of a pixel. The softened edges overshoot, so for a galaxy much smaller than a pixel the value of a
+/// pixel is wrong by up to 7 % of the galaxy's flux, and may be negative. Use the image as a scene
+/// whose pixels hold integrated light. To simulate galaxies, give them to
+/// [`Scene::with_galaxies`] instead: that blurs them once.
 ///
 /// # Errors
 /// [`PsfieldError`] if the image is too large.

@@ -438,6 +438,9 @@ impl<T: ConvReal> Simulator<T> {
             let fit_seconds = clock.elapsed().as_secs_f64();
             let size = self.options.stamp_size;
             let planned = self.planned()?;
+            if let Some(options) = &planned {
+                check_flux(self.psf(), &model, options)?;
+            }
             let stars = planned
                 .map(|options| StarPlan::new(&model, options, size))
                 .transpose()?;

@@ -72,6 +72,12 @@ impl SersicLight {
             .get_or_init(|| Box::new(Transform::of_index(self.index)))
     }
 
+    /// Factors of the squared components `k_u^2` and `k_v^2` of a wavenumber along and across the
+    /// major axis. Their sum is the square of the wavenumber in radians per half-light radius.
+    fn squares(&self) -> [f64; 2] {
+        [1.0, self.q * self.q].map(|square| self.re * self.re * square)
+    }
+
     /// Returns (u, v) of an offset from the centre in pixels.
     fn turned(&self, dx: f64, dy: f64) -> (f64, f64) {
         (
@@ -88,37 +94,47 @@ impl SersicLight {
     /// Brightness and its length scale at points with a radius in (u, v) from `nearest` to
     /// `farthest`, and with an angle to the major axis there whose sine is at most `sine`.
     fn between(&self, nearest: f64, farthest: f64, sine: f64) -> Outskirts {
-        let k = self.exponent(farthest * farthest) / self.index;
+        let (half, b) = ((0.5 / self.index) as f32, self.b as f32);
+        let ratios = [nearest, farthest].map(|radius| (radius / self.re) as f32);
+        let [brightness, exponent] = pulp::Arch::new().dispatch(
+            #[inline(always)]
+            || {
+                let [nearest, farthest] = ratios.map(
+                    #[inline(always)]
+                    |ratio| (b * exp((half * ln(ratio * ratio)).clamp(-DARK, DARK))).min(DARK),
+                );
+                [exp(-nearest), farthest]
+            },
+        );
+        let k = f64::from(exponent) / self.index;
         // A step of a pixel along the minor axis is 1 / q in (u, v).
         let along = (k + ALONG_RADIUS) * (sine / self.q).max(1.0);
         let across = (ACROSS_RADIUS * (k + 1.0)).sqrt() / self.q;
         Outskirts {
-            brightness: self.central * (-self.exponent(nearest * nearest)).exp(),
+            brightness: self.central * f64::from(brightness),
             scale_px: nearest / along.max(across),
         }
     }
 }
 
 impl LightProfile for SersicLight {
-    fn transform_into(&self, kx: f64, first_ky: f64, step: f64, values: &mut [f64]) {
-        // With the unit vectors along and across the major axis, k_u^2 + q^2 k_v^2 is a quadratic
-        // form in (kx, ky).
+    fn transform_into(&self, kx: f64, first_ky: f64, step: f64, values: &mut [f32]) {
+        // With the unit vectors along and across the major axis, the square of the wavenumber is a
+        // quadratic form in (kx, ky).
         let (cos, sin) = (self.step_x[0], self.step_y[0]);
-        let (along, across) = (self.re * self.re, self.re * self.re * self.q * self.q);
-        let xx = (along * cos * cos + across * sin * sin) * kx * kx;
-        let xy = 2.0 * (along - across) * sin * cos * kx;
+        let [along, across] = self.squares();
         let yy = along * sin * sin + across * cos * cos;
+        // At this ky it is least.
+        let nearest = (across - along) * sin * cos * kx / yy;
+        let least = along * across * kx * kx / yy;
         self.transform()
-            .along_line([xx, xy, yy], (first_ky, step), values);
+            .along_line([least, yy], (first_ky - nearest, step), values);
     }
 
-    fn transform_limits(&self, k: f64) -> [f64; 2] {
-        let along = self.re * self.re * k * k;
-        let mut limits = [0.0; 2];
-        let to_across = (self.q * self.q - 1.0) * along;
-        self.transform()
-            .along_line([along, to_across, 0.0], (0.0, 1.0), &mut limits);
-        limits
+    fn transform_limits(&self, step: f64, smallest: &mut [f32], largest: &mut [f32]) {
+        let [along, across] = self.squares();
+        self.transform().along_line([0.0, along], (0.0, step), smallest);
+        self.transform().along_line([0.0, across], (0.0, step), largest);
     }
 
     fn add_blurred(&self, covariance: [f64; 3], flux: f64, offsets: &[[f32; 2]], values: &mut [f64]) {
@@ -199,12 +215,10 @@ impl Blurred {
             dx * self.step_x[1] + dy * self.step_y[1],
         );
         let r_squared = u * u + v * v;
-        let exponent = self.b * exp((self.half * ln(r_squared * self.per_re)).min(DARK));
-        let brightness = if exponent > DARK {
-            0.0
-        } else {
-            exp(-exponent.min(DARK))
-        };
+        let exponent = self.b * exp((self.half * ln(r_squared * self.per_re)).clamp(-DARK, DARK));
+        let is_dark = exponent > DARK;
+        let exponent = exponent.min(DARK);
+        let brightness = if is_dark { 0.0 } else { exp(-exponent) };
         // Derivatives with respect to the squared radius, relative to the brightness and times powers
         // of the squared radius.
         let first = -self.half * exponent;
@@ -318,7 +332,7 @@ mod tests {
                     let angle = f64::from(step).to_radians() * 10.0;
                     let at = (distance * angle.cos(), distance * angle.sin());
                     let [value, xx, _, yy] = brightness(&light, at.0, at.1);
-                    assert!(value <= limits.brightness * (1.0 + ROUNDING));
+                    assert!(value <= limits.brightness * (1.0 + 2.0 * ROUNDING));
                     let largest = limits.brightness / limits.scale_px.powi(2);
                     assert!(xx.abs().max(yy.abs()) <= largest, "n = {n}, {distance} at {step}");
                     let around = light.around(at, 0.5);

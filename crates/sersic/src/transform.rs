@@ -76,7 +76,8 @@ impl Transform {
         }
     }
 
-    /// The transform at squared wavenumbers, which are not negative. They lie between the two `limits`.
+    /// The transform at squared wavenumbers, which are not negative. Those that are needed lie between
+    /// the two `limits`.
     #[inline(always)]
     pub(crate) fn at<const N: usize>(&self, x: [f32; N], limits: [f32; 2]) -> [f32; N] {
         let (mut numbers, mut within) = ([0; N], [0.0; N]);
@@ -106,12 +107,18 @@ impl Transform {
         values
     }
 
-    /// The transform at the squared wavenumbers `c[0] + c[1] t + c[2] t^2`, at `t = first, first +
-    /// step ...`. Negative numbers count as 0.
-    pub(crate) fn along_line(&self, c: [f64; 3], (first, step): (f64, f64), values: &mut [f64]) {
+    /// The transform at the squared wavenumbers `least + curvature t^2`, at `t = first, first + step
+    /// ...`. Both numbers and the step are not negative.
+    pub(crate) fn along_line(
+        &self,
+        [least, curvature]: [f64; 2],
+        (first, step): (f64, f64),
+        values: &mut [f32],
+    ) {
         pulp::Arch::new().dispatch(Along {
             transform: self,
-            c,
+            least: least as f32,
+            curvature: curvature as f32,
             first,
             step,
             values,
@@ -122,32 +129,27 @@ impl Transform {
 /// The arguments of [`Transform::along_line`].
 struct Along<'a> {
     transform: &'a Transform,
-    c: [f64; 3],
+    least: f32,
+    curvature: f32,
     first: f64,
     step: f64,
-    values: &'a mut [f64],
+    values: &'a mut [f32],
 }
 
 impl Along<'_> {
-    /// The transforms of a chunk of a line of `count` wavenumbers. Beyond its end, the last
-    /// wavenumber is repeated, so that no further polynomials are needed.
+    /// The transforms from `t = first` on, of which the first `count` are needed.
     #[inline(always)]
-    fn chunk(&self, number: usize, count: usize) -> [f64; LANES] {
-        let [c0, c1, c2] = self.c;
-        let t_at = |i: usize| self.first + f64::from((number * LANES + i).min(count - 1) as u32) * self.step;
-        let x_at = |t: f64| (c0 + t * (c1 + t * c2)).max(0.0) as f32;
+    fn chunk(&self, first: f64, count: usize) -> [f32; LANES] {
+        // A sum without negative terms, so that single precision is enough.
+        let x_at = |t: f32| self.least + self.curvature * (t * t);
+        let (first, step) = (first as f32, self.step as f32);
         let mut x = [0.0; LANES];
         for (i, x) in x.iter_mut().enumerate() {
-            *x = x_at(t_at(i));
+            *x = x_at(first + i as f32 * step);
         }
-        // The wavenumber nearest to 0, and that end of the chunk which is farther from 0.
-        let nearest = (-0.5 * c1 / c2).clamp(t_at(0), t_at(LANES - 1));
-        let limits = [x_at(nearest), x[0].max(x[LANES - 1])];
-        let mut values = [0.0; LANES];
-        for (to, v) in values.iter_mut().zip(self.transform.at(x, limits)) {
-            *to = v.into();
-        }
-        values
+        let nearest = 0.0_f32.clamp(first, first + (count - 1) as f32 * step);
+        let limits = [x_at(nearest), x[0].max(x[count - 1])];
+        self.transform.at(x, limits)
     }
 }
 
@@ -156,10 +158,10 @@ impl pulp::NullaryFnOnce for Along<'_> {
     // Inlined, so that it is compiled for each instruction set.
     #[inline(always)]
     fn call(mut self) {
-        let count = self.values.len();
         let values = std::mem::take(&mut self.values);
         for (number, values) in values.chunks_mut(LANES).enumerate() {
-            values.copy_from_slice(&self.chunk(number, count)[..values.len()]);
+            let first = self.first + (number * LANES) as f64 * self.step;
+            values.copy_from_slice(&self.chunk(first, values.len())[..values.len()]);
         }
     }
 }

@@ -8,6 +8,7 @@ use super::extent::{FRACTION, RELATIVE_ERROR};
 use super::far_field::{BlockWeights, SMALLEST};
 use super::galaxy_plan::{Catalogue, GalaxyPlan, Light, Window, window_at};
 use super::kernels::Kernels;
+use super::power_spectrum::Outline;
 use super::window::{Drawn, Spectra, WindowDrawer};
 use crate::stars::StarVectors;
 use crate::{ConvError, ConvReal};
@@ -177,23 +178,15 @@ impl<T: ConvReal> GalaxyPlan<T> {
         frame: FrameShape,
     ) -> Result<Array2<f64>, ConvError> {
         let mut drawer = WindowDrawer::<f64>::new(side);
-        let mut plane = |spectra: &Spectra<f64>, coefficients: &[f64], band: f64| {
-            let mut values = Array2::zeros((side, side));
+        let mut plane = |spectra: &Spectra<f64>, coefficients: &[f64], outline: &Outline| {
             let drawn = Drawn {
                 spectra,
                 light,
                 centre,
                 coefficients,
-                band,
+                outline,
             };
-            drawer.draw(&drawn, 0..side, |row, line| {
-                values
-                    .row_mut(row)
-                    .iter_mut()
-                    .zip(line)
-                    .for_each(|(to, v)| *to = *v);
-            });
-            values
+            drawer.draw(&drawn, 0..side)
         };
         let (count, psf, stamps) = (psf.len(), psf.view(), self.stamps());
         let kernels = |directions: Array2<f64>, largest: &[f64]| {
@@ -201,20 +194,21 @@ impl<T: ConvReal> GalaxyPlan<T> {
         };
         if self.options.anchor() != Anchor::Output {
             let only = kernels(psf.to_owned().insert_axis(Axis(0)), &[1.0]);
-            let band = only.band_of(light, self.extent.accuracy());
-            let spectra = stamps.spectra_of(&only, side, stamps.band_number(band));
-            return Ok(plane(&spectra, &[1.0], band));
+            let outline = only.outline_of(light, self.extent.accuracy());
+            let spectra = stamps.spectra_of(&only, side, stamps.band_number(outline.radius()));
+            return Ok(plane(&spectra, &[1.0], &outline));
         }
-        // Each pixel of the frame has its own PSF.
-        let largest: Vec<f64> = psf.iter().map(|c| c.abs()).collect();
-        let all = kernels(Array2::eye(count), &largest);
-        let band = all.band_of(light, self.extent.accuracy());
-        let spectra = stamps.spectra_of(&all, side, stamps.band_number(band));
+        // Each pixel of the frame has its own PSF, in which any component may be as large as the
+        // largest one here.
+        let largest = psf.iter().fold(0.0_f64, |largest, c| largest.max(c.abs()));
+        let all = kernels(Array2::eye(count), &vec![largest; count]);
+        let outline = all.outline_of(light, self.extent.accuracy());
+        let spectra = stamps.spectra_of(&all, side, stamps.band_number(outline.radius()));
         let planes: Vec<Array2<f64>> = (0..count)
             .map(|k| {
                 let mut unit = vec![0.0; count];
                 unit[k] = flux;
-                plane(&spectra, &unit, band)
+                plane(&spectra, &unit, &outline)
             })
             .collect();
         let mut values = Array2::zeros((side, side));

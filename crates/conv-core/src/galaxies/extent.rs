@@ -3,7 +3,7 @@
 use ndarray::{Array1, ArrayViewMut1, Axis};
 use psf_types::{LightProfile, PsfModel, StampGrid};
 
-use super::far_field::{SMALLEST, error_of_polynomial};
+use super::far_field::{SMALLEST, TILE, error_of_polynomial};
 
 /// Decides how far galaxies are drawn in each way, from the tolerance and the extent of a model's
 /// PSFs.
@@ -159,6 +159,17 @@ impl Extent {
             reach *= 1.25;
         }
         reach.max(side as f64 * 1.001)
+    }
+
+    /// The distance up to which a galaxy that reaches this far is drawn. Light outside windows is
+    /// drawn on whole blocks, and begins at the centroid of the PSF.
+    pub(super) fn farthest(&self, reach: f64) -> f64 {
+        reach + TILE as f64 + self.half
+    }
+
+    /// Whether a PSF's centroid and its covariance (xx, xy, yy) lie within the stamp.
+    pub(super) fn holds(&self, (x, y): (f64, f64), covariance: [f64; 3]) -> bool {
+        x.abs().max(y.abs()) <= self.half && covariance.iter().all(|v| v.abs() <= self.half * self.half)
     }
 
     /// The error that is allowed outside a window of a side, relative to the light there.

@@ -13,7 +13,7 @@ use crate::{ConvError, ConvReal};
 
 /// Pixels along each side of a tile. Tiles, their blocks and the windows of galaxies begin at
 /// multiples of [`SMALLEST`] pixels, so a block lies inside or outside a window.
-const TILE: usize = 128;
+pub(super) const TILE: usize = 128;
 /// The least number of pixels along each side of a block.
 pub(super) const SMALLEST: usize = 8;
 /// Number of nodes along an axis. The values at the nodes determine the polynomial of a block.
@@ -250,15 +250,18 @@ impl<'a, T: ConvReal> Square<'a, T> {
         if within(x, left) && within(y, top) {
             return;
         }
-        let outside = beside(x, left) || beside(y, top);
-        let to_centre = (centre.0 - galaxy.centre.0, centre.1 - galaxy.centre.1);
-        let around = galaxy.light.around(to_centre, 0.5 * size as f64);
-        if around.brightness <= galaxy.faintest {
-            return;
-        }
-        let error = around.brightness * error_of_polynomial(size as f64 / around.scale_px);
-        let allowed = galaxy.relative_error * around.brightness.max(self.least_brightness);
-        if outside && error <= allowed {
+        let is_smooth = if beside(x, left) || beside(y, top) {
+            let to_centre = (centre.0 - galaxy.centre.0, centre.1 - galaxy.centre.1);
+            let around = galaxy.light.around(to_centre, 0.5 * size as f64);
+            if around.brightness <= galaxy.faintest {
+                return;
+            }
+            let error = around.brightness * error_of_polynomial(size as f64 / around.scale_px);
+            error <= galaxy.relative_error * around.brightness.max(self.least_brightness)
+        } else {
+            false
+        };
+        if is_smooth {
             let blocks = &mut self.blocks[level];
             blocks.resize(1 << (2 * level), Block::default());
             galaxy.add_at_nodes(centre, size as f64, &mut blocks[(row << level) + column]);

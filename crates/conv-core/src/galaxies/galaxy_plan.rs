@@ -2,13 +2,14 @@
 
 use std::sync::{Arc, OnceLock};
 
-use ndarray::{Array1, Array2, ArrayViewMut2, Axis};
+use ndarray::{Array1, Array2, ArrayViewMut2, Axis, s};
 use psf_types::{Anchor, LightProfile, PixelRegion, Position, Progress, PsfModel, SersicSource};
 use rayon::prelude::*;
 
 use super::extent::{Extent, truncate};
 use super::far_field::{BlockWeights, FarLight, SMALLEST, add_far_light};
 use super::kernels::{Kernels, Stamps};
+use super::power_spectrum::Outline;
 use super::window::{Drawn, Spectra, WindowDrawer};
 use crate::image_memory::{check_shape, with_rows_in_memory};
 use crate::kept::Kept;
@@ -29,7 +30,8 @@ pub(super) type Light = Box<dyn LightProfile + Send + Sync>;
 /// If the plan is source-anchored, the PSFs come from local bases of blocks of the field, and the
 /// relative L2 error of a galaxy's PSF is at most the tolerance. Every galaxy is tested, and a
 /// galaxy that would exceed the tolerance is drawn with the PSF of all components. Beside that
-/// error, the image of a galaxy has errors of about a third of the tolerance times its peak.
+/// error, a pixel of a galaxy has an error of usually a third of the tolerance times the galaxy's
+/// peak, and at most about this product.
 ///
 /// The image is the same, bit by bit, for any number of threads.
 #[derive(Debug)]
@@ -60,6 +62,8 @@ const BLOCK: i64 = 512;
 const MARGIN: f64 = 0.5;
 /// The most galaxies of a group, which one task draws.
 const PER_GROUP: usize = 32;
+/// The most pixels of the windows of a group of more than one galaxy.
+const PIXELS_PER_GROUP: usize = 512 * 512;
 /// The transforms of a model's stamps use at most this part of the memory limit.
 const PARTS_OF_MEMORY: usize = 4;
 /// Groups that are drawn before they are added to the image.
@@ -77,8 +81,8 @@ struct Placed {
     key: GroupKey,
     /// Its index in the catalogue.
     index: usize,
-    /// Light at wavenumbers beyond this one, in radians per pixel, is left out.
-    band: f64,
+    /// Light at wavenumbers outside it is left out. Not used with [`Anchor::Output`].
+    outline: Outline,
     /// Light farther than this from the centre is left out.
     reach: f64,
 }
@@ -190,22 +194,22 @@ impl<T: ConvReal> GalaxyPlan<T> {
                 let light = (catalogue.light)(galaxy);
                 let (x, y) = catalogue.position(index);
                 let (side, reach) = self.extent.side_and_reach(light.as_ref());
-                if galaxy.flux() == 0.0 || !is_near((x, y), reach, region) {
+                if galaxy.flux() == 0.0 || !is_near((x, y), self.extent.farthest(reach), region) {
                     return Ok(None);
                 }
                 let block = block_of((x.round() as i64, y.round() as i64), BLOCK);
-                let band = match self.options.anchor() {
-                    Anchor::Output => 0.0,
+                let outline = match self.options.anchor() {
+                    Anchor::Output => Outline::default(),
                     _ => self
                         .block(block)
                         .kernels
-                        .band_of(light.as_ref(), self.extent.accuracy()),
+                        .outline_of(light.as_ref(), self.extent.accuracy()),
                 };
-                let key = (side, self.stamps().band_number(band), block);
+                let key = (side, self.stamps().band_number(outline.radius()), block);
                 Ok(Some(Placed {
                     key,
                     index,
-                    band,
+                    outline,
                     reach,
                 }))
             })
@@ -214,12 +218,12 @@ impl<T: ConvReal> GalaxyPlan<T> {
         placed.par_sort_unstable_by_key(|galaxy| (galaxy.key, galaxy.index));
         let groups: Vec<&[Placed]> = placed
             .chunk_by(|a, b| a.key == b.key)
-            .flat_map(|group| group.chunks(PER_GROUP))
+            .flat_map(|group| group.chunks((PIXELS_PER_GROUP / group[0].key.0.pow(2)).clamp(1, PER_GROUP)))
             .collect();
         let mut far = Vec::new();
         for some in groups.chunks(GROUPS_AT_ONCE) {
             catalogue.progress.check_cancelled()?;
-            let drawn: Vec<(Piece<T>, Vec<FarLight>)> = some
+            let drawn: Vec<(Vec<Piece<T>>, Vec<FarLight>)> = some
                 .par_iter()
                 .map(|group| self.draw_group(catalogue, group, region))
                 .collect::<Result<_, _>>()?;
@@ -228,7 +232,7 @@ impl<T: ConvReal> GalaxyPlan<T> {
                 .into_par_iter()
                 .enumerate();
             bands.for_each(|(band, mut rows)| {
-                for (piece, _) in &drawn {
+                for piece in drawn.iter().flat_map(|(pieces, _)| pieces) {
                     piece.add_to(&mut rows, (region.x0(), region.y0() + (band * BAND) as i64));
                 }
             });
@@ -238,44 +242,26 @@ impl<T: ConvReal> GalaxyPlan<T> {
         add_far_light(&far, image, first, catalogue.progress)
     }
 
-    /// Draws the windows of a group of galaxies. Returns the piece of the image that
-    /// holds them, and the galaxies with light outside their windows.
+    /// Draws the windows of a group of galaxies. Returns the windows that reach the region, and the
+    /// galaxies with light outside their windows.
     fn draw_group(
         &self,
         catalogue: Catalogue<'_>,
         group: &[Placed],
         region: PixelRegion,
-    ) -> Result<(Piece<T>, Vec<FarLight>), ConvError> {
+    ) -> Result<(Vec<Piece<T>>, Vec<FarLight>), ConvError> {
         let key = group[0].key;
         let (side, ..) = key;
-        let windows: Vec<Window> = group
-            .iter()
-            .map(|galaxy| window_at(catalogue.position(galaxy.index), side))
-            .collect();
-        let shape = region.shape();
-        let hull = |starts: &dyn Fn(&Window) -> i64, first: i64, count: usize| {
-            let from = windows.iter().map(starts).min().unwrap_or(0).max(first);
-            let to = windows.iter().map(starts).max().unwrap_or(0) + side as i64;
-            (from, (to.min(first + count as i64) - from).max(0) as usize)
-        };
-        let (first_column, width) = hull(&|w| w.0, region.x0(), shape.nx());
-        let (first_row, height) = hull(&|w| w.1, region.y0(), shape.ny());
-        let mut piece = Piece {
-            first_column,
-            first_row,
-            values: Array2::zeros((height, width)),
-        };
         let local = (self.options.anchor() != Anchor::Output).then(|| self.local(key));
-        let mut far = Vec::new();
+        let (mut pieces, mut far) = (Vec::new(), Vec::new());
         let mut drawer = WindowDrawer::new(side);
-        let mut line = vec![T::zero(); side];
         let weights = BlockWeights::<T>::new(side);
-        for (placed, &window) in group.iter().zip(&windows) {
+        for placed in group {
             catalogue.progress.check_cancelled()?;
-            let index = placed.index;
-            let galaxy = &catalogue.galaxies[index];
-            let (x, y) = catalogue.position(index);
+            let galaxy = &catalogue.galaxies[placed.index];
+            let (x, y) = catalogue.position(placed.index);
             let position = Position::new(x, y).map_err(ConvError::Result)?;
+            let window = window_at((x, y), side);
             let centre = (x - window.0 as f64, y - window.1 as f64);
             let psf = self.psf(local.as_ref(), position, galaxy.flux())?;
             let moments = match &psf {
@@ -285,62 +271,50 @@ impl<T: ConvReal> GalaxyPlan<T> {
             // The light outside is kept until all galaxies are drawn, without a transform.
             let far_light = (catalogue.light)(galaxy);
             let outside = self.far_light(moments, far_light, (x, y), window, placed.reach);
-            let rows = overlap(window.1 - first_row, side, height);
-            let columns = overlap(window.0 - first_column, side, width);
-            if let (Some((row, to_row, count)), Some((column, to, width))) = (rows, columns) {
-                let repeated = (outside.reach > 0.0).then(|| outside.repeated(&weights));
-                let add = |number: usize, values: &mut [T]| {
-                    if let Some(repeated) = &repeated {
-                        let repeated = &repeated[number * side..(number + 1) * side];
-                        values
-                            .iter_mut()
-                            .zip(repeated)
-                            .for_each(|(v, &repeated)| *v -= repeated);
-                    }
-                    let mut target = piece.values.row_mut(number - row + to_row);
-                    let target = &mut target.as_slice_mut().expect("row-major")[to..to + width];
-                    for (sum, &v) in target.iter_mut().zip(&values[column..column + width]) {
-                        *sum += v;
-                    }
-                };
+            let rows = overlap(window.1 - region.y0(), side, region.shape().ny());
+            let columns = overlap(window.0 - region.x0(), side, region.shape().nx());
+            if let (Some((row, _, count)), Some((column, _, width))) = (rows, columns) {
                 let light = (catalogue.light)(galaxy);
-                let light = light.as_ref();
-                match &psf {
-                    Psf::Local(local, coefficients) => drawer.draw(
-                        &Drawn {
+                let mut values = match &psf {
+                    Psf::Local(local, coefficients) => {
+                        let drawn = Drawn {
                             spectra: &local.spectra,
-                            light,
+                            light: light.as_ref(),
                             centre,
                             coefficients,
-                            band: placed.band,
-                        },
-                        row..row + count,
-                        add,
-                    ),
-                    Psf::Exact(psf) => {
-                        let values = self.exact_window(
-                            psf,
-                            galaxy.flux(),
-                            light,
-                            window,
-                            centre,
-                            catalogue.frame.shape(),
-                        )?;
-                        let mut add = add;
-                        for number in row..row + count {
-                            for (to, &v) in line.iter_mut().zip(values.row(number)) {
-                                *to = T::nearest(v);
-                            }
-                            add(number, &mut line);
-                        }
+                            outline: &placed.outline,
+                        };
+                        drawer.draw(&drawn, row..row + count)
                     }
+                    Psf::Exact(psf) => {
+                        let (light, frame) = (light.as_ref(), catalogue.frame.shape());
+                        let all = self.exact_window(psf, galaxy.flux(), light, window, centre, frame)?;
+                        all.slice(s![row..row + count, ..]).mapv(T::nearest)
+                    }
+                };
+                if outside.reach > 0.0 {
+                    let repeated = outside.repeated(&weights);
+                    let values = values.as_slice_mut().expect("row-major");
+                    values
+                        .iter_mut()
+                        .zip(&repeated[row * side..])
+                        .for_each(|(v, &repeated)| *v -= repeated);
                 }
+                // Windows may be larger than the region.
+                if width < side {
+                    values = values.slice(s![.., column..column + width]).to_owned();
+                }
+                pieces.push(Piece {
+                    first_column: window.0 + column as i64,
+                    first_row: window.1 + row as i64,
+                    values,
+                });
             }
             if outside.reach > 0.0 {
                 far.push(outside);
             }
         }
-        Ok((piece, far))
+        Ok((pieces, far))
     }
 
     fn local(&self, key: GroupKey) -> Local<T> {
@@ -380,12 +354,12 @@ impl<T: ConvReal> GalaxyPlan<T> {
         let make = || {
             let cells = RegionCells::sampled(self.model.field(), region_of(key, BLOCK));
             let modes = LocalModes::new(self.space(), &cells, MARGIN * self.tolerance);
-            let rows: Vec<_> = modes
-                .reference()
-                .into_iter()
-                .chain(modes.modes.outer_iter())
-                .collect();
-            let directions = ndarray::stack(Axis(0), &rows).expect("rows of one length");
+            // No rows if the PSF has no value in the block. Then each galaxy uses all components.
+            let rows = modes.reference().into_iter().chain(modes.modes.outer_iter());
+            let mut directions = Array2::zeros((rows.clone().count(), modes.modes.ncols()));
+            for (mut to, row) in directions.outer_iter_mut().zip(rows) {
+                to.assign(&row);
+            }
             // The values at the corners of cells begin with the flux, also without a reference.
             let mut values = vec![0.0; modes.rank() + 1];
             let mut largest = vec![0.0_f64; directions.nrows()];
@@ -427,21 +401,14 @@ impl<T: ConvReal> GalaxyPlan<T> {
         reach: f64,
     ) -> FarLight {
         let [flux, mx, my, xx, xy, yy] = moments;
-        // Without flux there is no centroid, and no light far out.
-        let has_flux = flux.abs() > f64::MIN_POSITIVE;
-        let (dx, dy) = if has_flux {
-            (mx / flux, my / flux)
-        } else {
-            (0.0, 0.0)
-        };
+        let (dx, dy) = (mx / flux, my / flux);
+        let covariance = [xx / flux - dx * dx, xy / flux - dx * dy, yy / flux - dy * dy];
+        // If the values of a PSF nearly cancel, it has no centroid, and hardly any light far out.
+        let has_flux = self.extent.holds((dx, dy), covariance);
         FarLight {
             flux,
             centre: (x + dx, y + dy),
-            covariance: if has_flux {
-                [xx / flux - dx * dx, xy / flux - dx * dy, yy / flux - dy * dy]
-            } else {
-                [0.0; 3]
-            },
+            covariance,
             window,
             faintest: self.extent.left_out() / (2.0 * reach).powi(2),
             relative_error: self.extent.relative_error(light.as_ref(), window.2),

@@ -7,9 +7,8 @@ use ndarray::{Array2, ArrayView1, ArrayView2, Axis};
 use psf_types::{LightProfile, StampGrid};
 use rustfft::num_complex::Complex64;
 
-use super::spectrum::{
-    COPIES, Wavenumbers, discrete_transform, has_copies, kernel_transform, nearest, spectrum,
-};
+use super::power_spectrum::{CopiesOfPower, Outline, PowerSpectrum};
+use super::spectrum::{Wavenumbers, discrete_transform, has_copies, nearest, spectrum};
 use super::window::Spectra;
 use crate::ConvReal;
 use crate::kept::Kept;
@@ -65,25 +64,11 @@ pub(super) struct Kernels {
     /// `[PSF, stamp]`.
     directions: Array2<f64>,
     moments: Vec<Moments>,
-    /// Up to the wavenumber beyond which no PSF has light that matters.
-    spectrum: PowerSpectrum,
+    power: PowerSpectrum,
 }
 
 /// Moments of a stamp about its centre, in frame pixels: flux, x, y, xx, xy, yy.
 pub(super) type Moments = [f64; 6];
-
-/// Power of PSFs by wavenumber, in rings of equal width.
-#[derive(Debug)]
-struct PowerSpectrum {
-    /// Width of the rings in radians per pixel.
-    step: f64,
-    /// An upper limit of the power of any PSF in each ring.
-    largest: Vec<f64>,
-    /// The same beyond the last ring.
-    beyond: f64,
-    /// The power of a typical PSF in each ring.
-    typical: Vec<f64>,
-}
 
 impl Stamps {
     /// The stamps `[stamp, pixel]`. Transforms of windows are kept up to the given memory.
@@ -164,7 +149,7 @@ impl Stamps {
 
 impl Kernels {
     /// PSFs `[PSF, stamp]`, with the largest absolute values of the coefficients with which they
-    /// are combined. `typical` is one of the combinations. Light at wavenumbers beyond the band is
+    /// are combined. `typical` is one of the combinations. Light at wavenumbers that are left out is
     /// at most `accuracy` of this one, in the L2 norm.
     pub(super) fn new(
         stamps: &Stamps,
@@ -173,20 +158,30 @@ impl Kernels {
         typical: ArrayView1<'_, f64>,
         accuracy: f64,
     ) -> Self {
-        let mut spectrum = PowerSpectrum::new(stamps, directions.view(), largest, typical, accuracy);
-        spectrum.end_at(spectrum.band(accuracy, |_| [1.0; 2]));
+        let power =
+            |directions: ArrayView2<'_, f64>| stamps.coarse.combined(directions, |re, im| re * re + im * im);
+        let typical = power(typical.insert_axis(Axis(0))).swap_remove(0);
+        let mut limit = vec![0.0; typical.len()];
+        for (power, &largest) in power(directions.view()).iter().zip(largest) {
+            for (sum, v) in limit.iter_mut().zip(power) {
+                *sum += largest * v.sqrt();
+            }
+        }
+        for v in &mut limit {
+            *v *= *v;
+        }
         let rows = directions.outer_iter();
         Self {
             moments: rows.map(|direction| stamps.moments_of(direction)).collect(),
+            power: PowerSpectrum::new(&stamps.copies, &limit, &typical, accuracy),
             directions,
-            spectrum,
         }
     }
 
-    /// The band of a galaxy: the light of its image at wavenumbers beyond is at most `accuracy` of
+    /// The outline of a galaxy: the light of its image at wavenumbers beyond is at most `accuracy` of
     /// the image, in the L2 norm.
-    pub(super) fn band_of(&self, light: &dyn LightProfile, accuracy: f64) -> f64 {
-        self.spectrum.band(accuracy, |k| light.transform_limits(k))
+    pub(super) fn outline_of(&self, light: &dyn LightProfile, accuracy: f64) -> Outline {
+        self.power.outline(light, accuracy)
     }
 
     /// The moments of a PSF.
@@ -226,121 +221,4 @@ fn moments(stamp: ArrayView2<'_, f64>, grid: StampGrid) -> Moments {
         }
     }
     sum
-}
-
-/// The wavenumbers `kx = 0 ... radius` and `ky = -radius ... radius`, in units of `step` radians per
-/// frame pixel, and the factors by which interpolation multiplies the power of their copies.
-#[derive(Debug)]
-struct CopiesOfPower {
-    step: f64,
-    radius: usize,
-    /// For each copy along an axis, the wavenumber and the factor at `-radius ... radius`.
-    along: Vec<Vec<(f64, f64)>>,
-    rings: usize,
-}
-
-impl CopiesOfPower {
-    fn new(grid: StampGrid) -> Self {
-        let s = grid.oversampling();
-        let step = 2.0 * PI * s / grid.nx().max(grid.ny()) as f64;
-        // The wavenumbers up to the Nyquist frequency of the stamps.
-        let nyquist = PI * s;
-        let radius = (nyquist / step).floor() as usize;
-        let kernel = |m: i64, copy: i64| {
-            let k = m as f64 * step + 2.0 * nyquist * copy as f64;
-            (k, kernel_transform(grid.interpolation(), k / s).powi(2))
-        };
-        Self {
-            step,
-            radius,
-            along: (-COPIES..=COPIES)
-                .map(|copy| {
-                    (-(radius as i64)..=radius as i64)
-                        .map(|m| kernel(m, copy))
-                        .collect()
-                })
-                .collect(),
-            rings: ((2 * COPIES + 1) as f64 * nyquist * std::f64::consts::SQRT_2 / step) as usize + 2,
-        }
-    }
-
-    /// Adds the power of each wavenumber to the rings of its copies. Wavenumbers whose power is at
-    /// most `least` are left out.
-    fn add_to_rings(&self, power: &[f64], least: f64, rings: &mut [f64]) {
-        let row = 2 * self.radius + 1;
-        for (index, &power) in power.iter().enumerate().filter(|&(_, &power)| power > least) {
-            let (kx, at) = (index / row, index % row);
-            for by_x in &self.along {
-                let (x, fx) = by_x[kx + self.radius];
-                for by_y in &self.along {
-                    let (y, fy) = by_y[at];
-                    let ring = ((x * x + y * y).sqrt() / self.step) as usize;
-                    rings[ring] += power * fx * fy;
-                }
-            }
-        }
-    }
-}
-
-/// Wavenumbers with less than this fraction of the power that the accuracy allows are left out.
-const NEGLIGIBLE: f64 = 1e-3;
-
-impl PowerSpectrum {
-    fn new(
-        stamps: &Stamps,
-        directions: ArrayView2<'_, f64>,
-        largest: &[f64],
-        typical: ArrayView1<'_, f64>,
-        accuracy: f64,
-    ) -> Self {
-        let power =
-            |directions: ArrayView2<'_, f64>| stamps.coarse.combined(directions, |re, im| re * re + im * im);
-        let typical = power(typical.insert_axis(Axis(0))).swap_remove(0);
-        let mut limit = vec![0.0; typical.len()];
-        for (power, &largest) in power(directions).iter().zip(largest) {
-            for (sum, v) in limit.iter_mut().zip(power) {
-                *sum += largest * v.sqrt();
-            }
-        }
-        for v in &mut limit {
-            *v *= *v;
-        }
-        let least = typical.iter().sum::<f64>() * NEGLIGIBLE * accuracy * accuracy / typical.len() as f64;
-        let rings = |power: &[f64]| {
-            let mut rings = vec![0.0; stamps.copies.rings];
-            stamps.copies.add_to_rings(power, least, &mut rings);
-            rings
-        };
-        Self {
-            step: stamps.copies.step,
-            largest: rings(&limit),
-            beyond: 0.0,
-            typical: rings(&typical),
-        }
-    }
-
-    /// Leaves out the rings beyond a wavenumber.
-    fn end_at(&mut self, k: f64) {
-        let rings = ((k / self.step).round() as usize).min(self.largest.len());
-        self.beyond = self.largest.drain(rings..).sum();
-        self.typical.truncate(rings);
-    }
-
-    /// The wavenumber beyond which at most the square of `accuracy` of the power lies, if `limits`
-    /// returns the smallest and the largest factor of the amplitude at a wavenumber.
-    fn band(&self, accuracy: f64, limits: impl Fn(f64) -> [f64; 2]) -> f64 {
-        let squares: Vec<[f64; 2]> = (0..=self.largest.len())
-            .map(|ring| limits(ring as f64 * self.step).map(|factor| factor * factor))
-            .collect();
-        // Over a ring, the factors fall.
-        let factors: Vec<[f64; 2]> = squares.windows(2).map(|ends| [ends[1][0], ends[0][1]]).collect();
-        let total: f64 = self.typical.iter().zip(&factors).map(|(p, f)| p * f[0]).sum();
-        let allowed = accuracy * accuracy * total;
-        let mut beyond = self.beyond * squares[self.largest.len()][1];
-        let last = self.largest.iter().zip(&factors).rposition(|(p, f)| {
-            beyond += p * f[1];
-            beyond > allowed
-        });
-        (last.unwrap_or(0) + 1) as f64 * self.step
-    }
 }

@@ -16,6 +16,7 @@ mod extent;
 mod far_field;
 mod galaxy_plan;
 mod kernels;
+mod power_spectrum;
 mod spectrum;
 mod window;
 

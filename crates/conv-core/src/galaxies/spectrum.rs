@@ -10,6 +10,7 @@
 //! there.
 
 use std::f64::consts::TAU;
+use std::ops::{Range, RangeInclusive};
 use std::sync::Arc;
 
 use ndarray::{Array2, ArrayView2};
@@ -109,7 +110,7 @@ impl Wavenumbers {
 
 impl Copies {
     /// The numbers of the copies along an axis that have wavenumbers up to a radius.
-    pub(super) fn numbers(&self, radius: f64) -> std::ops::RangeInclusive<i64> {
+    pub(super) fn numbers(&self, radius: f64) -> RangeInclusive<i64> {
         let most = self.period.map_or(0, |period| {
             (((radius / period as f64 + 0.5).floor()) as i64).min(COPIES)
         });
@@ -131,10 +132,29 @@ impl Copies {
         self.kernel[k.unsigned_abs() as usize]
     }
 
-    /// The factors of the copy with this number along x and along y.
-    pub(super) fn turns(&self, number: i64) -> [Complex64; 2] {
-        [self.centre.0, self.centre.1]
-            .map(|centre| Complex64::from_polar(1.0, TAU * (number as f64 * centre).fract()))
+    /// `exp(-i k angle)` times the factors of interpolation and phase, along x (axis 0) or y (1), for
+    /// the copies up to a radius: first all `k` of one copy, then those of the next. `range` holds the
+    /// wavenumbers in the period that is computed.
+    pub(super) fn turns(
+        &self,
+        axis: usize,
+        angle: f64,
+        radius: f64,
+        range: Range<i64>,
+    ) -> impl Iterator<Item = Complex64> {
+        let centre = [self.centre.0, self.centre.1][axis];
+        let to_next = Complex64::from_polar(1.0, -angle);
+        self.numbers(radius).flat_map(move |number| {
+            let distance = self.distance(number);
+            let first = range.start + distance;
+            let of_copy = TAU * (number as f64 * centre).fract();
+            let mut turn = Complex64::from_polar(1.0, of_copy - first as f64 * angle);
+            (first..range.end + distance).map(move |k| {
+                let turned = turn * self.kernel(k);
+                turn *= to_next;
+                turned
+            })
+        })
     }
 }
 

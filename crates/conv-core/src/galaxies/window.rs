@@ -2,11 +2,13 @@
 
 use std::sync::Arc;
 
+use ndarray::Array2;
 use psf_types::LightProfile;
 use realfft::{ComplexToReal, RealFftPlanner};
-use rustfft::num_complex::{Complex, Complex64};
+use rustfft::num_complex::Complex;
 use rustfft::{Fft, FftPlanner};
 
+use super::power_spectrum::Outline;
 use super::spectrum::{Wavenumbers, nearest};
 use crate::ConvReal;
 use crate::simd::{Lanes, WithIsa};
@@ -42,9 +44,10 @@ struct Work<T> {
     folded: Vec<Complex<T>>,
     psf: Vec<Complex<T>>,
     product: Vec<Complex<T>>,
-    transform: Vec<f64>,
-    /// `exp(-i ky y)` for the galaxy's row `y`, times the factors of [`Copies`](super::spectrum::Copies).
-    /// One row per copy, `ky` ascending.
+    transform: Vec<f32>,
+    /// [`Copies::turns`](super::spectrum::Copies::turns) at the galaxy's column, for the `kx` of each copy.
+    turns_x: Vec<Complex<T>>,
+    /// The turns at the galaxy's row, for the `ky` of each copy, ascending.
     turns: Vec<Complex<T>>,
     scratch: Vec<Complex<T>>,
     lines: Vec<Complex<T>>,
@@ -60,8 +63,8 @@ pub(super) struct Drawn<'a, T> {
     pub(super) light: &'a dyn LightProfile,
     pub(super) centre: (f64, f64),
     pub(super) coefficients: &'a [f64],
-    /// Light at wavenumbers beyond this one, in radians per pixel, is left out.
-    pub(super) band: f64,
+    /// Light at wavenumbers outside it is left out.
+    pub(super) outline: &'a Outline,
 }
 
 impl<T: ConvReal> WindowDrawer<T> {
@@ -80,6 +83,7 @@ impl<T: ConvReal> WindowDrawer<T> {
                 psf: Vec::new(),
                 product: Vec::new(),
                 transform: Vec::new(),
+                turns_x: Vec::new(),
                 turns: Vec::new(),
                 scratch: vec![zero; scratch],
                 lines: vec![zero; half * ROWS_AT_ONCE],
@@ -88,13 +92,8 @@ impl<T: ConvReal> WindowDrawer<T> {
     }
 
     /// Computes the rows `rows` of a galaxy's image, which repeats with the period of the window.
-    /// Gives the number of each row and its values to `take`.
-    pub(super) fn draw(
-        &mut self,
-        galaxy: &Drawn<'_, T>,
-        rows: std::ops::Range<usize>,
-        mut take: impl FnMut(usize, &mut [T]),
-    ) {
+    /// Returns the values `[row, column]`.
+    pub(super) fn draw(&mut self, galaxy: &Drawn<'_, T>, rows: std::ops::Range<usize>) -> Array2<T> {
         T::dispatch(Fold {
             side: self.side,
             galaxy,
@@ -107,11 +106,13 @@ impl<T: ConvReal> WindowDrawer<T> {
             lines,
             ..
         } = &mut self.work;
-        let radius = (galaxy.band / galaxy.spectra.wavenumbers.step()).ceil() as usize;
-        let columns = galaxy.spectra.wavenumbers.most_ky.len().min(radius + 1).min(half);
+        let wavenumbers = &galaxy.spectra.wavenumbers;
+        let [most_kx, _] = galaxy.outline.extent().map(|k| (k / wavenumbers.step()) as usize);
+        let columns = wavenumbers.most_ky.len().min(most_kx + 1).min(half);
         self.along_y
             .process_with_scratch(&mut folded[..columns * side], scratch);
-        let mut values = vec![T::zero(); side];
+        let mut values = Array2::zeros((rows.len(), side));
+        let mut each_row = values.as_slice_mut().expect("row-major").chunks_exact_mut(side);
         for first in rows.clone().step_by(ROWS_AT_ONCE) {
             let count = ROWS_AT_ONCE.min(rows.end - first);
             for (kx, column) in folded.chunks_exact(side).enumerate() {
@@ -119,16 +120,16 @@ impl<T: ConvReal> WindowDrawer<T> {
                     lines[line * half + kx] = value;
                 }
             }
-            for (row, line) in lines.chunks_exact_mut(half).take(count).enumerate() {
+            for (line, values) in lines.chunks_exact_mut(half).zip(each_row.by_ref().take(count)) {
                 // The first and the last value of a real line's transform are real.
                 line[0].im = T::zero();
                 line[half - 1].im = T::zero();
                 self.along_x
-                    .process_with_scratch(line, &mut values, scratch)
+                    .process_with_scratch(line, values, scratch)
                     .expect("the lengths of the plan");
-                take(first + row, &mut values);
             }
         }
+        values
     }
 }
 
@@ -148,37 +149,35 @@ impl<T: ConvReal> WithIsa<T> for Fold<'_, '_, T> {
         let step = wavenumbers.step();
         let copies = &wavenumbers.copies;
         let zero = Complex::new(T::zero(), T::zero());
-        let radius = (galaxy.band / step).ceil().min(copies.largest() as f64);
-        // The largest `ky` within the band at `kx`.
+        let largest = copies.largest() as f64;
+        let [most_kx, most_ky] = galaxy.outline.extent().map(|k| (k / step).min(largest));
+        let radius = most_kx.max(most_ky);
+        // The largest `ky` at `kx`.
         let most_at = |kx: i64| {
-            let within = radius * radius - (kx * kx) as f64;
-            (within >= 0.0).then(|| within.sqrt() as i64)
+            let end = galaxy.outline.end(kx.unsigned_abs() as f64 * step)?;
+            (kx.unsigned_abs() as f64 <= largest).then(|| (end / step).min(largest) as i64)
         };
         let most = wavenumbers.most_ky[0] as i64;
         let row = (2 * most + 1) as usize;
-        // The phase from one `ky` to the next.
-        let angle_y = step * galaxy.centre.1;
-        let to_next = Complex64::from_polar(1.0, -angle_y);
+        let lines = wavenumbers.most_ky.len();
+        work.turns_x.clear();
+        let turns_x = copies.turns(0, step * galaxy.centre.0, radius, 0..lines as i64);
+        work.turns_x.extend(turns_x.map(nearest::<T>));
         work.turns.clear();
-        for number in copies.numbers(radius) {
-            let [_, of_copy] = copies.turns(number);
-            let first = copies.distance(number) - most;
-            let mut phase = Complex64::from_polar(1.0, -(first as f64) * angle_y);
-            work.turns.extend((first..=first + 2 * most).map(|ky| {
-                let turned = of_copy * phase * copies.kernel(ky);
-                phase *= to_next;
-                nearest(turned)
-            }));
-        }
+        let turns = copies.turns(1, step * galaxy.centre.1, radius, -most..most + 1);
+        work.turns.extend(turns.map(nearest::<T>));
         work.folded.fill(zero);
         work.psf.resize(row, zero);
         work.product.resize(row, zero);
-        work.transform.resize(2 * radius as usize + 1, 0.0);
+        work.transform.resize(2 * most_ky as usize + 1, 0.0);
         let area = (side * side) as f64;
         let coefficients: Vec<T> = galaxy.coefficients.iter().map(|c| T::nearest(c / area)).collect();
-        for (kx, (&stored, &start)) in wavenumbers.most_ky.iter().zip(&wavenumbers.starts).enumerate() {
-            let Some(most_ky) = most_at(kx as i64).map(|most_ky| most_ky.min(stored as i64)) else {
-                break;
+        for (line, (&stored, &start)) in wavenumbers.most_ky.iter().zip(&wavenumbers.starts).enumerate() {
+            let of_copies = copies
+                .numbers(radius)
+                .filter_map(|across| most_at(line as i64 + copies.distance(across)));
+            let Some(most_ky) = of_copies.max().map(|most_ky| most_ky.min(stored as i64)) else {
+                continue;
             };
             let count = (2 * most_ky + 1) as usize;
             let start = start + stored - most_ky as usize;
@@ -197,18 +196,16 @@ impl<T: ConvReal> WithIsa<T> for Fold<'_, '_, T> {
             );
             let product = &mut work.product[..count];
             product.fill(zero);
-            for across in copies.numbers(radius) {
-                let kx = kx as i64 + copies.distance(across);
+            for (across, turns_x) in copies.numbers(radius).zip(work.turns_x.chunks_exact(lines)) {
+                let kx = line as i64 + copies.distance(across);
                 let Some(end) = most_at(kx) else { continue };
                 let transform = &mut work.transform[..(2 * end + 1) as usize];
                 galaxy
                     .light
                     .transform_into(kx as f64 * step, -(end as f64) * step, step, transform);
-                let [of_copy, _] = copies.turns(across);
-                let phase = Complex64::from_polar(1.0, -(kx as f64) * step * galaxy.centre.0);
-                let turn_x = nearest(of_copy * phase * copies.kernel(kx));
+                let turn_x = turns_x[line];
                 for (up, turns) in copies.numbers(radius).zip(work.turns.chunks_exact(row)) {
-                    // The wavenumbers of this copy that are within the band.
+                    // The wavenumbers of this copy that are within the outline.
                     let distance = copies.distance(up);
                     let from = (-most_ky).max(-end - distance);
                     let to = most_ky.min(end - distance) + 1;
@@ -227,7 +224,7 @@ impl<T: ConvReal> WithIsa<T> for Fold<'_, '_, T> {
             }
             simd.vectorized(
                 #[inline(always)]
-                || add_line(&mut work.folded, side, kx, product),
+                || add_line(&mut work.folded, side, line, product),
             );
         }
     }
@@ -238,12 +235,12 @@ impl<T: ConvReal> WithIsa<T> for Fold<'_, '_, T> {
 fn add_product<T: ConvReal>(
     sums: &mut [Complex<T>],
     psf: &[Complex<T>],
-    light: &[f64],
+    light: &[f32],
     turn_x: Complex<T>,
     turns: &[Complex<T>],
 ) {
     for (((sum, psf), &light), turn) in sums.iter_mut().zip(psf).zip(light).zip(turns) {
-        let light = T::nearest(light);
+        let light = T::nearest(light.into());
         let turned = Complex::new(
             (turn_x.re * turn.re - turn_x.im * turn.im) * light,
             (turn_x.re * turn.im + turn_x.im * turn.re) * light,

@@ -78,9 +78,10 @@ pub(crate) struct SimulateArgs {
     tolerance_on: Option<ToleranceOn>,
     /// Check N random pixels against the direct sum in double precision (0: no check)
     ///
-    /// Half of them are bright pixels. If the relative r.m.s. difference is above 3 x --tolerance
-    /// plus rounding, the image is still written, but the command fails. For basis and direct, the
-    /// limit allows only rounding. For patch, there is no limit if the scene has an image.
+    /// Half of them are bright pixels. The pixels around up to 96 random sources are compared, too. If
+    /// a source, a pixel or the r.m.s. difference is beyond what --tolerance allows, the image is still
+    /// written, but the command fails (docs/accuracy.md gives the limits). For basis and direct, the
+    /// limits allow only rounding. For patch, there is no limit if the scene has an image.
     #[arg(
         long,
         value_name = "N",

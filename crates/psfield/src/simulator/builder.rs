@@ -103,7 +103,7 @@ impl SimulatorBuilder {
         Self { options, ..self }
     }
 
-    /// Sets the largest relative L2 error that a plan may add to the PSF of any pixel or star.
+    /// Sets the largest relative L2 error that a plan may add to the PSF of any pixel, star or galaxy.
     #[must_use]
     pub fn tolerance(mut self, tolerance: f64) -> Self {
         self.options.tolerance = tolerance;
