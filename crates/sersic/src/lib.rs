@@ -14,7 +14,7 @@
 //! // Half of the light lies within the ellipse of semi-major axis re.
 //! assert!((light.flux_beyond(3.0) - 0.5).abs() < 1e-12);
 //! // The transform at wavenumber 0 is the flux. The profile has unit flux.
-//! let mut transform = [0.0_f32];
+//! let mut transform = [0.0];
 //! light.transform_into(0.0, 0.0, 0.0, &mut transform);
 //! assert_eq!(transform, [1.0]);
 //! # Ok::<(), psf_types::DataError>(())

@@ -332,7 +332,7 @@ mod tests {
                     let angle = f64::from(step).to_radians() * 10.0;
                     let at = (distance * angle.cos(), distance * angle.sin());
                     let [value, xx, _, yy] = brightness(&light, at.0, at.1);
-                    assert!(value <= limits.brightness * (1.0 + 2.0 * ROUNDING));
+                    assert!(value <= limits.brightness * (1.0 + ROUNDING));
                     let largest = limits.brightness / limits.scale_px.powi(2);
                     assert!(xx.abs().max(yy.abs()) <= largest, "n = {n}, {distance} at {step}");
                     let around = light.around(at, 0.5);

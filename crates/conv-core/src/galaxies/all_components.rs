@@ -189,21 +189,21 @@ impl<T: ConvReal> GalaxyPlan<T> {
             drawer.draw(&drawn, 0..side)
         };
         let (count, psf, stamps) = (psf.len(), psf.view(), self.stamps());
-        let kernels = |directions: Array2<f64>, largest: &[f64]| {
-            Kernels::new(stamps, directions, largest, psf, self.extent.accuracy())
+        let transformed = |directions: Array2<f64>, largest: &[f64]| {
+            let accuracy = self.extent.accuracy();
+            let kernels = Kernels::new(stamps, directions, largest, psf, accuracy);
+            let outline = kernels.outline_of(light, accuracy);
+            let spectra = stamps.spectra_of(&kernels, side, stamps.band_number(outline.radius()));
+            (spectra, outline)
         };
         if self.options.anchor() != Anchor::Output {
-            let only = kernels(psf.to_owned().insert_axis(Axis(0)), &[1.0]);
-            let outline = only.outline_of(light, self.extent.accuracy());
-            let spectra = stamps.spectra_of(&only, side, stamps.band_number(outline.radius()));
+            let (spectra, outline) = transformed(psf.to_owned().insert_axis(Axis(0)), &[1.0]);
             return Ok(plane(&spectra, &[1.0], &outline));
         }
         // Each pixel of the frame has its own PSF, in which any component may be as large as the
         // largest one here.
         let largest = psf.iter().fold(0.0_f64, |largest, c| largest.max(c.abs()));
-        let all = kernels(Array2::eye(count), &vec![largest; count]);
-        let outline = all.outline_of(light, self.extent.accuracy());
-        let spectra = stamps.spectra_of(&all, side, stamps.band_number(outline.radius()));
+        let (spectra, outline) = transformed(Array2::eye(count), &vec![largest; count]);
         let planes: Vec<Array2<f64>> = (0..count)
             .map(|k| {
                 let mut unit = vec![0.0; count];

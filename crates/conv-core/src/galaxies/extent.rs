@@ -161,10 +161,14 @@ impl Extent {
         reach.max(side as f64 * 1.001)
     }
 
-    /// The distance up to which a galaxy that reaches this far is drawn. Light outside windows is
-    /// drawn on whole blocks, and begins at the centroid of the PSF.
-    pub(super) fn farthest(&self, reach: f64) -> f64 {
-        reach + TILE as f64 + self.half
+    /// The distance up to which pixels may be drawn. Light outside the window is drawn on whole
+    /// blocks, around the centroid of the PSF.
+    pub(super) fn farthest(&self, side: usize, reach: f64) -> f64 {
+        if reach > side as f64 {
+            reach + TILE as f64 + self.half
+        } else {
+            reach
+        }
     }
 
     /// Whether a PSF's centroid and its covariance (xx, xy, yy) lie within the stamp.

@@ -194,7 +194,7 @@ impl<T: ConvReal> GalaxyPlan<T> {
                 let light = (catalogue.light)(galaxy);
                 let (x, y) = catalogue.position(index);
                 let (side, reach) = self.extent.side_and_reach(light.as_ref());
-                if galaxy.flux() == 0.0 || !is_near((x, y), self.extent.farthest(reach), region) {
+                if galaxy.flux() == 0.0 || !is_near((x, y), self.extent.farthest(side, reach), region) {
                     return Ok(None);
                 }
                 let block = block_of((x.round() as i64, y.round() as i64), BLOCK);
@@ -355,9 +355,8 @@ impl<T: ConvReal> GalaxyPlan<T> {
             let cells = RegionCells::sampled(self.model.field(), region_of(key, BLOCK));
             let modes = LocalModes::new(self.space(), &cells, MARGIN * self.tolerance);
             // No rows if the PSF has no value in the block. Then each galaxy uses all components.
-            let rows = modes.reference().into_iter().chain(modes.modes.outer_iter());
-            let mut directions = Array2::zeros((rows.clone().count(), modes.modes.ncols()));
-            for (mut to, row) in directions.outer_iter_mut().zip(rows) {
+            let mut directions = Array2::zeros((modes.directions().count(), modes.modes.ncols()));
+            for (mut to, row) in directions.outer_iter_mut().zip(modes.directions()) {
                 to.assign(&row);
             }
             // The values at the corners of cells begin with the flux, also without a reference.

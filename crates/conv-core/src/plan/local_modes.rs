@@ -305,6 +305,11 @@ impl LocalModes {
         self.reference.as_ref().map(|r| r.view())
     }
 
+    /// The PSFs that combine to those of the block: the reference if there is one, then the modes.
+    pub(crate) fn directions(&self) -> impl Iterator<Item = ArrayView1<'_, f64>> {
+        self.reference().into_iter().chain(self.modes.outer_iter())
+    }
+
     /// Computes the values at one corner of a cell: the flux, then the coefficient of each mode.
     /// `end` holds the weights of the nodes at this corner.
     pub(crate) fn values_into(&self, end: &[(usize, f64)], values: &mut [f64]) {

@@ -161,11 +161,7 @@ impl PhaseNorms {
 
     /// Tabulates the products of a block.
     pub(super) fn along_mean(&self, mean: ArrayView1<'_, f64>, modes: &LocalModes) -> AlongMean {
-        let kernels: Vec<ArrayView1<'_, f64>> = modes
-            .reference()
-            .into_iter()
-            .chain(modes.modes.outer_iter())
-            .collect();
+        let kernels: Vec<ArrayView1<'_, f64>> = modes.directions().collect();
         let mut table = Array2::zeros((self.products.len(), kernels.len()));
         for (mut row, products) in table.outer_iter_mut().zip(&self.products) {
             let along = products.dot(&mean);

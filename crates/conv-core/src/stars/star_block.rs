@@ -112,9 +112,8 @@ impl<T: ConvReal> StarBlock<T> {
         let mean = LocalModes::mean(space, &cells);
         let of_modes = MARGIN * tolerance * norms.share(mean.view());
         let modes = LocalModes::new(space, &cells, of_modes.max(ROUNDING));
-        let modes_alone = &modes.modes;
-        let directions = modes.reference().into_iter().chain(modes_alone.outer_iter());
-        let kernels: Vec<Array2<f64>> = directions
+        let kernels: Vec<Array2<f64>> = modes
+            .directions()
             .map(|direction| coefficients_of(space.stamps.view(), direction, model.grid(), columns.kernel))
             .collect();
         Self {

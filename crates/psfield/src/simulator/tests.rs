@@ -590,13 +590,15 @@ fn psfs_without_flux_have_no_tolerance_on_apertures() {
         psf_types::Normalisation::Keep,
     );
     let psf = Psf::from(record.unwrap());
-    let image = |on| {
+    let image = |scene: Scene<'_, f64>, on| {
         let simulator = psf.simulator((10, 12)).tolerance_on(on).device(Device::Cpu);
         let simulator: Simulator<f64> = simulator.build().unwrap();
-        let scene = Scene::new(ramp(12, 10)).unwrap();
         simulator.simulate(&scene).map(|image| image.pixels()[[5, 5]])
     };
-    let error = image(ToleranceOn::Aperture).unwrap_err();
-    assert_eq!(of(&error), (ErrorKind::Setting, Some("tolerance_on")), "{error}");
-    assert!((image(ToleranceOn::L2).unwrap().abs() - 2.0_f64.sqrt()).abs() < 1e-9);
+    let of_image = || Scene::new(ramp(12, 10)).unwrap();
+    for scene in [of_image(), Scene::dark().with_stars(vec![star(5.0, 4.0, 1.0)])] {
+        let error = image(scene, ToleranceOn::Aperture).unwrap_err();
+        assert_eq!(of(&error), (ErrorKind::Setting, Some("tolerance_on")), "{error}");
+    }
+    assert!((image(of_image(), ToleranceOn::L2).unwrap().abs() - 2.0_f64.sqrt()).abs() < 1e-9);
 }
