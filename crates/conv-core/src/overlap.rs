@@ -27,9 +27,13 @@ impl<T: ConvReal> Piece<T> {
             return;
         };
         let mut target = output.slice_mut(s![to_row..to_row + height, to_column..to_column + width]);
-        target += &self
+        let values = self
             .values
             .slice(s![from_row..from_row + height, from_column..from_column + width]);
+        // Row by row, because the values of a row lie side by side in memory.
+        for (mut target, values) in target.outer_iter_mut().zip(values.outer_iter()) {
+            target += &values;
+        }
     }
 }
 

@@ -12,9 +12,9 @@ use crate::transform::Transform;
 /// A half-light radius below this value is replaced by this value. Even for `n = 8`, almost all
 /// light then falls in one pixel.
 const SMALLEST_RADIUS_PX: f64 = 1e-9;
-/// The number of points at which brightness is computed together: several vectors, so that the
-/// processor need not wait for each step.
-const POINTS: usize = 16;
+/// The numbers of points at which brightness is computed together. The first number is for as many
+/// points as it divides: several vectors, so that the processor need not wait for each step.
+const POINTS: [usize; 2] = [16, 8];
 /// The m-th derivative of a power `r^-k` along a radius is `r^-(k + m)` times `k (k + 1) ... (k + m -
 /// 1)`, whose m-th root is at most `k + ALONG_RADIUS` for the orders used here (up to 4).
 const ALONG_RADIUS: f64 = 1.5;
@@ -227,6 +227,20 @@ impl Blurred {
         let change = (first * (self.uu + self.vv) + 2.0 * second * along) / r_squared;
         brightness + brightness * change
     }
+
+    /// Adds the light at up to `N` offsets, times `scale`.
+    #[inline(always)]
+    fn add_at<const N: usize>(&self, scale: f64, offsets: &[[f32; 2]], values: &mut [f64]) {
+        let mut all = [[1.0; 2]; N];
+        all[..offsets.len()].copy_from_slice(offsets);
+        let mut light = [0.0; N];
+        for (light, offset) in light.iter_mut().zip(all) {
+            *light = self.at(offset);
+        }
+        for (value, light) in values.iter_mut().zip(light) {
+            *value += scale * f64::from(light);
+        }
+    }
 }
 
 /// The arguments of [`LightProfile::add_blurred`].
@@ -243,16 +257,15 @@ impl pulp::NullaryFnOnce for AddBlurred<'_> {
     // Inlined, so that it is compiled for each instruction set.
     #[inline(always)]
     fn call(self) {
-        for (offsets, values) in self.offsets.chunks(POINTS).zip(self.values.chunks_mut(POINTS)) {
-            let mut all = [[1.0; 2]; POINTS];
-            all[..offsets.len()].copy_from_slice(offsets);
-            let mut light = [0.0; POINTS];
-            for (light, offset) in light.iter_mut().zip(all) {
-                *light = self.blurred.at(offset);
-            }
-            for (value, light) in values.iter_mut().zip(light) {
-                *value += self.scale * f64::from(light);
-            }
+        let Self { blurred, scale, .. } = self;
+        let whole = self.offsets.len() / POINTS[0] * POINTS[0];
+        let (offsets, rest) = self.offsets.split_at(whole);
+        let (values, values_of_rest) = self.values.split_at_mut(whole);
+        for (offsets, values) in offsets.chunks(POINTS[0]).zip(values.chunks_mut(POINTS[0])) {
+            blurred.add_at::<{ POINTS[0] }>(scale, offsets, values);
+        }
+        for (offsets, values) in rest.chunks(POINTS[1]).zip(values_of_rest.chunks_mut(POINTS[1])) {
+            blurred.add_at::<{ POINTS[1] }>(scale, offsets, values);
         }
     }
 }

@@ -157,7 +157,8 @@ impl<T: ConvReal> GalaxyPlan<T> {
                 (Some(place), Some(values)) => values[place],
                 _ if near(pixel) && outside.reach > 0.0 => {
                     let mut value = [0.0];
-                    outside.add_at([(pixel.0 as f64, pixel.1 as f64)], &mut value);
+                    let offset = outside.offset((pixel.0 as f64, pixel.1 as f64));
+                    outside.add_at(&[offset], &mut value);
                     value[0]
                 }
                 _ => 0.0,

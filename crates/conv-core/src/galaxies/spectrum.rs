@@ -135,26 +135,28 @@ impl Copies {
     /// `exp(-i k angle)` times the factors of interpolation and phase, along x (axis 0) or y (1), for
     /// the copies up to a radius: first all `k` of one copy, then those of the next. `range` holds the
     /// wavenumbers in the period that is computed.
-    pub(super) fn turns(
+    pub(super) fn turns_into<T: ConvReal>(
         &self,
         axis: usize,
         angle: f64,
         radius: f64,
         range: Range<i64>,
-    ) -> impl Iterator<Item = Complex64> {
+        turns: &mut Vec<Complex<T>>,
+    ) {
         let centre = [self.centre.0, self.centre.1][axis];
         let to_next = Complex64::from_polar(1.0, -angle);
-        self.numbers(radius).flat_map(move |number| {
+        let first = Complex64::from_polar(1.0, -range.start as f64 * angle);
+        let turns_of_period: Vec<Complex64> = std::iter::successors(Some(first), |turn| Some(turn * to_next))
+            .take(range.clone().count())
+            .collect();
+        turns.clear();
+        for number in self.numbers(radius) {
             let distance = self.distance(number);
-            let first = range.start + distance;
-            let of_copy = TAU * (number as f64 * centre).fract();
-            let mut turn = Complex64::from_polar(1.0, of_copy - first as f64 * angle);
-            (first..range.end + distance).map(move |k| {
-                let turned = turn * self.kernel(k);
-                turn *= to_next;
-                turned
-            })
-        })
+            let of_copy = TAU * (number as f64 * centre).fract() - distance as f64 * angle;
+            let of_copy = Complex64::from_polar(1.0, of_copy);
+            let turned = range.clone().zip(&turns_of_period);
+            turns.extend(turned.map(|(k, turn)| nearest(turn * of_copy * self.kernel(k + distance))));
+        }
     }
 }
 

@@ -9,7 +9,7 @@ use rustfft::num_complex::Complex;
 use rustfft::{Fft, FftPlanner};
 
 use super::power_spectrum::Outline;
-use super::spectrum::{Wavenumbers, nearest};
+use super::spectrum::Wavenumbers;
 use crate::ConvReal;
 use crate::simd::{Lanes, WithIsa};
 
@@ -45,7 +45,7 @@ struct Work<T> {
     psf: Vec<Complex<T>>,
     product: Vec<Complex<T>>,
     transform: Vec<f32>,
-    /// [`Copies::turns`](super::spectrum::Copies::turns) at the galaxy's column, for the `kx` of each copy.
+    /// [`Copies::turns_into`](super::spectrum::Copies::turns_into) at the galaxy's column, for the `kx` of each copy.
     turns_x: Vec<Complex<T>>,
     /// The turns at the galaxy's row, for the `ky` of each copy, ascending.
     turns: Vec<Complex<T>>,
@@ -160,12 +160,9 @@ impl<T: ConvReal> WithIsa<T> for Fold<'_, '_, T> {
         let most = wavenumbers.most_ky[0] as i64;
         let row = (2 * most + 1) as usize;
         let lines = wavenumbers.most_ky.len();
-        work.turns_x.clear();
-        let turns_x = copies.turns(0, step * galaxy.centre.0, radius, 0..lines as i64);
-        work.turns_x.extend(turns_x.map(nearest::<T>));
-        work.turns.clear();
-        let turns = copies.turns(1, step * galaxy.centre.1, radius, -most..most + 1);
-        work.turns.extend(turns.map(nearest::<T>));
+        let angles = [galaxy.centre.0, galaxy.centre.1].map(|centre| step * centre);
+        copies.turns_into(0, angles[0], radius, 0..lines as i64, &mut work.turns_x);
+        copies.turns_into(1, angles[1], radius, -most..most + 1, &mut work.turns);
         work.folded.fill(zero);
         work.psf.resize(row, zero);
         work.product.resize(row, zero);
