@@ -244,6 +244,9 @@ class TestFiles:
             psfield.read_catalog(path)
         with pytest.raises(FileNotFoundError):
             psfield.read_catalog(tmp_path / "none.csv")
+        path.write_text("x,y,flux\n1,2,3\n1,2,0\n")
+        with pytest.raises(OSError, match=r"line 3.*flux of the source is 0.*\(skip_invalid=\)"):
+            psfield.read_catalog(path)
         path.write_text("x,y,flux\n1,2,3\n1,nan,3\n")
         with pytest.warns(psfield.PsfieldWarning, match="1 row skipped: invalid"):
             assert len(psfield.read_catalog(path, skip_invalid=True)["x"]) == 1

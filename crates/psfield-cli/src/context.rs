@@ -75,6 +75,7 @@ fn option_of(setting: &str) -> Option<String> {
         "hdu" => "--extension".to_owned(),
         "plane_order" => "--psf-order".to_owned(),
         "skip_invalid" => "--psf-skip-invalid".to_owned(),
+        "invalid_skipped" => "--skip-invalid".to_owned(),
         "wavelength_um" => "--psf-wavelength".to_owned(),
         "pixel_scale_arcsec" => "--pixel-scale".to_owned(),
         "extension" | "detector" | "positions" | "oversampling" | "centre" => format!("--psf-{setting}"),

@@ -79,6 +79,7 @@ pub(crate) fn with_argument(text: String, setting: Option<&str>) -> String {
         Some("grid") => "pixels",
         Some("at") => "grid_shape",
         Some("normalisation") => "normalise",
+        Some("invalid_skipped") => "skip_invalid",
         Some(unchanged) => unchanged,
     };
     format!("{text} ({argument}=)")

@@ -321,11 +321,13 @@ impl<'a> Rows<'a> {
         Err(bad_value(self.path, self.numbers.place(row), column, &got))
     }
 
-    /// The error for a value that no source may have.
+    /// The error for a value that no source may have, but which stands in catalogues.
     fn refused(&self, row: usize, role: Role, problem: &str) -> IoError {
         let column = self.columns.name(role).cloned().unwrap_or_default();
         let row = self.numbers.place(row);
-        IoError::new(self.path, IoErrorKind::Data, problem).at(Place::Value { row, column })
+        IoError::new(self.path, IoErrorKind::Data, problem)
+            .at(Place::Value { row, column })
+            .with_setting("invalid_skipped")
     }
 
     fn invalid(&self, row: usize, source: DataError) -> IoError {

@@ -191,6 +191,12 @@ fn bad_tables() {
     }
     desk.write("bad.csv", "x,y,flux\n1,2,inf\n");
     desk.refused(catalogue, 1, &["bad.csv", "line 2", "flux", "\"inf\""]);
+    desk.write("bad.csv", "x,y,flux,re,n\n1,2,3,,1\n");
+    desk.refused(
+        catalogue,
+        1,
+        &["bad.csv", "line 2", "half-light radius", "--skip-invalid"],
+    );
     desk.write("bad.csv", "x,y\n1,2\n");
     desk.refused(catalogue, 1, &["bad.csv", "\"flux\""]);
     desk.write("bad.csv", "x,y\n1,2\n62,3\n");
