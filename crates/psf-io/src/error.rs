@@ -240,6 +240,13 @@ pub(crate) fn invalid(path: &Path) -> impl Fn(DataError) -> IoError + Copy + '_ 
     move |source| IoError::new(path, IoErrorKind::Data, "the data are not valid").because(source)
 }
 
+/// The error for a value that is too large for single precision, or NaN.
+pub(crate) fn beyond_single(path: &Path) -> IoError {
+    const BEYOND: &str =
+        "a value is NaN or too large for single precision (3.4e38): use smaller values or double precision";
+    IoError::new(path, IoErrorKind::Limit, BEYOND)
+}
+
 /// Returns a function for `map_err` that reports a header card that cannot be written.
 pub(crate) fn bad_card(path: &Path) -> impl Fn(CardError) -> IoError + Copy + '_ {
     move |source| IoError::new(path, IoErrorKind::Header, "a header card cannot be written").because(source)

@@ -11,7 +11,46 @@ use clap::ArgMatches;
 use serde::Serialize;
 
 use crate::UsageError;
-use crate::bench::JsonTo;
+
+/// The destination of a command's JSON, if any.
+///
+/// In `bench`, `--json` may take a file. In other commands, `--json` takes no value. The parser
+/// needs one type for both.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) enum JsonTo {
+    Nowhere,
+    /// Standard output. The JSON replaces the text there.
+    Output,
+    File(PathBuf),
+}
+
+impl JsonTo {
+    /// Parses `--json` without a value, for which clap passes `true` or `false`.
+    #[allow(clippy::unnecessary_wraps, reason = "clap expects a Result")]
+    pub(crate) fn of_flag(text: &str) -> Result<Self, String> {
+        Ok(if text == "true" {
+            Self::Output
+        } else {
+            Self::Nowhere
+        })
+    }
+
+    /// Parses `--json FILE`. `-` is standard output.
+    pub(crate) fn of_argument(text: OsString) -> Self {
+        if text == "-" {
+            Self::Output
+        } else {
+            Self::File(text.into())
+        }
+    }
+
+    pub(crate) fn file(&self) -> Option<&Path> {
+        match self {
+            Self::File(path) => Some(path),
+            _ => None,
+        }
+    }
+}
 
 /// An argument that names a file to write. (An argument of type [`PathBuf`] names a file to read,
 /// or the log of a batch.)

@@ -69,8 +69,8 @@ struct Cli {
 #[command(next_help_heading = "Common options")]
 struct GlobalArgs {
     /// Print one JSON object on standard output instead of text
-    #[arg(long, global = true, action = clap::ArgAction::SetTrue, value_parser = bench::JsonTo::of_flag)]
-    json: bench::JsonTo,
+    #[arg(long, global = true, action = clap::ArgAction::SetTrue, value_parser = files::JsonTo::of_flag)]
+    json: files::JsonTo,
     /// Print only errors (and the output of --json)
     #[arg(short, long, global = true)]
     quiet: bool,
@@ -118,7 +118,7 @@ impl Cli {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads);
         pool.build_global().context("cannot start the threads")?;
         let context = Context {
-            json: self.global.json == bench::JsonTo::Output,
+            json: self.global.json == files::JsonTo::Output,
             quiet: self.global.quiet,
             part: String::new(),
         };

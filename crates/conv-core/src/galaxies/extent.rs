@@ -3,7 +3,7 @@
 use ndarray::{Array1, ArrayViewMut1, Axis};
 use psf_types::{LightProfile, PsfModel, StampGrid};
 
-use super::far_field::{SMALLEST, TILE, error_of_polynomial};
+use super::far_field::{SMALLEST, TILE, error_of_polynomial, nearest_edge};
 
 /// Decides how far galaxies are drawn in each way, from the tolerance and the extent of a model's
 /// PSFs.
@@ -184,12 +184,6 @@ impl Extent {
         let of_flux = OSCILLATING * self.left_out() / light.flux_beyond(edge);
         of_peak.min(of_flux).clamp(RELATIVE_ERROR[0], RELATIVE_ERROR[1])
     }
-}
-
-/// The least distance of a window's edge from the galaxy's centre. A window begins at a multiple of
-/// [`SMALLEST`] pixels, so it is not centred on the galaxy.
-pub(super) fn nearest_edge(side: usize) -> f64 {
-    0.5 * (side - SMALLEST) as f64
 }
 
 /// Sets the values of a stamp to 0 that lie outside a square of `size` frame pixels.

@@ -7,7 +7,6 @@ use ndarray::{ArrayViewMut2, Axis};
 use psf_types::{LightProfile, Progress};
 use rayon::prelude::*;
 
-use super::extent::nearest_edge;
 use crate::overlap::Piece;
 use crate::{ConvError, ConvReal};
 
@@ -184,6 +183,12 @@ pub(super) fn add_far_light<T: ConvReal>(
         });
     }
     Ok(())
+}
+
+/// The least distance of a window's edge from the galaxy's centre. A window begins at a multiple of
+/// [`SMALLEST`] pixels, so it is not centred on the galaxy.
+pub(super) fn nearest_edge(side: usize) -> f64 {
+    0.5 * (side - SMALLEST) as f64
 }
 
 /// The values at the nodes of a block, rows first.

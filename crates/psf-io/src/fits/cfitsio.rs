@@ -18,10 +18,9 @@ use std::ptr::{self, NonNull};
 use fitsio::sys;
 use psf_types::Real;
 
-use crate::error::{IoError, IoErrorKind, unreadable, unwritable};
+use crate::error::{IoError, IoErrorKind, beyond_single, unreadable, unwritable};
 use crate::fits::card::{RECORD, Record};
 use crate::fits::hdu::FitsSource;
-use crate::fits::image::beyond_single;
 
 /// The length in bytes of the longest file name that CFITSIO accepts, without the closing NUL.
 const NAME_LIMIT: usize = sys::FLEN_FILENAME as usize - 1;

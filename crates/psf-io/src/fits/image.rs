@@ -32,7 +32,7 @@ use std::path::Path;
 use ndarray::{Array1, Array2, Array3, ArrayViewMut2};
 use psf_types::{FrameShape, Image, Real};
 
-use crate::error::{IoError, IoErrorKind, Place, invalid};
+use crate::error::{IoError, IoErrorKind, Place, beyond_single, invalid};
 use crate::fits::cfitsio::Fits;
 use crate::fits::hdu::{Hdu, HduChoice};
 use crate::fits::header_cards::HeaderCards;
@@ -197,13 +197,6 @@ pub(crate) fn bad_rows(path: &Path, rows: &Range<usize>, ny: usize) -> IoError {
     let problem =
         format!("the image has {ny} row(s), got the range {first} to {end} (0-based, the end not included)");
     IoError::new(path, IoErrorKind::Request, problem)
-}
-
-/// The error for a value that is too large for single precision, or NaN.
-pub(crate) fn beyond_single(path: &Path) -> IoError {
-    const BEYOND: &str =
-        "a value is NaN or too large for single precision (3.4e38): use smaller values or double precision";
-    IoError::new(path, IoErrorKind::Limit, BEYOND)
 }
 
 /// An open image that is read one band of rows at a time, so that it may be larger than memory.

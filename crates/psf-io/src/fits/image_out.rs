@@ -6,11 +6,11 @@ use std::path::Path;
 use ndarray::{ArrayView1, ArrayView2, ArrayView3};
 use psf_types::{DataError, FrameShape, Image, Quantity, Real};
 
-use crate::error::{IoError, IoErrorKind, bad_card, invalid, unwritable};
+use crate::error::{IoError, IoErrorKind, bad_card, beyond_single, invalid, unwritable};
 use crate::fits::card::{Card, CardValue, Record};
 use crate::fits::cfitsio::Fits;
 use crate::fits::header_cards::HeaderCards;
-use crate::fits::image::{bad_rows, band_width, beyond_single};
+use crate::fits::image::{bad_rows, band_width};
 use crate::output::PendingFile;
 
 /// Writes an image: `BITPIX` -32 for f32, -64 for f64.

@@ -22,11 +22,9 @@ use crate::UsageError;
 use crate::bench::report::Report;
 use crate::bench::settings::{BenchDeviceArgs, Settings};
 use crate::context::{Context, object, without_option};
-use crate::files::OutputFile;
+use crate::files::{JsonTo, OutputFile};
 use crate::sample::Preset;
 use crate::values::{Precision, number, tolerance};
-
-pub(crate) use crate::bench::settings::JsonTo;
 
 /// Measure run time and error of all convolution methods in one run
 ///

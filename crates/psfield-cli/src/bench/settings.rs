@@ -1,8 +1,6 @@
-//! The settings of a benchmark, its device, and the destination of `--json`.
+//! The settings of a benchmark, and its device.
 
-use std::ffi::OsString;
 use std::num::NonZeroUsize;
-use std::path::{Path, PathBuf};
 
 use clap::ValueEnum;
 use psfield::Device;
@@ -124,46 +122,6 @@ impl BenchDeviceArgs {
         match self.device {
             Device::Cpu if self.gpu_adapter.is_some() => Some("--gpu-adapter applies only to --device gpu"),
             Device::Gpu if !single => Some("--device gpu computes in f32: leave --precision f64 out"),
-            _ => None,
-        }
-    }
-}
-
-/// The destination of a command's JSON, if any.
-///
-/// In `bench`, `--json` may take a file. In other commands, `--json` takes no value. The parser
-/// needs one type for both.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub(crate) enum JsonTo {
-    Nowhere,
-    /// Standard output. The JSON replaces the text there.
-    Output,
-    File(PathBuf),
-}
-
-impl JsonTo {
-    /// Parses `--json` without a value, for which clap passes `true` or `false`.
-    #[allow(clippy::unnecessary_wraps, reason = "clap expects a Result")]
-    pub(crate) fn of_flag(text: &str) -> Result<Self, String> {
-        Ok(if text == "true" {
-            Self::Output
-        } else {
-            Self::Nowhere
-        })
-    }
-
-    /// Parses `--json FILE`. `-` is standard output.
-    pub(super) fn of_argument(text: OsString) -> Self {
-        if text == "-" {
-            Self::Output
-        } else {
-            Self::File(text.into())
-        }
-    }
-
-    pub(crate) fn file(&self) -> Option<&Path> {
-        match self {
-            Self::File(path) => Some(path),
             _ => None,
         }
     }
