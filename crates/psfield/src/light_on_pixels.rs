@@ -11,10 +11,11 @@ const FINE: usize = 4;
 
 /// The light of galaxies as an image: the flux that falls in each pixel. It is the image of the
 /// galaxies through a PSF that is only the response of a pixel, with edges softened over a third of a
-/// pixel. The softened edges overshoot, so for a galaxy much smaller than a pixel the value of a pixel
-/// is wrong by up to 17 % of the galaxy's flux, and may be negative. If such a galaxy lies at an edge,
-/// its light is divided between both pixels. Use the image as a scene whose pixels hold integrated
-/// light. To simulate galaxies, give them to [`Scene::with_galaxies`] instead: that blurs them once.
+/// pixel. For a galaxy much smaller than a pixel, the softened edges matter. If its centre is closer
+/// than a sixth of a pixel to an edge, its light is divided between both pixels. Elsewhere the value of
+/// a pixel is wrong by up to 17 % of the galaxy's flux, because the edges overshoot, and may be
+/// negative. Use the image as a scene whose pixels hold integrated light. To simulate galaxies, give
+/// them to [`Scene::with_galaxies`] instead: that blurs them once.
 ///
 /// # Errors
 /// [`PsfieldError`] if the image is too large.

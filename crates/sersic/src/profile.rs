@@ -12,11 +12,12 @@ use crate::transform::Transform;
 /// A half-light radius below this value is replaced by this value. Even for `n = 8`, almost all
 /// light then falls in one pixel.
 const SMALLEST_RADIUS_PX: f64 = 1e-9;
-/// The numbers of points at which brightness is computed together. The first number is for as many
-/// points as it divides: several vectors, so that the processor need not wait for each step.
+/// The numbers of points at which brightness is computed together: chunks of the first size, which are
+/// several vectors, so that the processor need not wait for each step. Points that are left over are
+/// computed in chunks of the second size.
 const POINTS: [usize; 2] = [16, 8];
 /// The m-th derivative of a power `r^-k` along a radius is `r^-(k + m)` times `k (k + 1) ... (k + m -
-/// 1)`, whose m-th root is at most `k + ALONG_RADIUS` for the orders used here (up to 4).
+/// 1)`, whose m-th root is at most `k + ALONG_RADIUS` for the orders of the scale (up to 4).
 const ALONG_RADIUS: f64 = 1.5;
 /// Across the radius, the fourth derivative has the factor `3 k (k + 2)`, whose fourth root is at most
 /// `(ACROSS_RADIUS (k + 1))^(1/2)`. For lower orders the root is smaller.

@@ -5,7 +5,7 @@ use psf_types::{Anchor, FrameShape, LightProfile, PixelRegion, Position, Progres
 use rayon::prelude::*;
 
 use super::extent::{FRACTION, RELATIVE_ERROR};
-use super::far_field::{BlockWeights, SMALLEST};
+use super::far_field::{BlockWeights, farthest_edge};
 use super::galaxy_plan::{Catalogue, GalaxyPlan, Light, Window, window_at};
 use super::kernels::Kernels;
 use super::power_spectrum::Outline;
@@ -71,6 +71,7 @@ impl<T: ConvReal> GalaxyPlan<T> {
             let (x, y) = (at.x() - frame.x0() as f64, at.y() - frame.y0() as f64);
             let light = light(galaxy);
             let (side, reach) = self.extent.side_and_reach(light.as_ref());
+            let reach = reach.unwrap_or(farthest_edge(side));
             let mut of_window = None;
             for (index, &(column, row)) in pixels.iter().enumerate() {
                 let (dx, dy) = (column as f64 - x, row as f64 - y);
@@ -78,7 +79,7 @@ impl<T: ConvReal> GalaxyPlan<T> {
                 if distance > reach {
                     continue;
                 }
-                let error = if distance <= (side / 2 + SMALLEST) as f64 {
+                let error = if distance <= farthest_edge(side) {
                     let norm = match of_window {
                         Some(norm) => norm,
                         None => self.psf_norm(Position::new(x, y).map_err(ConvError::Result)?)?,
@@ -119,8 +120,9 @@ impl<T: ConvReal> GalaxyPlan<T> {
         let light = (catalogue.light)(galaxy);
         let (x, y) = catalogue.position(index);
         let (side, reach) = self.extent.side_and_reach(light.as_ref());
+        let farthest = reach.unwrap_or(farthest_edge(side));
         let near = |&(column, row): &(usize, usize)| {
-            (column as f64 - x).abs() <= reach && (row as f64 - y).abs() <= reach
+            (column as f64 - x).abs() <= farthest && (row as f64 - y).abs() <= farthest
         };
         if galaxy.flux() == 0.0 || !pixels.iter().any(near) {
             return Ok(Vec::new());
@@ -130,8 +132,10 @@ impl<T: ConvReal> GalaxyPlan<T> {
         let mut vectors = StarVectors::new(&self.model, self.space());
         let scale = vectors.set(position)? * galaxy.flux();
         let psf = vectors.psf * scale;
-        let far = (catalogue.light)(galaxy);
-        let outside = self.far_light(self.stamps().moments_of(psf.view()), far, (x, y), window, reach);
+        let outside = reach.and_then(|reach| {
+            let moments = self.stamps().moments_of(psf.view());
+            self.far_light(moments, (catalogue.light)(galaxy), (x, y), window, reach)
+        });
         let place = |&(column, row): &(usize, usize)| {
             let inside =
                 |at: usize, first: i64| usize::try_from(at as i64 - first).ok().filter(|&i| i < side);
@@ -142,20 +146,16 @@ impl<T: ConvReal> GalaxyPlan<T> {
             let centre = (x - window.0 as f64, y - window.1 as f64);
             let frame = catalogue.frame.shape();
             let mut values = self.exact_window(&psf, galaxy.flux(), light.as_ref(), window, centre, frame)?;
-            if outside.reach > 0.0 {
-                let repeated = outside.repeated(&BlockWeights::<f64>::new(side));
-                values
-                    .iter_mut()
-                    .zip(repeated)
-                    .for_each(|(v, repeated)| *v -= repeated);
+            if let Some(outside) = &outside {
+                outside.subtract_repeated(&BlockWeights::new(side), 0, &mut values);
             }
             drawn = Some(values);
         }
         Ok(pixels
             .iter()
-            .map(|pixel| match (place(pixel), &drawn) {
-                (Some(place), Some(values)) => values[place],
-                _ if near(pixel) && outside.reach > 0.0 => {
+            .map(|pixel| match (place(pixel), &drawn, &outside) {
+                (Some(place), Some(values), _) => values[place],
+                (None, _, Some(outside)) if near(pixel) => {
                     let mut value = [0.0];
                     let offset = outside.offset((pixel.0 as f64, pixel.1 as f64));
                     outside.add_at(&[offset], &mut value);
@@ -193,7 +193,7 @@ impl<T: ConvReal> GalaxyPlan<T> {
         let transformed = |directions: Array2<f64>, largest: &[f64]| {
             let accuracy = self.extent.accuracy();
             let kernels = Kernels::new(stamps, directions, largest, psf, accuracy);
-            let outline = kernels.outline_of(light, accuracy);
+            let outline = kernels.outline_of(light);
             let spectra = stamps.spectra_of(&kernels, side, stamps.band_number(outline.radius()));
             (spectra, outline)
         };

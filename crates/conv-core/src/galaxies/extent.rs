@@ -3,7 +3,7 @@
 use ndarray::{Array1, ArrayViewMut1, Axis};
 use psf_types::{LightProfile, PsfModel, StampGrid};
 
-use super::far_field::{SMALLEST, TILE, error_of_polynomial, nearest_edge};
+use super::far_field::{SMALLEST, TILE, error_of_polynomial, farthest_edge, nearest_edge};
 
 /// Decides how far galaxies are drawn in each way, from the tolerance and the extent of a model's
 /// PSFs.
@@ -105,8 +105,9 @@ impl Extent {
         self.accuracy().max(LEAST_ACCURACY) * at_peak
     }
 
-    /// The side of a galaxy's window, and the distance up to which it has light that matters.
-    pub(super) fn side_and_reach(&self, light: &dyn LightProfile) -> (usize, f64) {
+    /// The side of a galaxy's window, and the distance up to which light outside the window is drawn.
+    /// `None` if there is too little of it.
+    pub(super) fn side_and_reach(&self, light: &dyn LightProfile) -> (usize, Option<f64>) {
         let side = self.side(light);
         (side, self.reach(light, side))
     }
@@ -148,27 +149,23 @@ impl Extent {
         (LEFT_OUT * self.tolerance).max(LEAST_LEFT_OUT)
     }
 
-    /// The distance up to which a galaxy has light that matters, at least the side of its window.
-    fn reach(&self, light: &dyn LightProfile, side: usize) -> f64 {
+    /// The distance up to which light outside a window of a side is drawn, at least this side.
+    fn reach(&self, light: &dyn LightProfile, side: usize) -> Option<f64> {
         let left_out = self.left_out();
         let mut reach = nearest_edge(side);
         if light.flux_beyond(reach) <= left_out {
-            return side as f64;
+            return None;
         }
         while reach < FARTHEST && light.flux_beyond(reach) > left_out {
             reach *= 1.25;
         }
-        reach.max(side as f64 * 1.001)
+        Some(reach.max(side as f64))
     }
 
     /// The distance up to which pixels may be drawn. Light outside the window is drawn on whole
     /// blocks, around the centroid of the PSF.
-    pub(super) fn farthest(&self, side: usize, reach: f64) -> f64 {
-        if reach > side as f64 {
-            reach + TILE as f64 + self.half
-        } else {
-            reach
-        }
+    pub(super) fn farthest(&self, side: usize, reach: Option<f64>) -> f64 {
+        reach.map_or(farthest_edge(side), |reach| reach + TILE as f64 + self.half)
     }
 
     /// Whether a PSF's centroid and its covariance (xx, xy, yy) lie within the stamp.

@@ -30,8 +30,8 @@ pub(super) type Light = Box<dyn LightProfile + Send + Sync>;
 /// If the plan is source-anchored, the PSFs come from local bases of blocks of the field, and the
 /// relative L2 error of a galaxy's PSF is at most the tolerance. Every galaxy is tested, and a
 /// galaxy that would exceed the tolerance is drawn with the PSF of all components. Beside that
-/// error, a pixel of a galaxy has an error of usually a third of the tolerance times the galaxy's
-/// peak, and at most about this product.
+/// error, a pixel of a galaxy has an error of at most about the tolerance times the galaxy's peak, and
+/// usually of a third of that.
 ///
 /// The image is the same, bit by bit, for any number of threads.
 #[derive(Debug)]
@@ -83,8 +83,8 @@ struct Placed {
     index: usize,
     /// Light at wavenumbers outside it is left out. Not used with [`Anchor::Output`].
     outline: Outline,
-    /// Light farther than this from the centre is left out.
-    reach: f64,
+    /// Up to this distance from the centre, light outside the window is drawn.
+    reach: Option<f64>,
 }
 
 /// A galaxy's window: first column and row, and its side.
@@ -200,10 +200,7 @@ impl<T: ConvReal> GalaxyPlan<T> {
                 let block = block_of((x.round() as i64, y.round() as i64), BLOCK);
                 let outline = match self.options.anchor() {
                     Anchor::Output => Outline::default(),
-                    _ => self
-                        .block(block)
-                        .kernels
-                        .outline_of(light.as_ref(), self.extent.accuracy()),
+                    _ => self.block(block).kernels.outline_of(light.as_ref()),
                 };
                 let key = (side, self.stamps().band_number(outline.radius()), block);
                 Ok(Some(Placed {
@@ -264,13 +261,14 @@ impl<T: ConvReal> GalaxyPlan<T> {
             let window = window_at((x, y), side);
             let centre = (x - window.0 as f64, y - window.1 as f64);
             let psf = self.psf(local.as_ref(), position, galaxy.flux())?;
-            let moments = match &psf {
-                Psf::Local(local, coefficients) => local.block.kernels.moments_of(coefficients),
-                Psf::Exact(psf) => self.stamps().moments_of(psf.view()),
-            };
             // The light outside is kept until all galaxies are drawn, without a transform.
-            let far_light = (catalogue.light)(galaxy);
-            let outside = self.far_light(moments, far_light, (x, y), window, placed.reach);
+            let outside = placed.reach.and_then(|reach| {
+                let moments = match &psf {
+                    Psf::Local(local, coefficients) => local.block.kernels.moments_of(coefficients),
+                    Psf::Exact(psf) => self.stamps().moments_of(psf.view()),
+                };
+                self.far_light(moments, (catalogue.light)(galaxy), (x, y), window, reach)
+            });
             let rows = overlap(window.1 - region.y0(), side, region.shape().ny());
             let columns = overlap(window.0 - region.x0(), side, region.shape().nx());
             if let (Some((row, _, count)), Some((column, _, width))) = (rows, columns) {
@@ -292,13 +290,8 @@ impl<T: ConvReal> GalaxyPlan<T> {
                         all.slice(s![row..row + count, ..]).mapv(T::nearest)
                     }
                 };
-                if outside.reach > 0.0 {
-                    let repeated = outside.repeated(&weights);
-                    let values = values.as_slice_mut().expect("row-major");
-                    values
-                        .iter_mut()
-                        .zip(&repeated[row * side..])
-                        .for_each(|(v, &repeated)| *v -= repeated);
+                if let Some(outside) = &outside {
+                    outside.subtract_repeated(&weights, row, &mut values);
                 }
                 // Windows may be larger than the region.
                 if width < side {
@@ -310,9 +303,7 @@ impl<T: ConvReal> GalaxyPlan<T> {
                     values,
                 });
             }
-            if outside.reach > 0.0 {
-                far.push(outside);
-            }
+            far.extend(outside);
         }
         Ok((pieces, far))
     }
@@ -389,8 +380,8 @@ impl<T: ConvReal> GalaxyPlan<T> {
         self.spectra.get(key, make, Spectra::bytes)
     }
 
-    /// The light of a galaxy outside its window, up to the distance `reach`. The result's reach is 0
-    /// if there is too little of it.
+    /// The light of a galaxy outside its window, up to the distance `reach`. `None` if the values of
+    /// the PSF nearly cancel: then it has no centroid, and hardly any light far out.
     pub(super) fn far_light(
         &self,
         moments: [f64; 6],
@@ -398,26 +389,20 @@ impl<T: ConvReal> GalaxyPlan<T> {
         (x, y): (f64, f64),
         window: Window,
         reach: f64,
-    ) -> FarLight {
+    ) -> Option<FarLight> {
         let [flux, mx, my, xx, xy, yy] = moments;
         let (dx, dy) = (mx / flux, my / flux);
         let covariance = [xx / flux - dx * dx, xy / flux - dx * dy, yy / flux - dy * dy];
-        // If the values of a PSF nearly cancel, it has no centroid, and hardly any light far out.
-        let has_flux = self.extent.holds((dx, dy), covariance);
-        FarLight {
+        self.extent.holds((dx, dy), covariance).then(|| FarLight {
             flux,
             centre: (x + dx, y + dy),
             covariance,
             window,
             faintest: self.extent.left_out() / (2.0 * reach).powi(2),
             relative_error: self.extent.relative_error(light.as_ref(), window.2),
-            reach: if has_flux && reach > window.2 as f64 {
-                reach
-            } else {
-                0.0
-            },
+            reach,
             light,
-        }
+        })
     }
 }
 

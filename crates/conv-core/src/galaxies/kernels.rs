@@ -178,10 +178,10 @@ impl Kernels {
         }
     }
 
-    /// The outline of a galaxy: the light of its image at wavenumbers beyond is at most `accuracy` of
-    /// the image, in the L2 norm.
-    pub(super) fn outline_of(&self, light: &dyn LightProfile, accuracy: f64) -> Outline {
-        self.power.outline(light, accuracy)
+    /// The outline of a galaxy: the light of its image at wavenumbers beyond is at most the accuracy
+    /// times the image, in the L2 norm.
+    pub(super) fn outline_of(&self, light: &dyn LightProfile) -> Outline {
+        self.power.outline(light)
     }
 
     /// The moments of a PSF.

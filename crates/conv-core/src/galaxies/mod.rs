@@ -6,7 +6,8 @@
 //!
 //! Near its centre, a galaxy is drawn on a square window: the product of the transforms of light
 //! ([`psf_types::LightProfile`]) and PSF ([`spectrum`]), folded into the wavenumbers of the
-//! window's pixels, is transformed back ([`window`]). The PSF is a combination of the few stamps of
+//! window's pixels, is transformed back ([`window`]). Wavenumbers without light are left out
+//! ([`power_spectrum`]). The PSF is a combination of the few stamps of
 //! a block of the field ([`kernels`]), as for stars. Outside the window, the light is nearly the
 //! image ([`far_field`]). The window is as small as the tolerance allows ([`extent`]). Single pixels
 //! and galaxies beyond the tolerance use all components ([`all_components`]).

@@ -23,6 +23,8 @@ pub(super) struct PowerSpectrum {
     outside: f64,
     /// The power of a typical PSF in rings of the width of a cell.
     typical: Vec<f64>,
+    /// Light beyond outlines is at most this fraction of a galaxy's image, in the L2 norm.
+    accuracy: f64,
 }
 
 /// The most cells along an axis.
@@ -75,12 +77,13 @@ impl PowerSpectrum {
             largest,
             outside: outside[count.min(copies.cells)],
             typical: rings.chunks(joined).map(|rings| rings.iter().sum()).collect(),
+            accuracy,
         }
     }
 
-    /// The wavenumbers beyond which at most the square of `accuracy` of the power of a galaxy's
+    /// The wavenumbers beyond which at most the square of the accuracy times the power of a galaxy's
     /// image lies.
-    pub(super) fn outline(&self, light: &dyn LightProfile, accuracy: f64) -> Outline {
+    pub(super) fn outline(&self, light: &dyn LightProfile) -> Outline {
         let cells = self.largest.nrows();
         // The transform of the light is largest at the inner edge of a ring.
         let rings = (cells as f64 * SQRT_2) as usize + 2;
@@ -93,7 +96,8 @@ impl PowerSpectrum {
         let square = |factor: f32| f64::from(factor) * f64::from(factor);
         let typical = self.typical.iter().zip(&smallest[1..]);
         let total: f64 = typical.map(|(power, &factor)| power * square(factor)).sum();
-        let mut rest = LEFT_OUT * accuracy * accuracy * total - self.outside * square(largest[cells - 1]);
+        let mut rest =
+            LEFT_OUT * self.accuracy * self.accuracy * total - self.outside * square(largest[cells - 1]);
         // Each line may leave out its share of the power that the lines before have not used.
         let mut ends = vec![0; cells];
         let mut end = 0;
@@ -233,7 +237,7 @@ mod tests {
         let power: Vec<f64> = coarse.iter().map(Complex64::norm_sqr).collect();
         let profile = SersicProfile::new(re, n, q, 30.0).unwrap();
         let light = SersicLight::new(&SersicSource::new(Position::of_pixel(0, 0), 1.0, profile).unwrap());
-        let outline = PowerSpectrum::new(&copies, &power, &power, accuracy).outline(&light, accuracy);
+        let outline = PowerSpectrum::new(&copies, &power, &power, accuracy).outline(&light);
 
         let most = (5.0 * PI * s / STEP) as usize;
         let fine = discrete_transform(stamp.view(), grid, STEP, most);
@@ -303,7 +307,7 @@ mod tests {
         let light = SersicLight::new(&SersicSource::new(Position::of_pixel(0, 0), 1.0, galaxy).unwrap());
         let outline = |power: f64, accuracy: f64| {
             let power = vec![power; (copies.radius + 1) * (2 * copies.radius + 1)];
-            PowerSpectrum::new(&copies, &power, &power, accuracy).outline(&light, accuracy)
+            PowerSpectrum::new(&copies, &power, &power, accuracy).outline(&light)
         };
         let empty = outline(0.0, 1e-3);
         assert_eq!(

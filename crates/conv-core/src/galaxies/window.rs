@@ -94,7 +94,7 @@ impl<T: ConvReal> WindowDrawer<T> {
     /// Computes the rows `rows` of a galaxy's image, which repeats with the period of the window.
     /// Returns the values `[row, column]`.
     pub(super) fn draw(&mut self, galaxy: &Drawn<'_, T>, rows: std::ops::Range<usize>) -> Array2<T> {
-        T::dispatch(Fold {
+        let columns = T::dispatch(Fold {
             side: self.side,
             galaxy,
             work: &mut self.work,
@@ -106,9 +106,6 @@ impl<T: ConvReal> WindowDrawer<T> {
             lines,
             ..
         } = &mut self.work;
-        let wavenumbers = &galaxy.spectra.wavenumbers;
-        let [most_kx, _] = galaxy.outline.extent().map(|k| (k / wavenumbers.step()) as usize);
-        let columns = wavenumbers.most_ky.len().min(most_kx + 1).min(half);
         self.along_y
             .process_with_scratch(&mut folded[..columns * side], scratch);
         let mut values = Array2::zeros((rows.len(), side));
@@ -134,7 +131,7 @@ impl<T: ConvReal> WindowDrawer<T> {
 }
 
 /// Multiplies the transforms of galaxy and PSF, and folds them into the wavenumbers of the window's
-/// pixels.
+/// pixels. Returns the number of columns, from the first on, that hold light.
 struct Fold<'a, 'b, T> {
     side: usize,
     galaxy: &'a Drawn<'b, T>,
@@ -142,8 +139,8 @@ struct Fold<'a, 'b, T> {
 }
 
 impl<T: ConvReal> WithIsa<T> for Fold<'_, '_, T> {
-    type Output = ();
-    fn run<S: Lanes<T>>(self, simd: S) {
+    type Output = usize;
+    fn run<S: Lanes<T>>(self, simd: S) -> usize {
         let Self { side, galaxy, work } = self;
         let wavenumbers = &galaxy.spectra.wavenumbers;
         let step = wavenumbers.step();
@@ -169,6 +166,7 @@ impl<T: ConvReal> WithIsa<T> for Fold<'_, '_, T> {
         work.transform.resize(2 * most_ky as usize + 1, 0.0);
         let area = (side * side) as f64;
         let coefficients: Vec<T> = galaxy.coefficients.iter().map(|c| T::nearest(c / area)).collect();
+        let mut columns = 0;
         for (line, (&stored, &start)) in wavenumbers.most_ky.iter().zip(&wavenumbers.starts).enumerate() {
             let of_copies = copies
                 .numbers(radius)
@@ -223,7 +221,9 @@ impl<T: ConvReal> WithIsa<T> for Fold<'_, '_, T> {
                 #[inline(always)]
                 || add_line(&mut work.folded, side, line, product),
             );
+            columns = line + 1;
         }
+        columns.min(side / 2 + 1)
     }
 }
 
@@ -280,5 +280,66 @@ fn add_folded<T: ConvReal>(column: &mut [Complex<T>], values: &[Complex<T>], fir
             *sum += v;
         }
         (rest, at) = (later, 0);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use ndarray::Array2;
+    use psf_types::{Position, SersicProfile, SersicSource, StampGrid};
+    use rustfft::num_complex::Complex64;
+    use sersic::SersicLight;
+
+    use super::*;
+    use crate::galaxies::power_spectrum::{CopiesOfPower, PowerSpectrum};
+    use crate::galaxies::spectrum::{discrete_transform, spectrum};
+    use crate::simd::SimdReal;
+
+    /// Of columns that are not counted, the transform would be left out.
+    #[test]
+    fn columns_with_light_are_counted() {
+        let mut lines = std::collections::BTreeSet::new();
+        for (pixels, s) in [(32, 1.0), (64, 2.0), (96, 3.0), (50, 1.7)] {
+            let grid = StampGrid::new(pixels, pixels).and_then(|grid| grid.with_oversampling(s));
+            let grid = grid.unwrap();
+            let stamp = Array2::from_shape_fn(grid.dim(), |(y, x)| {
+                let [x, y] = [x as f64 - grid.centre_x(), y as f64 - grid.centre_y()];
+                (1.0 + (x * x + y * y) / (4.0 * s * s)).powf(-2.5)
+            });
+            let copies = CopiesOfPower::new(grid);
+            let coarse = discrete_transform(stamp.view(), grid, copies.step, copies.radius);
+            let power: Vec<f64> = coarse.iter().map(Complex64::norm_sqr).collect();
+            let spectra = Spectra {
+                wavenumbers: Wavenumbers::within(12.0, 64, grid),
+                stamps: vec![spectrum(stamp.view(), grid, &Wavenumbers::within(12.0, 64, grid))],
+            };
+            let mut drawer = WindowDrawer::<f64>::new(64);
+            for step in 0..60 {
+                let profile = SersicProfile::new(0.3 * 1.06_f64.powi(step), 1.0, 1.0, 0.0).unwrap();
+                let galaxy = SersicSource::new(Position::of_pixel(0, 0), 1.0, profile).unwrap();
+                let light = SersicLight::new(&galaxy);
+                let outline = PowerSpectrum::new(&copies, &power, &power, 1e-3).outline(&light);
+                let galaxy = Drawn {
+                    spectra: &spectra,
+                    light: &light,
+                    centre: (31.3, 32.4),
+                    coefficients: &[1.0],
+                    outline: &outline,
+                };
+                let work = &mut drawer.work;
+                let columns = f64::dispatch(Fold {
+                    side: 64,
+                    galaxy: &galaxy,
+                    work,
+                });
+                lines.insert(columns);
+                let beyond = &drawer.work.folded[columns * 64..];
+                assert!(
+                    beyond.iter().all(|v| v.norm_sqr() == 0.0),
+                    "{pixels} {step}: {columns}"
+                );
+            }
+        }
+        assert!(lines.len() > 5, "{lines:?}");
     }
 }

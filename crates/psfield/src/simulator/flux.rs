@@ -9,8 +9,7 @@ use crate::{ErrorKind, Psf, PsfieldError};
 /// their absolute values.
 const NO_FLUX: f64 = 1e-13;
 
-/// Refuses PSFs without flux if the tolerance is relative to their flux. `model` is the model of
-/// `psf` on the scene's pixels.
+/// Refuses PSFs without flux if the tolerance is relative to their flux. `model` is a model of `psf`.
 pub(super) fn check_flux(psf: &Psf, model: &PsfModel, options: &PlanOptions) -> Result<(), PsfieldError> {
     let weights = model.field().node_values();
     if options.tolerance_on() != ToleranceOn::Aperture || weights.nrows() == 0 {
