@@ -25,14 +25,9 @@ pub(crate) enum JsonTo {
 }
 
 impl JsonTo {
-    /// Parses `--json` without a value, for which clap passes `true` or `false`.
-    #[allow(clippy::unnecessary_wraps, reason = "clap expects a Result")]
-    pub(crate) fn of_flag(text: &str) -> Result<Self, String> {
-        Ok(if text == "true" {
-            Self::Output
-        } else {
-            Self::Nowhere
-        })
+    /// The destination for `--json` without a value, which is given or not.
+    pub(crate) fn of_flag(given: bool) -> Self {
+        if given { Self::Output } else { Self::Nowhere }
     }
 
     /// Parses `--json FILE`. `-` is standard output.

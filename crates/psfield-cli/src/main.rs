@@ -32,6 +32,7 @@ mod values;
 use std::process::ExitCode;
 
 use anyhow::Context as _;
+use clap::builder::{BoolValueParser, TypedValueParser};
 use clap::{FromArgMatches, Parser, Subcommand};
 use context::{Context, UsageError, message_of};
 use files::NamedFiles;
@@ -69,7 +70,7 @@ struct Cli {
 #[command(next_help_heading = "Common options")]
 struct GlobalArgs {
     /// Print one JSON object on standard output instead of text
-    #[arg(long, global = true, action = clap::ArgAction::SetTrue, value_parser = files::JsonTo::of_flag)]
+    #[arg(long, global = true, action = clap::ArgAction::SetTrue, value_parser = BoolValueParser::new().map(files::JsonTo::of_flag))]
     json: files::JsonTo,
     /// Print only errors (and the output of --json)
     #[arg(short, long, global = true)]

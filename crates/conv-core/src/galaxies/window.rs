@@ -45,7 +45,7 @@ struct Work<T> {
     psf: Vec<Complex<T>>,
     product: Vec<Complex<T>>,
     transform: Vec<f32>,
-    /// [`Copies::turns_into`](super::spectrum::Copies::turns_into) at the galaxy's column, for the `kx` of each copy.
+    /// The turns ([`Copies`](super::spectrum::Copies)) at the galaxy's column, for the `kx` of each copy.
     turns_x: Vec<Complex<T>>,
     /// The turns at the galaxy's row, for the `ky` of each copy, ascending.
     turns: Vec<Complex<T>>,
@@ -309,9 +309,10 @@ mod tests {
             let copies = CopiesOfPower::new(grid);
             let coarse = discrete_transform(stamp.view(), grid, copies.step, copies.radius);
             let power: Vec<f64> = coarse.iter().map(Complex64::norm_sqr).collect();
+            let wavenumbers = Wavenumbers::within(12.0, 64, grid);
             let spectra = Spectra {
-                wavenumbers: Wavenumbers::within(12.0, 64, grid),
-                stamps: vec![spectrum(stamp.view(), grid, &Wavenumbers::within(12.0, 64, grid))],
+                stamps: vec![spectrum(stamp.view(), grid, &wavenumbers)],
+                wavenumbers,
             };
             let mut drawer = WindowDrawer::<f64>::new(64);
             for step in 0..60 {
