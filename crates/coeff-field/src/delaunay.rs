@@ -8,8 +8,9 @@ use spade::{NaturalNeighbor, Point2, PositionInTriangulation, Triangulation};
 use crate::boundary::BoundaryPiece;
 use crate::geometry::{Point, Points, Row, cross, dot, known, last_where, length, query, sub};
 use crate::interpolation::{
-    FieldInterpolation, FieldWeights, OnRun, Outcomes, Visited, WeightList, Weights, admit, pixel_by_pixel,
+    FieldInterpolation, FieldWeights, OnRun, Outcomes, Visited, WeightList, Weights, admit,
 };
+use crate::lattice::Lattice;
 use crate::mesh::{Mesh, Support, mesh_leave_one_out, mesh_weights, weights_at_hull};
 use crate::triangles::{Node, Peeled, Triangles, area_shares, point_of, sample_of};
 
@@ -79,6 +80,10 @@ const ROUNDING_OF_LARGEST: f64 = 1e-14;
 /// where it is continuous. It has no kinks along triangles and does not depend on the choice of a
 /// triangulation.
 ///
+/// The interpolator has these weights at the samples and at the other corners of a
+/// [quadtree](crate#quadtree). Between the corners, values are bilinear. Cells across the hull mix
+/// values from inside and outside.
+///
 /// The areas lose digits among samples much closer to each other than to the rest. The relative
 /// error of slopes is about 1e-16 times the distance to the rest, divided by the distance between
 /// these samples. If this error exceeds 1e-6, the weights of [`Delaunay`](crate::Delaunay) are
@@ -104,29 +109,20 @@ const ROUNDING_OF_LARGEST: f64 = 1e-14;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct NaturalNeighbour;
 
-/// Linear or Sibson's weights, ready for evaluation.
+/// Linear weights, ready for evaluation.
 #[derive(Debug)]
-struct TriangulationWeights {
+struct DelaunayWeights {
     mesh: Box<Mesh>,
     outside: OutsidePolicy,
-    natural: bool,
-}
-
-fn prepare(positions: &SamplePositions, outside: OutsidePolicy, natural: bool) -> Weights {
-    let outside = known(outside)?;
-    Ok(match Support::new(&Points::new(positions)?, outside) {
-        Support::Line(line) => Box::new(line),
-        Support::Mesh(mesh) => Box::new(TriangulationWeights {
-            mesh,
-            outside,
-            natural,
-        }),
-    })
 }
 
 impl FieldInterpolation for Delaunay {
     fn prepare(&self, positions: &SamplePositions, outside: OutsidePolicy) -> Weights {
-        prepare(positions, outside, false)
+        let outside = known(outside)?;
+        Ok(match Support::new(&Points::new(positions)?, outside) {
+            Support::Line(line) => Box::new(line),
+            Support::Mesh(mesh) => Box::new(DelaunayWeights { mesh, outside }),
+        })
     }
 
     fn leave_one_out(&self, samples: &SampleCoefficients, outside: OutsidePolicy) -> Outcomes {
@@ -136,7 +132,22 @@ impl FieldInterpolation for Delaunay {
 
 impl FieldInterpolation for NaturalNeighbour {
     fn prepare(&self, positions: &SamplePositions, outside: OutsidePolicy) -> Weights {
-        prepare(positions, outside, true)
+        let outside = known(outside)?;
+        let points = Points::new(positions)?;
+        let mesh = match Support::new(&points, outside) {
+            Support::Line(line) => return Ok(Box::new(line)),
+            Support::Mesh(mesh) => mesh,
+        };
+        let mut sibson = Sibson::new(&mesh);
+        let policy = if outside == OutsidePolicy::Error {
+            OutsidePolicy::Nearest
+        } else {
+            outside
+        };
+        let lattice = Lattice::new(positions, &points, outside, |p, weights| {
+            sibson.weights(p, policy, weights);
+        })?;
+        Ok(Box::new(lattice))
     }
 
     fn leave_one_out(&self, samples: &SampleCoefficients, outside: OutsidePolicy) -> Outcomes {
@@ -151,38 +162,14 @@ fn linear_weights(mesh: &Mesh, p: Point, outside: OutsidePolicy, weights: &mut W
     mesh_weights(mesh, &mut |_, _, _| false, p, outside, weights)
 }
 
-impl FieldWeights for TriangulationWeights {
+impl FieldWeights for DelaunayWeights {
     fn sample_count(&self) -> usize {
         self.mesh.vertices.len()
     }
 
     fn weights_into(&self, position: Position, weights: &mut WeightList) -> Result<(), FieldError> {
-        let p = query(position)?;
-        let covered = if self.natural {
-            Sibson::new(&self.mesh).weights(p, self.outside, weights)
-        } else {
-            linear_weights(&self.mesh, p, self.outside, weights)
-        };
+        let covered = linear_weights(&self.mesh, query(position)?, self.outside, weights);
         admit(covered, self.outside, position)
-    }
-
-    fn weights_each(
-        &self,
-        positions: &mut dyn Iterator<Item = Position>,
-        visit: &mut dyn FnMut(&WeightList),
-    ) -> Result<(), FieldError> {
-        let mut sibson = self.natural.then(|| Sibson::new(&self.mesh));
-        let mut weights = WeightList::new();
-        for position in positions {
-            let p = query(position)?;
-            let covered = match &mut sibson {
-                Some(sibson) => sibson.weights(p, self.outside, &mut weights),
-                None => linear_weights(&self.mesh, p, self.outside, &mut weights),
-            };
-            admit(covered, self.outside, position)?;
-            visit(&weights);
-        }
-        Ok(())
     }
 
     /// Visits linear weights in runs: one for each triangle that the row crosses, except long thin
@@ -190,9 +177,6 @@ impl FieldWeights for TriangulationWeights {
     /// each nearest [`BoundaryPiece`]. All other positions are visited pixel by pixel.
     fn weights_along_row(&self, start: (i64, i64), length: usize, visit: OnRun<'_>) -> Visited {
         let row = Row::new(start, length);
-        if self.natural {
-            return pixel_by_pixel(self, row, visit);
-        }
         let mut runs = MeshRow {
             mesh: &self.mesh,
             row,
@@ -434,4 +418,82 @@ fn is_sliver(corners: [Point; 3]) -> bool {
     let edge = |i: usize| sub(corners[(i + 1) % 3], corners[i]);
     let square = |i: usize| dot(edge(i), edge(i));
     cross(edge(0), edge(1)) <= SLIVER * square(0).max(square(1)).max(square(2))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::points_of;
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    /// Cuts a convex polygon to the half plane of points nearer to `keep` than to `other`.
+    fn nearer(polygon: &[[f64; 2]], keep: Point, other: Point) -> Vec<[f64; 2]> {
+        let m = [0, 1].map(|i| f64::midpoint(keep[i], other[i]));
+        let side = |p: &[f64; 2]| (p[0] - m[0]) * (other[0] - keep[0]) + (p[1] - m[1]) * (other[1] - keep[1]);
+        let mut cut = Vec::new();
+        for (i, a) in polygon.iter().enumerate() {
+            let b = &polygon[(i + 1) % polygon.len()];
+            let (u, v) = (side(a), side(b));
+            if u <= 0.0 {
+                cut.push(*a);
+            }
+            if (u < 0.0 && v > 0.0) || (u > 0.0 && v < 0.0) {
+                let t = u / (u - v);
+                cut.push([a[0] + t * (b[0] - a[0]), a[1] + t * (b[1] - a[1])]);
+            }
+        }
+        cut
+    }
+
+    fn area(polygon: &[[f64; 2]]) -> f64 {
+        (1..polygon.len().saturating_sub(1))
+            .map(|i| {
+                let [a, b, c] = [polygon[0], polygon[i], polygon[i + 1]];
+                0.5 * ((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))
+            })
+            .sum()
+    }
+
+    #[test]
+    fn natural_neighbour_weights_are_shares_of_voronoi_cells() {
+        // The cells of positions this far inside end well before the frame.
+        let frame = vec![
+            [-900.0, -900.0],
+            [1000.0, -900.0],
+            [1000.0, 1000.0],
+            [-900.0, 1000.0],
+        ];
+        let mut rng = ChaCha8Rng::seed_from_u64(4);
+        let scattered = (0..60)
+            .map(|_| [0, 1].map(|_| 100.0 * rng.random::<f64>()))
+            .collect();
+        let mut grid = |jitter: f64| {
+            let mut at = |i: usize| 10.0 * i as f64 + jitter * rng.random_range(-1.0..1.0);
+            (0..121).map(|i| [at(i % 11), at(i / 11)]).collect()
+        };
+        let layouts: [Vec<Point>; 3] = [scattered, grid(0.0), grid(1e-9)];
+        for points in layouts {
+            let mesh = Mesh::new(&points_of(&points));
+            let mut sibson = Sibson::new(&mesh);
+            for _ in 0..60 {
+                let p = [0, 1].map(|_| rng.random_range(25.0..75.0));
+                let cell = points.iter().fold(frame.clone(), |cell, &q| nearer(&cell, p, q));
+                let share = |i: usize| {
+                    let others = points.iter().enumerate().filter(|&(j, _)| j != i);
+                    let part = others.fold(cell.clone(), |part, (_, &q)| nearer(&part, points[i], q));
+                    area(&part) / area(&cell)
+                };
+                let mut weights = WeightList::new();
+                sibson.weights(p, OutsidePolicy::Nearest, &mut weights);
+                for i in 0..points.len() {
+                    let w = weights
+                        .iter()
+                        .find(|(sample, _)| *sample == i)
+                        .map_or(0.0, |(_, w)| *w);
+                    assert!((w - share(i)).abs() < 1e-9, "{p:?} {i}: {w} {}", share(i));
+                }
+            }
+        }
+    }
 }

@@ -6,8 +6,8 @@ use std::sync::Arc;
 
 use ndarray::{Array2, ArrayView2, ArrayViewMut3};
 use psf_types::{
-    CoefficientField, FieldError, Interpolation, OutsidePolicy, PixelRegion, Position, SampleCoefficients,
-    SamplePositions,
+    BilinearCells, CoefficientField, FieldError, Interpolation, OutsidePolicy, PixelRegion, Position,
+    SampleCoefficients, SamplePositions,
 };
 
 use crate::bilinear::{Bicubic, Bilinear};
@@ -277,12 +277,19 @@ impl CoefficientField for InterpolatedField {
         })
     }
 
-    fn grid_lines(&self) -> Option<[Vec<f64>; 2]> {
-        self.weights.grid_lines()
+    fn bilinear_cells(&self, region: PixelRegion, error: f64) -> BilinearCells {
+        self.weights.bilinear_cells(self.nodes.view(), region, error)
     }
 
     fn node_values(&self) -> Cow<'_, Array2<f64>> {
         Cow::Borrowed(&self.nodes)
+    }
+
+    fn weights_at(&self, position: Position, weights: &mut Vec<(usize, f64)>) -> Result<(), FieldError> {
+        let mut at = WeightList::new();
+        self.weights.weights_into(position, &mut at)?;
+        weights.extend(at);
+        Ok(())
     }
 
     fn weights_along_row(&self, start: (i64, i64), length: usize, visit: OnRun<'_>) -> Visited {

@@ -4,7 +4,7 @@
 use std::collections::HashMap;
 
 use psf_types::maths::ConvexHull;
-use psf_types::{FieldError, OutsidePolicy, Position, SamplePositions};
+use psf_types::{FieldError, OutsidePolicy, PixelRegion, Position, SamplePositions};
 
 use crate::error::CoeffFieldError;
 
@@ -239,6 +239,16 @@ impl Hull {
         }
     }
 
+    /// The point at which weights for `p` are computed under the policies nearest and extend. `p`
+    /// counts as covered under the policy error.
+    pub(crate) fn place(&self, p: Point) -> Point {
+        if self.outside == OutsidePolicy::Extend || self.contains(p) {
+            p
+        } else {
+            self.nearest(p)
+        }
+    }
+
     /// Returns whether the rounding of points on the hull is too small, relative to the hull's
     /// width and height, to affect a linear function.
     pub(crate) fn is_precise(&self) -> bool {
@@ -288,6 +298,12 @@ impl Hull {
         }
         best.1
     }
+}
+
+/// The smallest and the largest coordinate of a region's pixels along both axes.
+pub(crate) fn pixel_ranges(region: PixelRegion) -> [(f64, f64); 2] {
+    let (x, y, shape) = (region.x0(), region.y0(), region.shape());
+    [(x, shape.nx()), (y, shape.ny())].map(|(first, count)| (first as f64, (first + count as i64 - 1) as f64))
 }
 
 /// Neighbouring pixels in a row of the frame. Columns are counted from the first of these pixels.

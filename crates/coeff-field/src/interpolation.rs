@@ -4,7 +4,10 @@
 use std::fmt::Debug;
 
 use ndarray::{Array2, ArrayView2};
-use psf_types::{FieldError, OutsidePolicy, Position, RowRun, SampleCoefficients, SamplePositions};
+use psf_types::{
+    BilinearCells, FieldError, OutsidePolicy, PixelRegion, Position, RowRun, SampleCoefficients,
+    SamplePositions,
+};
 use thiserror::Error;
 
 use crate::error::CoeffFieldError;
@@ -131,11 +134,16 @@ pub trait FieldWeights: Debug + Send + Sync {
     /// [`FieldError`] if there is no value at the position.
     fn weights_into(&self, position: Position, weights: &mut WeightList) -> Result<(), FieldError>;
 
-    /// The x and y coordinates of the lines between which all weights are bilinear or constant, or
-    /// `None` if there are no such lines. See
-    /// [`CoefficientField::grid_lines`](psf_types::CoefficientField::grid_lines).
-    fn grid_lines(&self) -> Option<[Vec<f64>; 2]> {
-        None
+    /// How to divide a region into cells in which the coefficients are bilinear, up to an error.
+    /// `values` are the [node values](Self::node_values). See
+    /// [`CoefficientField::bilinear_cells`](psf_types::CoefficientField::bilinear_cells).
+    fn bilinear_cells(
+        &self,
+        _values: ArrayView2<'_, f64>,
+        region: PixelRegion,
+        _error: f64,
+    ) -> BilinearCells {
+        BilinearCells::every_row(region)
     }
 
     /// Calls `visit` with the weights at each of `positions` in turn. The weights equal those of

@@ -8,8 +8,8 @@
 //! ```
 //!
 //! Here `w_n(x)` is the weight of node `n` at the position `x`, and `v_nk` is the value of
-//! coefficient `k` (component `k`) at this node. Nodes are the samples, or the terms of a
-//! polynomial. All interpolators are linear in the sample values. So a position needs one short
+//! coefficient `k` (component `k`) at this node. Nodes are the samples, the terms of a polynomial, or
+//! the corners of a quadtree. All interpolators are linear in the sample values. So a position needs one short
 //! list of (node, weight) pairs for all components, and no cube of coefficients is stored.
 //!
 //! | method | weights per position | at the samples | reproduces | continuity |
@@ -17,8 +17,8 @@
 //! | [`Bilinear`] | 4 | exact | 1, x, y, xy | continuous |
 //! | [`Bicubic`] | 16 | exact | 1, x, y, xy; x^i y^j (i, j <= 3) at fifths of cells | continuous |
 //! | [`Delaunay`] | 3 | exact | 1, x, y | continuous |
-//! | [`NaturalNeighbour`] | about 6 | exact | 1, x, y | smooth except at the samples |
-//! | [`InverseDistance`] | about 12 | exact | 1 | continuous |
+//! | [`NaturalNeighbour`] | 4 | exact | 1, x, y | continuous |
+//! | [`InverseDistance`] | 4 | exact | 1 | continuous |
 //! | [`Polynomial`] | (d+1)(d+2)/2 | least squares | polynomials of degree d | smooth |
 //! | [`Nearest`] | 1 | exact | 1 | jumps |
 //!
@@ -41,14 +41,25 @@
 //! pixels. The values at a position have identical bits in every thread, and for any region or
 //! range of components that is evaluated.
 //!
-//! # Rows of pixels
-//! [`FieldWeights::weights_along_row`] cuts a row into runs along which every weight is linear. The
-//! cost then grows with the number of runs, not of pixels. A run crosses one cell ([`Bilinear`]), a
-//! fifth of a cell ([`Bicubic`]), a triangle ([`Delaunay`]), the stretch between two neighbouring
-//! collinear samples, a Voronoi cell ([`Nearest`]), or the part of the row inside the hull (a
-//! [`Polynomial`] of degree 0 or 1). Other methods visit pixel by pixel. Positions with nonlinear
-//! weights are also visited pixel by pixel, such as positions in very flat triangles, or outside
-//! [`Delaunay`]'s samples under the policy extend.
+//! # Cells
+//! [`FieldWeights::bilinear_cells`] divides a region into cells in which the coefficients are bilinear,
+//! up to an error. The cost of convolution then grows with the number of cells, not of pixels. Cells
+//! are those of the grid ([`Bilinear`]), fifths of them ([`Bicubic`]), or several of them where the
+//! samples allow it. A [`Polynomial`] has cells as large as its second derivatives allow.
+//! [`NaturalNeighbour`] and [`InverseDistance`] have the leaves of a quadtree.
+//!
+//! [`Delaunay`] and [`Nearest`] have runs instead: [`FieldWeights::weights_along_row`] cuts a row where
+//! it enters another triangle or Voronoi cell. Positions with nonlinear weights are visited pixel by
+//! pixel, such as positions in very flat triangles, or outside [`Delaunay`]'s samples under the policy
+//! extend.
+//!
+//! # Quadtree
+//! Natural neighbour weights and inverse distance weights have no bound of their curvature: at a
+//! sample it is infinite. So these interpolators are defined on a quadtree: their own weights at the
+//! corners of its cells, bilinear in each cell. A cell's sides are at most a quarter of the distance to
+//! the third nearest sample. Every sample is a corner of all cells around it, so values there are
+//! exact. The tree covers the samples and their frame, and under the policy extend half of their width
+//! beyond. Farther outside, the policies are those of a grid ([`Bilinear`]).
 //!
 //! # Measuring the error
 //! [`leave_one_out`] predicts every sample from all others.
@@ -83,6 +94,7 @@ mod field;
 mod geometry;
 mod grid;
 mod interpolation;
+mod lattice;
 mod line;
 mod mesh;
 mod neighbours;

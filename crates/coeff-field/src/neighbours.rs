@@ -14,6 +14,7 @@ use crate::interpolation::{
     FieldInterpolation, FieldWeights, OnRun, Outcomes, Unpredictable, Visited, WeightList, Weights,
     hull_leave_one_out, prediction_error, single,
 };
+use crate::lattice::Lattice;
 
 /// The value of the nearest sample, or of the first one among samples at equal distance.
 ///
@@ -143,6 +144,9 @@ const RADIUS_SQUARED: f64 = 2.0;
 /// with `d_(k)`, so at least `k` samples take part, and about `2 k` on an even sampling. If there
 /// are only `k` samples or fewer, `R` is infinite and `u_i = d_i^-p`.
 ///
+/// The interpolator has these weights at the samples and at the other corners of a
+/// [quadtree](crate#quadtree). Between the corners, values are bilinear.
+///
 /// The result is exact at the samples, and no weight is negative. Linear fields are *not*
 /// reproduced: for `p > 1` the field is flat at every sample. The method suits rough or noisy
 /// samples. For smooth samples the other methods are better.
@@ -262,11 +266,12 @@ impl Default for InverseDistance {
 impl FieldInterpolation for InverseDistance {
     fn prepare(&self, positions: &SamplePositions, outside: OutsidePolicy) -> Weights {
         let points = Points::new(positions)?;
-        Ok(Box::new(InverseDistanceWeights {
-            method: *self,
-            tree: SearchTree::new(&points)?,
-            hull: Hull::new(&points, outside)?,
-        }))
+        let (tree, hull) = (SearchTree::new(&points)?, Hull::new(&points, outside)?);
+        let lattice = Lattice::new(positions, &points, outside, |p, weights| {
+            self.weights(&tree, hull.place(p), None, weights)
+                .expect("there is at least one sample");
+        })?;
+        Ok(Box::new(lattice))
     }
 
     fn leave_one_out(&self, samples: &SampleCoefficients, outside: OutsidePolicy) -> Outcomes {
@@ -279,27 +284,6 @@ impl FieldInterpolation for InverseDistance {
             Ok(prediction_error(samples, sample, samples.values(), &weights))
         };
         hull_leave_one_out(samples, &points, outside, predict)
-    }
-}
-
-#[derive(Debug)]
-struct InverseDistanceWeights {
-    method: InverseDistance,
-    tree: SearchTree,
-    hull: Hull,
-}
-
-impl FieldWeights for InverseDistanceWeights {
-    fn sample_count(&self) -> usize {
-        self.tree.points.len()
-    }
-
-    fn weights_into(&self, position: Position, weights: &mut WeightList) -> Result<(), FieldError> {
-        let p = self.hull.admit(position)?;
-        self.method
-            .weights(&self.tree, p, None, weights)
-            .expect("there is at least one sample");
-        Ok(())
     }
 }
 

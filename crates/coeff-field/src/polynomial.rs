@@ -3,13 +3,16 @@
 use nalgebra::DMatrix;
 use ndarray::{Array2, ArrayView2};
 use psf_types::maths::legendre;
-use psf_types::{FieldError, Interpolation, OutsidePolicy, Position, SampleCoefficients, SamplePositions};
+use psf_types::{
+    BilinearCells, FieldError, Interpolation, OutsidePolicy, PixelRegion, Position, SampleCoefficients,
+    SamplePositions,
+};
 
 use crate::error::CoeffFieldError;
-use crate::geometry::{Hull, HullPiece, Point, Points, Row, external, last_where, range};
+use crate::geometry::{Hull, HullPiece, Point, Points, external, length, pixel_ranges, range, sub};
 use crate::interpolation::{
-    FieldInterpolation, FieldWeights, OnRun, Outcomes, Unpredictable, Visited, WeightList, Weights,
-    check_rows, hull_leave_one_out, in_runs, pixel_by_pixel,
+    FieldInterpolation, FieldWeights, Outcomes, Unpredictable, WeightList, Weights, check_rows,
+    hull_leave_one_out,
 };
 
 /// Singular values below this fraction of the largest count as 0. The samples then do not determine
@@ -201,36 +204,97 @@ impl FieldWeights for PolynomialWeights {
         Ok(())
     }
 
-    /// Terms up to degree 1 are linear where the point of evaluation is linear in the position.
-    /// That holds everywhere under the policy extend, otherwise within each [`HullPiece`]. Higher
-    /// degrees are visited pixel by pixel.
-    fn weights_along_row(&self, start: (i64, i64), length: usize, visit: OnRun<'_>) -> Visited {
-        let row = Row::new(start, length);
-        if self.fit.degree > 1 {
-            return pixel_by_pixel(self, row, visit);
-        }
-        let piece = |column: usize| {
-            let p = row.point(column);
-            match self.hull.outside {
-                OutsidePolicy::Extend => Some(HullPiece::Inside),
-                OutsidePolicy::Nearest if self.fit.degree == 0 => Some(HullPiece::Inside),
-                OutsidePolicy::Nearest => {
-                    let (piece, _) = self.hull.piece(p);
-                    (piece == HullPiece::Inside || self.hull.is_precise()).then_some(piece)
+    /// In a cell of `m` by `n` pixels, the bilinear function through the values at the corners
+    /// is off by at most `(m^2 max|a_xx| + n^2 max|a_yy|) / 8`, with the Euclidean norms of the second
+    /// derivatives. Both parts use half of the error.
+    fn bilinear_cells(&self, values: ArrayView2<'_, f64>, region: PixelRegion, error: f64) -> BilinearCells {
+        let Some(derivatives) = self.second_derivatives(region) else {
+            return BilinearCells::Divide;
+        };
+        let mut achieved = 0.0;
+        let mut along = |axis: usize, first: i64, pixels: usize| {
+            let mut middle = vec![0.0; values.ncols()];
+            let mut bound = 0.0;
+            for (values, of_term) in values.outer_iter().zip(&derivatives) {
+                let (at_middle, deviation) = of_term[axis];
+                let mut size = 0.0;
+                for (sum, value) in middle.iter_mut().zip(values) {
+                    *sum += at_middle * value;
+                    size += value * value;
                 }
-                _ => self.hull.contains(p).then_some(HullPiece::Inside),
+                bound += deviation * f64::sqrt(size);
+            }
+            bound += middle.iter().map(|v| v * v).sum::<f64>().sqrt();
+            // The cast turns infinity into the largest integer.
+            let steps = ((4.0 * error / bound).sqrt() as usize).clamp(1, pixels);
+            let count = (pixels - 1).div_ceil(steps);
+            let step = (pixels - 1) as f64 / count.max(1) as f64;
+            if step > 1.0 {
+                achieved += step * step * bound / 8.0;
+            }
+            (1..count).map(|i| first as f64 + i as f64 * step).collect()
+        };
+        BilinearCells::Lines {
+            x: along(0, region.x0(), region.shape().nx()),
+            y: along(1, region.y0(), region.shape().ny()),
+            error: achieved,
+        }
+    }
+}
+
+impl PolynomialWeights {
+    /// Each term's second derivatives by xx and yy in a region: the value at the middle, and a bound
+    /// of the differences from it. `None` if terms have a kink in the region, or no value.
+    fn second_derivatives(&self, region: PixelRegion) -> Option<Vec<[(f64, f64); 2]>> {
+        let [(x0, x1), (y0, y1)] = pixel_ranges(region);
+        let corners = [[x0, y0], [x1, y0], [x0, y1], [x1, y1]];
+        // The piece of the plane with the whole region. Pieces are convex, so the corners tell.
+        let pieces = corners.map(|p| match self.hull.outside {
+            OutsidePolicy::Extend => (HullPiece::Inside, p),
+            _ => self.hull.piece(p),
+        });
+        let piece = pieces[0].0;
+        let is_outside = self.hull.outside == OutsidePolicy::Nearest && self.hull.is_precise();
+        let is_single = corners[0] == corners[3];
+        if !is_single
+            && (pieces.iter().any(|other| other.0 != piece) || piece != HullPiece::Inside && !is_outside)
+        {
+            return None;
+        }
+        let places = pieces.map(|(_, p)| p);
+        let ranges = [0, 1].map(|axis| range(&places, axis));
+        let derivatives = self.fit.scaling.second_derivatives(self.fit.degree, ranges);
+        // Along x and y, the point of evaluation moves by `step[0]` and `step[1]`.
+        let steps = match piece {
+            HullPiece::Inside => [[1.0, 0.0], [0.0, 1.0]],
+            HullPiece::Corner(_) => [[0.0; 2]; 2],
+            // The point is the projection of the position on an edge along (u, v).
+            HullPiece::Edge(_) => {
+                let [u, v] = unit_vector(&places);
+                [[u * u, u * v], [u * v, v * v]]
             }
         };
-        in_runs(
-            row,
-            |column, weights| self.weights_into(row.position(column), weights),
-            |column| match piece(column) {
-                None => column + 1,
-                here => 1 + last_where(column, length, |column| piece(column) == here),
-            },
-            visit,
-        )
+        let of_term = |term: [(f64, f64); 3]| {
+            steps.map(|[u, v]| {
+                let factors = [u * u, 2.0 * u * v, v * v];
+                let terms = term.iter().zip(factors);
+                terms.fold((0.0, 0.0), |sum, (d, f)| (sum.0 + f * d.0, sum.1 + f.abs() * d.1))
+            })
+        };
+        Some(derivatives.into_iter().map(of_term).collect())
     }
+}
+
+/// The direction of the line on which some points lie.
+fn unit_vector(points: &[Point]) -> [f64; 2] {
+    let longest = points
+        .iter()
+        .map(|&p| sub(p, points[0]))
+        .fold(
+            [0.0; 2],
+            |longest, d| if length(d) > length(longest) { d } else { longest },
+        );
+    longest.map(|d| d / length(longest).max(f64::MIN_POSITIVE))
 }
 
 /// The map from the samples' bounding box to [-1, 1].
@@ -251,20 +315,81 @@ impl Scaling {
         }
     }
 
+    fn scaled(&self, axis: usize, coordinate: f64) -> f64 {
+        (coordinate - self.centre[axis]) / self.half[axis]
+    }
+
+    /// Each term's second derivatives by xx, xy and yy in a rectangle, in the order of
+    /// [`terms`](Self::terms): the value at the middle, and a bound of the differences from it.
+    fn second_derivatives(&self, degree: usize, ranges: [(f64, f64); 2]) -> Vec<[(f64, f64); 3]> {
+        let [x, y] = [0, 1].map(|axis| {
+            let (low, high) = ranges[axis];
+            derivatives(degree, (self.scaled(axis, low), self.scaled(axis, high)))
+        });
+        let [a, b] = self.half;
+        let product = |x: (f64, f64), y: (f64, f64), scale: f64| {
+            let middle = x.0 * y.0;
+            (
+                middle / scale,
+                (x.1 * y.1 * ROUNDING_OF_BOUNDS - middle.abs()) / scale,
+            )
+        };
+        let of_term = |(i, j): (usize, usize)| {
+            [
+                product(x[i][2], y[j][0], a * a),
+                product(x[i][1], y[j][1], a * b),
+                product(x[i][0], y[j][2], b * b),
+            ]
+        };
+        orders(degree).map(of_term).collect()
+    }
+
     /// The terms at a point, ordered by total degree, and for each total degree by falling power of
     /// x.
     pub(crate) fn terms(&self, degree: usize, p: Point) -> Vec<f64> {
-        let mut terms = Vec::with_capacity((degree + 1) * (degree + 2) / 2);
-        let scaled = [0, 1].map(|axis| (p[axis] - self.centre[axis]) / self.half[axis]);
+        let scaled = [0, 1].map(|axis| self.scaled(axis, p[axis]));
         let [x, y] = scaled.map(|v| normalised_legendre(degree, v));
-        for total in 0..=degree {
-            for j in 0..=total {
-                terms.push(x[total - j] * y[j]);
-            }
-        }
-        terms
+        orders(degree).map(|(i, j)| x[i] * y[j]).collect()
     }
 }
+
+/// The orders in x and y of each term, up to a total degree.
+fn orders(degree: usize) -> impl Iterator<Item = (usize, usize)> {
+    (0..=degree).flat_map(|total| (0..=total).map(move |j| (total - j, j)))
+}
+
+/// The derivatives of order 0 to 2 of `sqrt(2n + 1) P_n` in a range, for n = 0 to `degree`: the value
+/// at the middle of the range and an upper bound of the magnitude. The bound is the sum of the
+/// magnitudes in the Taylor series about the middle.
+fn derivatives(degree: usize, (low, high): (f64, f64)) -> Vec<[(f64, f64); 3]> {
+    let (middle, half) = (f64::midpoint(low, high), 0.5 * (high - low).abs());
+    // The derivatives at the middle, `[order][n]`, from P'_(n+1) = P'_(n-1) + (2n + 1) P_n.
+    let mut all = vec![legendre(degree, middle)];
+    for order in 1..=degree.max(2) {
+        let before = &all[order - 1];
+        let mut of_order = vec![0.0; degree + 1];
+        for n in 1..=degree {
+            let earlier = if n >= 2 { of_order[n - 2] } else { 0.0 };
+            of_order[n] = earlier + (2.0 * n as f64 - 1.0) * before[n - 1];
+        }
+        all.push(of_order);
+    }
+    let of_order = |n: usize, order: usize| {
+        let (mut sum, mut power) = (0.0, 1.0);
+        for (step, of_order) in all[order..].iter().enumerate() {
+            sum += of_order[n].abs() * power;
+            power *= half / (step + 1) as f64;
+        }
+        let scale = (2.0 * n as f64 + 1.0).sqrt();
+        (all[order][n] * scale, sum * scale)
+    };
+    (0..=degree)
+        .map(|n| [0, 1, 2].map(|order| of_order(n, order)))
+        .collect()
+}
+
+/// Bounds are larger by this factor than their sums, which are rounded.
+const ROUNDING_OF_BOUNDS: f64 = 1.0 + 1e-12;
 
 /// `sqrt(2n + 1) P_n(v)` for n = 0 to `degree`.
 fn normalised_legendre(degree: usize, v: f64) -> Vec<f64> {

@@ -4,10 +4,10 @@ mod common;
 
 use coeff_field::WeightList;
 use common::{
-    Extent, at, each, field, is_polynomial, magnitude, probes, reproduces_slopes, rng, samples_of, smooth,
-    value,
+    Extent, SampleWeights, at, each, field, is_polynomial, magnitude, probes, reproduces_slopes, rng,
+    samples_of, smooth, value,
 };
-use ndarray::{Array3, s};
+use ndarray::{Array1, Array3, s};
 use psf_types::{CoefficientField, FrameShape, OutsidePolicy, PixelRegion, Position, SamplePositions};
 use rand::RngExt;
 
@@ -65,17 +65,16 @@ fn values_at_samples_are_exact() {
         if is_polynomial(name) {
             return;
         }
-        let checked = SamplePositions::new(positions.to_vec(), None).unwrap();
         for outside in [
             OutsidePolicy::Nearest,
             OutsidePolicy::Extend,
             OutsidePolicy::Error,
         ] {
-            let weights_of = method.prepare(&checked, outside).unwrap();
-            let mut weights = WeightList::new();
+            let weights = SampleWeights::new(method, positions, outside);
             for (sample, &p) in positions.iter().enumerate() {
-                weights_of.weights_into(p, &mut weights).unwrap();
-                assert_eq!(weights, [(sample, 1.0)], "{layout} {name} {outside}");
+                let mut only = Array1::zeros(positions.len());
+                only[sample] = 1.0;
+                assert_eq!(weights.of_samples(p), only, "{layout} {name} {outside}");
             }
         }
     });

@@ -323,21 +323,15 @@ fn delaunay_has_no_more_runs_than_the_row_crosses_triangles() {
 }
 
 #[test]
-fn constants_and_planes_are_one_run() {
-    let scattered = scattered(50, 4, 0.0, 100.0);
-    let constant = Polynomial::new(0).unwrap();
-    let plane = Polynomial::new(1).unwrap();
+fn a_single_sample_is_one_run() {
     let one = vec![at(3.0, 4.0)];
     for (positions, method, outside, expected) in [
         (
-            &scattered,
-            &constant as &dyn FieldInterpolation,
+            &one,
+            &Nearest as &dyn FieldInterpolation,
             OutsidePolicy::Nearest,
             1,
         ),
-        (&scattered, &constant, OutsidePolicy::Extend, 1),
-        (&scattered, &plane, OutsidePolicy::Extend, 1),
-        (&one, &Nearest, OutsidePolicy::Nearest, 1),
         (&one, &Delaunay, OutsidePolicy::Nearest, 1),
         (&one, &Bilinear, OutsidePolicy::Extend, 1),
     ] {

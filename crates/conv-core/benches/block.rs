@@ -1,5 +1,5 @@
-//! The work for a block of tiles that does not depend on the light: the weights of the field's
-//! nodes, the local modes, and their coefficients. Also the multiplication of light by a mode's
+//! The work for a block of tiles that does not depend on the light: the field's cells, the local
+//! modes, and their coefficients. Also the multiplication of light by a mode's
 //! coefficients.
 
 mod common;
@@ -18,7 +18,6 @@ const TOLERANCE: f64 = 1e-4;
 
 /// The steps of the work for a block of tiles.
 struct BlockSteps<T: ConvReal> {
-    model: PsfModel,
     space: PsfSpace,
     region: PixelRegion,
     tolerance: f64,
@@ -33,13 +32,11 @@ impl<T: ConvReal> BlockSteps<T> {
     /// The steps for a region of a model's field, with each step done once.
     fn new(model: &PsfModel, region: PixelRegion, tolerance: f64) -> Self {
         let space = PsfSpace::new(model, ToleranceOn::default());
-        let cells = RegionCells::new(model.field(), region);
-        let modes = LocalModes::new(&space, &cells, tolerance);
+        let (cells, modes) = space.region(region, tolerance);
         let (role, _) = FluxRole::of(model, &modes, &cells);
         Self {
             table: CoefficientTable::new(region, role, &modes, &cells),
             ramp: (0..region.shape().nx()).map(|i| T::nearest(i as f64)).collect(),
-            model: model.clone(),
             space,
             region,
             tolerance,
@@ -49,14 +46,9 @@ impl<T: ConvReal> BlockSteps<T> {
         }
     }
 
-    /// The weights of the field's nodes along the region's rows.
-    fn weights_along_rows(&mut self) {
-        self.cells = RegionCells::new(self.model.field(), self.region);
-    }
-
-    /// Computes the modes.
-    fn local_modes(&mut self) {
-        self.modes = LocalModes::new(&self.space, &self.cells, self.tolerance);
+    /// Computes the cells and the modes.
+    fn cells_and_modes(&mut self) {
+        (self.cells, self.modes) = self.space.region(self.region, self.tolerance);
     }
 
     /// Tabulates the modes' coefficients over the region.
@@ -100,11 +92,8 @@ fn modes(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("block");
     for side in BLOCKS {
         let mut block = steps::<f32>(side);
-        group.bench_function(BenchmarkId::new("weights-along-rows", side), |bencher| {
-            bencher.iter(|| black_box(&mut block).weights_along_rows());
-        });
-        group.bench_function(BenchmarkId::new("local-modes", side), |bencher| {
-            bencher.iter(|| black_box(&mut block).local_modes());
+        group.bench_function(BenchmarkId::new("cells-and-modes", side), |bencher| {
+            bencher.iter(|| black_box(&mut block).cells_and_modes());
         });
         group.bench_function(BenchmarkId::new("coefficients", side), |bencher| {
             bencher.iter(|| black_box(&mut block).coefficients());

@@ -69,16 +69,27 @@ pub trait CoefficientField: std::fmt::Debug + Send + Sync {
         Cow::Owned(Array2::eye(self.component_count()))
     }
 
-    /// The x and y coordinates of the grid lines, both ascending, or `None` for a field without a
-    /// grid. In each cell between the lines, every weight must be bilinear or constant.
+    /// How to divide a region into cells in which the coefficients are bilinear, up to an error: the
+    /// Euclidean norm of the vector of all coefficients.
     ///
-    /// A pixel on a line belongs to the cell with the larger coordinates. Convolution cuts its
-    /// tiles at the lines. Between two lines in y, it evaluates the weights along the first and the
-    /// last pixel row. If both rows have runs ([`RowRun`]) of equal lengths, it interpolates the
-    /// weights of the rows between them. All these rows must therefore have runs of the same
-    /// lengths.
-    fn grid_lines(&self) -> Option<[Vec<f64>; 2]> {
-        None
+    /// Convolution is fast for a field with large cells. The default implementation lets it visit
+    /// every row.
+    fn bilinear_cells(&self, region: PixelRegion, _error: f64) -> BilinearCells {
+        BilinearCells::every_row(region)
+    }
+
+    /// Appends the weights `w_n` of the nodes at a position: pairs of a node and its weight. No node
+    /// appears twice.
+    ///
+    /// The default implementation belongs to that of [`node_values`](Self::node_values).
+    ///
+    /// # Errors
+    /// [`FieldError`] if the field has no value there.
+    fn weights_at(&self, position: Position, weights: &mut Vec<(usize, f64)>) -> Result<(), FieldError> {
+        let mut coefficients = vec![0.0; self.component_count()];
+        self.evaluate_into(position, &mut coefficients)?;
+        weights.extend(coefficients.into_iter().enumerate());
+        Ok(())
     }
 
     /// Visits the weights of the nodes along a row of `length` pixels that begins at `(x, y)`. The
@@ -97,15 +108,43 @@ pub trait CoefficientField: std::fmt::Debug + Send + Sync {
         length: usize,
         visit: &mut dyn FnMut(RowRun<'_>),
     ) -> Result<(), FieldError> {
-        let mut coefficients = vec![0.0; self.component_count()];
-        let mut weights = Vec::with_capacity(coefficients.len());
+        let mut weights = Vec::new();
         for column in 0..length {
-            self.evaluate_into(Position::of_pixel(x + column as i64, y), &mut coefficients)?;
             weights.clear();
-            weights.extend(coefficients.iter().copied().enumerate());
+            self.weights_at(Position::of_pixel(x + column as i64, y), &mut weights)?;
             visit(RowRun::of_pixel(&weights));
         }
         Ok(())
+    }
+}
+
+/// The cells of a region ([`CoefficientField::bilinear_cells`]). A pixel on a line belongs to the cell
+/// with the larger coordinates.
+#[derive(Debug, Clone, PartialEq)]
+pub enum BilinearCells {
+    /// Cells between lines at these coordinates, both ascending. Coefficients are continuous, and in
+    /// the cells they differ from a bilinear function by at most `error`.
+    Lines {
+        /// The x coordinates of vertical lines.
+        x: Vec<f64>,
+        /// The y coordinates of horizontal lines.
+        y: Vec<f64>,
+        /// The largest error of the coefficients, at most the error that was asked for.
+        error: f64,
+    },
+    /// Between lines at these y coordinates (ascending), all rows have runs ([`RowRun`]) of equal
+    /// lengths. Each weight is bilinear in the cells that the runs of the first and the last row
+    /// form.
+    Bands(Vec<f64>),
+    /// The field has a kink in the region. Smaller regions may have cells.
+    Divide,
+}
+
+impl BilinearCells {
+    /// Rows whose runs have nothing in common.
+    pub fn every_row(region: PixelRegion) -> Self {
+        let rows = 0..region.shape().ny() as i64;
+        Self::Bands(rows.map(|row| (region.y0() + row) as f64).collect())
     }
 }
 
@@ -175,7 +214,7 @@ pub enum FieldError {
 #[derive(Debug, Clone)]
 pub struct PsfModel {
     /// `[stamp, y, x]`, beginning with the mean if there is one.
-    stamps: Array3<f64>,
+    stamps: Arc<Array3<f64>>,
     fluxes: Vec<f64>,
     mean_centred: bool,
     grid: StampGrid,
@@ -219,7 +258,7 @@ impl PsfModel {
             && (fluxes[0] - 1.0).abs() <= UNIT_FLUX_TOLERANCE
             && fluxes[1..].iter().all(|f| f.abs() <= UNIT_FLUX_TOLERANCE);
         Ok(Self {
-            stamps,
+            stamps: Arc::new(stamps),
             fluxes,
             mean_centred: mean_count == 1,
             grid,

@@ -1,8 +1,8 @@
 //! Layouts of samples and the interpolators that suit them.
 #![allow(dead_code, reason = "each test file uses its part")]
 
-use coeff_field::{FieldInterpolation, InterpolatedField, WeightList, interpolation};
-use ndarray::Array2;
+use coeff_field::{FieldInterpolation, FieldWeights, InterpolatedField, WeightList, interpolation};
+use ndarray::{Array1, Array2};
 use psf_types::{OutsidePolicy, Position, SampleCoefficients, SamplePositions};
 use rand::RngExt;
 use rand::SeedableRng;
@@ -216,6 +216,36 @@ pub(crate) fn value(field: &dyn psf_types::CoefficientField, p: Position) -> f64
     let mut all = vec![f64::NAN; field.component_count()];
     field.evaluate_into(p, &mut all).unwrap();
     all[0]
+}
+
+/// The weights of samples at any position. The nodes of an interpolator may be others.
+pub(crate) struct SampleWeights {
+    pub(crate) weights: Box<dyn FieldWeights>,
+    /// `[node, sample]`.
+    of_nodes: Array2<f64>,
+}
+
+impl SampleWeights {
+    pub(crate) fn new(
+        method: &dyn FieldInterpolation,
+        positions: &[Position],
+        outside: OutsidePolicy,
+    ) -> Self {
+        let checked = SamplePositions::new(positions.to_vec(), None).unwrap();
+        let weights = method.prepare(&checked, outside).unwrap();
+        let of_nodes = weights.node_values(Array2::eye(positions.len()).view()).unwrap();
+        Self { weights, of_nodes }
+    }
+
+    pub(crate) fn of_samples(&self, p: Position) -> Array1<f64> {
+        let mut list = WeightList::new();
+        self.weights.weights_into(p, &mut list).unwrap();
+        let mut sum = Array1::zeros(self.of_nodes.ncols());
+        for (node, weight) in list {
+            sum.scaled_add(weight, &self.of_nodes.row(node));
+        }
+        sum
+    }
 }
 
 pub(crate) fn magnitude(weights: &WeightList) -> f64 {

@@ -10,7 +10,7 @@ use psf_types::{FieldError, Progress};
 use super::tile_engine::{LocalTile, TileEngine, Workspace};
 use crate::ConvReal;
 use crate::plan::Plan;
-use crate::plan::block::Block;
+use crate::plan::block::{Block, Stamps};
 use crate::plan::coefficient_table::CoefficientTable;
 use crate::plan::geometry::TilePart;
 use crate::simd::Lanes;
@@ -91,7 +91,7 @@ pub(crate) struct BlockKernels<'a, T: ConvReal> {
     plan: &'a Plan<T>,
     pub(crate) block: &'a Block<T>,
     table: OnceCell<Arc<CoefficientTable<T>>>,
-    stamps: OnceCell<Arc<Vec<T>>>,
+    stamps: OnceCell<Stamps<T>>,
     transformed: bool,
 }
 
@@ -115,7 +115,8 @@ impl<'a, T: ConvReal> BlockKernels<'a, T> {
     /// `[kernel, y, x]`.
     pub(crate) fn stamps(&self) -> &[T] {
         self.stamps
-            .get_or_init(|| self.block.stamps_or_new(&self.plan.whole.space))
+            .get_or_init(|| self.block.stamps_or_new(self.plan.whole.stamps.view()))
+            .values()
     }
 
     /// A tile with the coefficients and stamps of the block.

@@ -16,7 +16,6 @@ use crate::kept::Kept;
 use crate::overlap::{Piece, overlap};
 use crate::plan::PlanOptions;
 use crate::plan::local_modes::{LocalModes, PsfSpace};
-use crate::plan::region_cells::RegionCells;
 use crate::stars::{BlockKey, StarVectors, block_of, check_stamps, region_of};
 use crate::{ConvError, ConvReal};
 
@@ -343,8 +342,8 @@ impl<T: ConvReal> GalaxyPlan<T> {
 
     fn block(&self, key: BlockKey) -> Arc<Block> {
         let make = || {
-            let cells = RegionCells::sampled(self.model.field(), region_of(key, BLOCK));
-            let modes = LocalModes::new(self.space(), &cells, MARGIN * self.tolerance);
+            let region = region_of(key, BLOCK);
+            let (cells, modes) = self.space().sampled_region(region, MARGIN * self.tolerance);
             // No rows if the PSF has no value in the block. Then each galaxy uses all components.
             let mut directions = Array2::zeros((modes.directions().count(), modes.modes.ncols()));
             for (mut to, row) in directions.outer_iter_mut().zip(modes.directions()) {
@@ -354,7 +353,7 @@ impl<T: ConvReal> GalaxyPlan<T> {
             let mut values = vec![0.0; modes.rank() + 1];
             let mut largest = vec![0.0_f64; directions.nrows()];
             let first = values.len() - directions.nrows();
-            for corner in cells.all_corners().flatten() {
+            for corner in cells.corners() {
                 modes.values_into(corner, &mut values);
                 for (largest, value) in largest.iter_mut().zip(&values[first..]) {
                     *largest = largest.max(value.abs());

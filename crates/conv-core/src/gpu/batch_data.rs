@@ -16,7 +16,7 @@ use crate::ConvReal;
 use crate::cpu::processor::BlockKernels;
 use crate::error::GpuError;
 use crate::plan::Plan;
-use crate::plan::coefficient_table::{CoefficientTable, Values};
+use crate::plan::coefficient_table::CoefficientTable;
 
 /// Buffers that executions use, one execution after the other.
 #[derive(Debug)]
@@ -192,68 +192,50 @@ fn words_of<T: ConvReal>(plan: &Plan<T>, part: &Part) -> (Vec<u32>, Vec<u32>) {
 }
 
 /// The number of words in the header of a table: see `coefficients.wgsl`.
-const HEADER: usize = 9;
+const HEADER: usize = 6;
 
 impl<T: ConvReal> CoefficientTable<T> {
     /// Packs the coefficients of some kernels in f32 for `coefficients.wgsl`. A coefficient is a
-    /// function of the pixel, which is linear along the *runs* of a row or given pixel by pixel.
-    /// The words of the header are, in order:
+    /// function of the pixel, which is linear along the *runs* of a row. The words of the header are,
+    /// in order:
     ///
-    /// - whether values are given pixel by pixel,
     /// - the number of functions,
     /// - whether the other functions are divided by the first,
     /// - the number of kernels without a function, whose coefficient is 1,
-    /// - the numbers of columns and of rows,
-    /// - the indices at which three arrays begin: row starts, first columns of the runs, values.
+    /// - the indices at which three arrays begin: row starts, first columns of the runs, and per run
+    ///   and function the value at the run's first column and the slope.
     ///
-    /// The arrays follow the header. If values are given pixel by pixel, there is only the array of
-    /// values. The indices count from the table's first word.
+    /// The arrays follow the header. The indices count from the table's first word.
     pub(crate) fn packed(&self, kernels: Range<usize>) -> Vec<u32> {
         let functions = self.functions_of(kernels.clone());
         let plain = kernels
             .filter(|&kernel| self.role.function_of(kernel).is_none())
             .count();
-        let (nx, ny) = (self.region.shape().nx(), self.region.shape().ny());
         let bits = |value: T| (value.as_f64() as f32).to_bits();
-        let mut words = vec![0; HEADER];
-        let (dense, row_starts, runs, values) = match &self.values {
-            Values::Dense(values) => {
+        let (mut row_starts, mut runs, mut ramps) = (vec![0], Vec::new(), Vec::new());
+        for row in 0..self.region.shape().ny() {
+            let of_row = self.row(row, 0);
+            for (cell, &(column, length)) in of_row.cells.iter().enumerate() {
+                runs.push(column);
+                let steps = T::nearest(f64::from((length - 1).max(1)));
                 for &function in &functions {
-                    let plane = &values[function * nx * ny..(function + 1) * nx * ny];
-                    words.extend(plane.iter().map(|&v| bits(v)));
+                    let [first, last] = of_row.ends(cell, function);
+                    ramps.extend([bits(first), bits((last - first) / steps)]);
                 }
-                (true, HEADER, HEADER, HEADER)
             }
-            Values::Linear {
-                row_starts,
-                runs,
-                ramps,
-            } => {
-                words.extend(row_starts);
-                let first_run = words.len();
-                words.extend(runs.iter().map(|run| run.0));
-                let first_value = words.len();
-                for of_run in ramps.chunks_exact(self.functions.max(1)) {
-                    words.extend(functions.iter().flat_map(|&function| of_run[function].map(bits)));
-                }
-                (false, HEADER, first_run, first_value)
-            }
-        };
+            row_starts.push(runs.len() as u32);
+        }
+        let first_run = HEADER + row_starts.len();
         let header = [
-            usize::from(dense),
             functions.len(),
             usize::from(self.role.divides()),
             plain,
-            nx,
-            ny,
-            row_starts,
-            runs,
-            values,
+            HEADER,
+            first_run,
+            first_run + runs.len(),
         ];
-        for (word, value) in words.iter_mut().zip(header) {
-            *word = value as u32;
-        }
-        words
+        let words = header.map(|word| word as u32).into_iter();
+        words.chain(row_starts).chain(runs).chain(ramps).collect()
     }
 
     /// The functions that some kernels need. If there is a divisor, it is the first.

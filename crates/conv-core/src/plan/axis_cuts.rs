@@ -98,7 +98,8 @@ pub(crate) fn longest(stretches: &[Stretch]) -> usize {
     tiles.map(|&(_, length)| length).max().unwrap_or(1)
 }
 
-fn parts(start: usize, length: usize, tile: usize) -> Vec<(usize, usize)> {
+/// Divides pixels into parts of nearly equal length, at most `tile` pixels: first pixel and length.
+pub(crate) fn parts(start: usize, length: usize, tile: usize) -> Vec<(usize, usize)> {
     let count = length.div_ceil(tile.max(1)).max(1);
     (0..count)
         .map(|i| (i * length / count, (i + 1) * length / count))

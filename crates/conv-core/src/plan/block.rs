@@ -1,8 +1,9 @@
 //! A region whose pixels share one local basis.
 
+use std::ops::Range;
 use std::sync::Arc;
 
-use ndarray::{Array2, ArrayView2, Axis, s};
+use ndarray::{Array2, ArrayView2, Axis};
 use psf_types::{PixelRegion, PsfModel};
 
 use super::coefficient_table::{CoefficientTable, FluxRole};
@@ -15,14 +16,34 @@ use crate::ConvReal;
 #[derive(Debug)]
 pub(crate) struct Block<T> {
     region: PixelRegion,
+    /// The error of the coefficients in the block's cells.
+    error: f64,
     modes: LocalModes,
     role: FluxRole,
     /// The flux to which the reference is scaled, from [`FluxRole::of`].
     flux: f64,
     /// The coefficients, if the plan has memory for them. Otherwise each execution computes them.
     pub(crate) table: Option<Arc<CoefficientTable<T>>>,
-    /// The stamps `[kernel, y, x]`, if the plan has memory for them.
-    pub(crate) stamps: Option<Arc<Vec<T>>>,
+    /// The stamps, if the plan has memory for them.
+    pub(crate) stamps: Option<Stamps<T>>,
+}
+
+/// The stamps of a block's kernels. Blocks whose stamps were computed together share an array.
+#[derive(Debug, Clone)]
+pub(crate) struct Stamps<T> {
+    /// `[kernel, stamp pixel]`.
+    shared: Arc<Array2<T>>,
+    /// The rows of the block's kernels.
+    rows: Range<usize>,
+}
+
+impl<T: ConvReal> Stamps<T> {
+    /// `[kernel, y, x]`.
+    pub(crate) fn values(&self) -> &[T] {
+        let width = self.shared.ncols();
+        let all = self.shared.as_slice().expect("row-major");
+        &all[self.rows.start * width..self.rows.end * width]
+    }
 }
 
 impl<T: ConvReal> Block<T> {
@@ -34,12 +55,12 @@ impl<T: ConvReal> Block<T> {
         tolerance: f64,
         keep_table: bool,
     ) -> Self {
-        let cells = RegionCells::new(model.field(), region);
-        let modes = LocalModes::new(space, &cells, tolerance);
+        let (cells, modes) = space.region(region, tolerance);
         let (role, flux) = FluxRole::of(model, &modes, &cells);
         let table = keep_table.then(|| Arc::new(CoefficientTable::new(region, role, &modes, &cells)));
         Self {
             region,
+            error: cells.error,
             modes,
             role,
             flux,
@@ -58,22 +79,24 @@ impl<T: ConvReal> Block<T> {
     }
 
     pub(crate) fn stamp_bytes(&self) -> usize {
-        self.stamps.as_ref().map_or(0, |stamps| size_of_val(&stamps[..]))
+        self.stamps
+            .as_ref()
+            .map_or(0, |stamps| size_of_val(stamps.values()))
     }
 
     /// The coefficients, stored or computed now.
     pub(crate) fn table_or_new(&self, model: &PsfModel) -> Arc<CoefficientTable<T>> {
         self.table.clone().unwrap_or_else(|| {
-            let cells = RegionCells::new(model.field(), self.region);
+            let cells = RegionCells::new(model.field(), self.region, self.error);
             Arc::new(CoefficientTable::new(self.region, self.role, &self.modes, &cells))
         })
     }
 
     /// The kernels' stamps, stored or computed now.
-    pub(crate) fn stamps_or_new(&self, space: &PsfSpace) -> Arc<Vec<T>> {
+    pub(crate) fn stamps_or_new(&self, stamps: ArrayView2<'_, T>) -> Stamps<T> {
         self.stamps.clone().unwrap_or_else(|| {
-            let made = stamps_of(space.stamps.view(), &[self]).pop();
-            Arc::new(made.expect("the stamps of one block"))
+            let made = stamps_of(stamps, &[self]).pop();
+            made.expect("the stamps of one block")
         })
     }
 
@@ -93,19 +116,19 @@ impl<T: ConvReal> Block<T> {
 
 /// Computes the kernels' stamps of several blocks by one matrix product. `stamps` holds the stamps
 /// of a [`PsfSpace`].
-pub(crate) fn stamps_of<T: ConvReal>(stamps: ArrayView2<'_, f64>, blocks: &[&Block<T>]) -> Vec<Vec<T>> {
+pub(crate) fn stamps_of<T: ConvReal>(stamps: ArrayView2<'_, T>, blocks: &[&Block<T>]) -> Vec<Stamps<T>> {
     let directions: Vec<Array2<f64>> = blocks.iter().map(|block| block.directions()).collect();
     let views: Vec<ArrayView2<'_, f64>> = directions.iter().map(|d| d.view()).collect();
-    let all = ndarray::concatenate(Axis(0), &views)
-        .expect("equally many directions")
-        .dot(&stamps);
-    let mut first = 0;
-    directions
-        .iter()
-        .map(|d| {
-            let rows = all.slice(s![first..first + d.nrows(), ..]);
-            first += d.nrows();
-            rows.iter().map(|&v| T::nearest(v)).collect()
-        })
-        .collect()
+    let all = ndarray::concatenate(Axis(0), &views).expect("equally many directions");
+    let shared = Arc::new(all.mapv(T::nearest).dot(&stamps));
+    let mut end = 0;
+    let rows = directions.iter().map(|directions| {
+        end += directions.nrows();
+        end - directions.nrows()..end
+    });
+    let of_block = |rows| Stamps {
+        shared: Arc::clone(&shared),
+        rows,
+    };
+    rows.map(of_block).collect()
 }

@@ -14,6 +14,7 @@ use rand_chacha::ChaCha8Rng;
 
 use super::norm::norm;
 use super::{Block, Plan, PlanOptions};
+use crate::ConvReal;
 
 /// Text forms of all interpolators, and whether they need samples on a regular grid.
 const INTERPOLATORS: [(&str, bool); 11] = [
@@ -132,7 +133,7 @@ fn circles(grid: StampGrid) -> Array2<f64> {
 
 /// Compares the PSF of each pixel with the sum of kernels times the coefficients that the plan
 /// stores for this pixel. `coefficient_error` is added to the last coefficient.
-fn certify(plan: &Plan<f64>, coefficient_error: f64) -> Errors {
+fn certify<T: ConvReal>(plan: &Plan<T>, coefficient_error: f64) -> Errors {
     let (model, space) = (plan.model(), &plan.whole.space);
     // The flux in circles, `[circle, direction]`.
     let in_circles = circles(model.grid()).dot(&space.stamps.t());
@@ -154,9 +155,9 @@ fn certify(plan: &Plan<f64>, coefficient_error: f64) -> Errors {
 }
 
 /// For each pixel of a block, the error and the PSF as vectors of the space.
-fn errors_of_block(
-    plan: &Plan<f64>,
-    block: &Block<f64>,
+fn errors_of_block<T: ConvReal>(
+    plan: &Plan<T>,
+    block: &Block<T>,
     region: PixelRegion,
     coefficient_error: f64,
 ) -> Vec<(Array1<f64>, Array1<f64>)> {
@@ -164,8 +165,8 @@ fn errors_of_block(
     let table = block.table_or_new(model);
     let kernels = block.directions();
     let (nx, ny) = (region.shape().nx(), region.shape().ny());
-    let ramp: Vec<f64> = (0..nx).map(|i| i as f64).collect();
-    let (ones, mut weighted) = (vec![1.0; nx], Array2::zeros((kernels.nrows(), nx)));
+    let ramp: Vec<T> = (0..nx).map(|i| T::nearest(i as f64)).collect();
+    let (ones, mut weighted) = (vec![T::one(); nx], Array2::zeros((kernels.nrows(), nx)));
     let first = usize::from(model.is_mean_centred());
     let mut coefficients = vec![0.0; model.stamp_count()];
     let mut found = Vec::with_capacity(nx * ny);
@@ -176,7 +177,7 @@ fn errors_of_block(
         }
         weighted
             .row_mut(kernels.nrows() - 1)
-            .mapv_inplace(|v| v + coefficient_error);
+            .mapv_inplace(|v| v + T::nearest(coefficient_error));
         for column in 0..nx {
             model
                 .coefficients_into(region.position(column, row), &mut coefficients)
@@ -188,14 +189,15 @@ fn errors_of_block(
                 let flux = psf.dot(&space.fluxes);
                 psf /= flux;
             }
-            let planned = weighted.index_axis(Axis(1), column).dot(&kernels);
+            let weights = weighted.index_axis(Axis(1), column).mapv(|v: T| v.as_f64());
+            let planned = weights.dot(&kernels);
             found.push((&psf - &planned, psf));
         }
     }
     found
 }
 
-fn plan(model: &PsfModel, tolerance: f64, on: ToleranceOn, anchor: Anchor) -> Plan<f64> {
+fn plan<T: ConvReal>(model: &PsfModel, tolerance: f64, on: ToleranceOn, anchor: Anchor) -> Plan<T> {
     let options = PlanOptions::new(tolerance)
         .unwrap()
         .with_tolerance_on(on)
@@ -215,7 +217,7 @@ fn every_pixel_of_every_interpolator_is_within_the_tolerance() {
         let model = model(name, on_grid, normalisation);
         for on in BOTH {
             for tolerance in TOLERANCES {
-                let found = certify(&plan(&model, tolerance, on, anchor), 0.0);
+                let found = certify::<f64>(&plan(&model, tolerance, on, anchor), 0.0);
                 let case = format!("{name}, {normalisation}, {on}, {tolerance:e}: {found:?}");
                 assert!(found.l2 <= tolerance + ROUNDING, "{case}");
                 if on == ToleranceOn::Aperture {
@@ -237,7 +239,75 @@ fn every_pixel_of_every_interpolator_is_within_the_tolerance() {
 #[test]
 fn a_wrong_coefficient_is_noticed() {
     let model = model("bicubic", true, Normalisation::Keep);
-    let plan = plan(&model, 1e-4, ToleranceOn::Aperture, Anchor::Source);
+    let plan: Plan<f64> = plan(&model, 1e-4, ToleranceOn::Aperture, Anchor::Source);
     let wrong = certify(&plan, 1e-3);
     assert!(wrong.l2 > 1e-3, "{wrong:?}");
+}
+
+/// Rounding of coefficients in f32, relative to the PSF.
+const ROUNDING_F32: f64 = 2e-6;
+
+/// The largest relative error in f32 of a model on a grid of 5 x 5 nodes with two stamps. `values` are
+/// the coefficients of a node.
+fn error_in_f32(
+    with_mean: bool,
+    normalisation: Normalisation,
+    values: impl Fn(usize, usize) -> [f64; 2],
+) -> f64 {
+    let (nx, ny) = STAMP;
+    let gauss = |sigma: f64| {
+        let value = |d: f64| (-d * d / (2.0 * sigma * sigma)).exp();
+        let stamp = Array2::from_shape_fn((ny, nx), |(y, x)| {
+            value(y as f64 - CENTRE.1) * value(x as f64 - CENTRE.0)
+        });
+        let norm = norm(stamp.flatten().view());
+        stamp / norm
+    };
+    let (narrow, wide) = (gauss(1.0), gauss(2.5));
+    let along = (&narrow * &wide).sum();
+    let second = &wide - &narrow * along;
+    let second = &second / norm(second.flatten().view());
+    let mean = with_mean.then(|| &wide / wide.sum());
+    let components = ndarray::stack(Axis(0), &[narrow.view(), second.view()]).unwrap();
+    let grid = StampGrid::new(nx, ny)
+        .unwrap()
+        .with_centre(CENTRE.0, CENTRE.1)
+        .unwrap();
+    let basis = PsfBasis::new(mean, components, grid).unwrap();
+    // Nodes lie on pixels, where their neighbours have no weight.
+    let at = |i: usize| Position::of_pixel((i % 5) as i64 * 17, (i / 5) as i64 * 12);
+    let positions = SamplePositions::new((0..25).map(at).collect(), None).unwrap();
+    let values = Array2::from_shape_fn((25, 2), |(i, k)| values(i % 5, i / 5)[k]);
+    let samples = SampleCoefficients::new(values, positions).unwrap();
+    let method = interpolation("bilinear".parse().unwrap()).unwrap();
+    let field = InterpolatedField::new(&samples, method.as_ref(), OutsidePolicy::Nearest).unwrap();
+    let model = PsfModel::new(&basis, Arc::new(field), normalisation, None).unwrap();
+    certify::<f32>(&plan(&model, 1e-6, ToleranceOn::L2, Anchor::Source), 0.0).l2
+}
+
+#[test]
+fn faint_psfs_beside_bright_ones_keep_their_accuracy() {
+    let error = error_in_f32(false, Normalisation::Keep, |x, y| {
+        let brightness = if (x + y) % 2 == 0 { 1e6 } else { 1.0 };
+        [brightness, 0.3 * brightness * if x % 2 == 0 { 1.0 } else { -1.0 }]
+    });
+    assert!(error <= 1e-6 + ROUNDING_F32, "{error:e}");
+}
+
+#[test]
+fn a_psf_whose_flux_nearly_vanishes_leaves_its_neighbours_alone() {
+    // The flux of a stamp with norm 1 is this times sigma.
+    let flux_per_sigma = (4.0 * std::f64::consts::PI).sqrt();
+    let error = error_in_f32(true, Normalisation::Unit, |x, y| {
+        let vanishing = (x, y) == (2, 2);
+        [
+            if vanishing {
+                -(1.0 - 1e-4) / flux_per_sigma
+            } else {
+                0.01 * x as f64
+            },
+            0.0,
+        ]
+    });
+    assert!(error <= 1e-6 + ROUNDING_F32, "{error:e}");
 }

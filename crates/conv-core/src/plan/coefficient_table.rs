@@ -1,5 +1,7 @@
 //! The coefficients of local modes at every pixel of a region.
 
+use std::ops::Range;
+
 use psf_types::{FieldError, PixelRegion, PsfModel};
 
 use super::local_modes::LocalModes;
@@ -24,7 +26,13 @@ pub enum FluxRole {
     },
 }
 
-/// The coefficients of a region's modes, as functions along its rows.
+/// The coefficients of a region's modes: functions that are bilinear in cells. Only their values at
+/// the cells' corners are stored.
+///
+/// In a cell with values `a` at its first and `b` at its last column, `n` columns later, a function
+/// has the value `[(n - i) a + i b] / n` in column `i`, and likewise between its first and last row.
+/// No term cancels another of the same sign. So where neighbouring PSFs differ by many orders of
+/// magnitude, the faint end keeps its relative accuracy.
 #[derive(Debug)]
 pub struct CoefficientTable<T> {
     pub(crate) region: PixelRegion,
@@ -32,24 +40,50 @@ pub struct CoefficientTable<T> {
     /// The number of functions. The first is the flux, if its role needs it at every pixel. The
     /// others are the coefficients of the modes.
     pub(crate) functions: usize,
-    pub(crate) values: Values<T>,
+    bands: Vec<TableBand>,
+    /// First column and length of each cell.
+    cells: Vec<(u32, u32)>,
+    /// The values at the corners of each cell, `[corner, function]`: first and last column of the
+    /// first row, then of the last row. A band of a single row has only the first two corners.
+    values: Vec<T>,
     /// `(row, column)` of the pixels without a PSF.
     undefined: Vec<(u32, u32)>,
 }
 
+/// Neighbouring rows that are divided into cells at the same columns.
 #[derive(Debug)]
-pub(crate) enum Values<T> {
-    /// Runs: neighbouring pixels of a row, along which every function is linear.
-    Linear {
-        /// The index of each row's first run, then the number of all runs.
-        row_starts: Vec<u32>,
-        /// First column and length of each run.
-        runs: Vec<(u32, u32)>,
-        /// `[start, slope]` per run and function.
-        ramps: Vec<[T; 2]>,
-    },
-    /// Values `[function, y, x]`.
-    Dense(Vec<T>),
+struct TableBand {
+    rows: Range<usize>,
+    cells: Range<usize>,
+    /// The index of the first cell's first value.
+    value: usize,
+}
+
+/// The cells of one row.
+pub(crate) struct RowCells<'a, T> {
+    /// First column and length of each cell.
+    pub(crate) cells: &'a [(u32, u32)],
+    values: &'a [T],
+    functions: usize,
+    corners: usize,
+    /// The weights of the band's first and last row.
+    weights: [T; 2],
+}
+
+impl<T: ConvReal> RowCells<'_, T> {
+    /// The values of a function at the first and the last column of a cell.
+    #[inline(always)]
+    pub(crate) fn ends(&self, cell: usize, function: usize) -> [T; 2] {
+        let corner = |corner: usize| self.values[(cell * self.corners + corner) * self.functions + function];
+        if self.corners < CORNERS {
+            return [corner(0), corner(1)];
+        }
+        let [first, last] = self.weights;
+        [
+            first * corner(0) + last * corner(2),
+            first * corner(1) + last * corner(3),
+        ]
+    }
 }
 
 /// Fluxes count as equal if they differ by at most this fraction: the rounding of their sums. The
@@ -69,7 +103,7 @@ impl FluxRole {
         }
         let mut values = vec![0.0; 1 + modes.rank()];
         let mut range: Option<(f64, f64)> = None;
-        for corner in cells.all_corners().flatten() {
+        for corner in cells.corners() {
             modes.values_into(corner, &mut values);
             let flux = values[0];
             range = Some(range.map_or((flux, flux), |(low, high)| (low.min(flux), high.max(flux))));
@@ -107,45 +141,108 @@ impl<T: ConvReal> CoefficientTable<T> {
     /// Tabulates the coefficients of modes over a region. `cells` are the cells of that region.
     pub fn new(region: PixelRegion, role: FluxRole, modes: &LocalModes, cells: &RegionCells) -> Self {
         let skip = usize::from(!role.has_flux_function());
-        let functions = 1 + modes.rank() - skip;
-        let (nx, ny) = (region.shape().nx(), region.shape().ny());
-        let mut builder = Builder {
-            modes,
-            ends: [vec![0.0; 1 + modes.rank()], vec![0.0; 1 + modes.rank()]],
-            skip,
-            divides: role.divides(),
-            undefined: Vec::new(),
-        };
-        let values = if cells.are_short() {
-            let mut dense = vec![T::zero(); functions * nx * ny];
-            builder.each_piece(cells, |row, column, length, first, slope| {
-                for (f, &at_first) in first.iter().enumerate() {
-                    let start = (f * ny + row) * nx + column;
-                    for (i, value) in dense[start..start + length].iter_mut().enumerate() {
-                        *value = T::nearest(at_first + i as f64 * slope(f));
-                    }
-                }
-            });
-            Values::Dense(dense)
-        } else {
-            let (mut row_starts, mut pieces, mut ramps) = (vec![0; ny + 1], Vec::new(), Vec::new());
-            builder.each_piece(cells, |row, column, length, first, slope| {
-                pieces.push((column as u32, length as u32));
-                ramps.extend((0..functions).map(|f| [T::nearest(first[f]), T::nearest(slope(f))]));
-                row_starts[row + 1] = pieces.len() as u32;
-            });
-            Values::Linear {
-                row_starts,
-                runs: pieces,
-                ramps,
-            }
-        };
-        Self {
+        let mut table = Self {
             region,
             role,
-            functions,
-            values,
-            undefined: builder.undefined,
+            functions: 1 + modes.rank() - skip,
+            bands: Vec::with_capacity(cells.bands.len()),
+            cells: Vec::new(),
+            values: Vec::new(),
+            undefined: Vec::new(),
+        };
+        let count = 1 + modes.rank();
+        let mut at_corners = vec![0.0; cells.corners().len() * count];
+        for (corner, values) in cells.corners().zip(at_corners.chunks_exact_mut(count)) {
+            modes.values_into(corner, values);
+        }
+        for band in &cells.bands {
+            let of_band = cells.cells_of(band);
+            let rows = &band.rows;
+            let ends = if rows.len() == 1 {
+                vec![rows.start]
+            } else {
+                vec![rows.start, rows.end - 1]
+            };
+            let values = values_in_rows(&at_corners, count, band, of_band, &ends);
+            if !role.divides() || fluxes(&values, count).all(is_positive) {
+                table.push_band(rows.clone());
+                for (cell, values) in of_band.iter().zip(values.chunks_exact(2 * ends.len() * count)) {
+                    table.push_cell(
+                        [cell.columns.clone(), rows.clone()],
+                        values,
+                        skip,
+                        cell.corners.is_none(),
+                    );
+                }
+                continue;
+            }
+            // Some pixels of the band may have no PSF: each row becomes a band of its own.
+            for row in rows.clone() {
+                let values = values_in_rows(&at_corners, count, band, of_band, &[row]);
+                table.push_band(row..row + 1);
+                for (cell, ends) in of_band.iter().zip(values.chunks_exact(2 * count)) {
+                    if cell.corners.is_none() || fluxes(ends, count).all(is_positive) {
+                        let part = [cell.columns.clone(), row..row + 1];
+                        table.push_cell(part, ends, skip, cell.corners.is_none());
+                    } else {
+                        table.push_pixels(row, &cell.columns, ends, skip);
+                    }
+                }
+            }
+        }
+        table
+    }
+
+    /// Begins a band. Its cells are those that are pushed next.
+    fn push_band(&mut self, rows: Range<usize>) {
+        let cell = self.cells.len();
+        self.bands.push(TableBand {
+            rows,
+            cells: cell..cell,
+            value: self.values.len(),
+        });
+    }
+
+    /// Adds a cell to the last band. `values` are those at its corners. The first `skip` of each
+    /// corner are not stored.
+    fn push_cell(
+        &mut self,
+        [columns, rows]: [Range<usize>; 2],
+        values: &[f64],
+        skip: usize,
+        undefined: bool,
+    ) {
+        self.cells.push((columns.start as u32, columns.len() as u32));
+        self.bands.last_mut().expect("a band").cells.end += 1;
+        for corner in values.chunks_exact(self.functions + skip) {
+            self.values.extend(corner[skip..].iter().map(|&v| T::nearest(v)));
+        }
+        if undefined {
+            let pixels = rows.flat_map(|row| columns.clone().map(move |column| (row as u32, column as u32)));
+            self.undefined.extend(pixels);
+        }
+    }
+
+    /// Adds each pixel of a cell's part of a row as a cell of its own, because only some of them may
+    /// have a PSF. `ends` are the values at the cell's first and last column.
+    fn push_pixels(&mut self, row: usize, columns: &Range<usize>, ends: &[f64], skip: usize) {
+        let (first, last) = ends.split_at(ends.len() / 2);
+        let steps = (columns.len() - 1).max(1) as f64;
+        for (i, column) in columns.clone().enumerate() {
+            let part = i as f64 / steps;
+            let at = |(a, b): (&f64, &f64)| (1.0 - part) * a + part * b;
+            let mut values: Vec<f64> = first.iter().zip(last).map(at).collect();
+            let is_undefined = !is_positive(values[0]);
+            if is_undefined {
+                values.fill(0.0);
+                values[0] = 1.0;
+            }
+            self.push_cell(
+                [column..column + 1, row..row + 1],
+                &values.repeat(2),
+                skip,
+                is_undefined,
+            );
         }
     }
 
@@ -160,15 +257,28 @@ impl<T: ConvReal> CoefficientTable<T> {
 
     /// Memory used, in bytes.
     pub(crate) fn bytes(&self) -> usize {
-        let values = match &self.values {
-            Values::Linear {
-                row_starts,
-                runs,
-                ramps,
-            } => size_of_val(&row_starts[..]) + size_of_val(&runs[..]) + size_of_val(&ramps[..]),
-            Values::Dense(values) => size_of_val(&values[..]),
-        };
-        values + size_of_val(&self.undefined[..])
+        size_of_val(&self.bands[..])
+            + size_of_val(&self.cells[..])
+            + size_of_val(&self.values[..])
+            + size_of_val(&self.undefined[..])
+    }
+
+    /// The cells of a row from the one that holds the column `first`.
+    #[inline(always)]
+    pub(crate) fn row(&self, row: usize, first: usize) -> RowCells<'_, T> {
+        let band = &self.bands[self.bands.partition_point(|band| band.rows.end <= row)];
+        let cells = &self.cells[band.cells.clone()];
+        let skip = cells.partition_point(|&(column, length)| (column + length) as usize <= first);
+        let corners = if band.rows.len() == 1 { 2 } else { CORNERS };
+        let steps = T::nearest((band.rows.len() - 1).max(1) as f64);
+        let after = T::nearest((row - band.rows.start) as f64);
+        RowCells {
+            cells: &cells[skip..],
+            values: &self.values[band.value + skip * corners * self.functions..],
+            functions: self.functions,
+            corners,
+            weights: [(steps - after) / steps, after / steps],
+        }
     }
 
     /// Returns an error for the first pixel that has no PSF and for which `lit(row, column)` is
@@ -205,211 +315,77 @@ impl<T: ConvReal> CoefficientTable<T> {
         ramp: &[T],
         weighted: &mut [T],
     ) {
-        let function = self.role.function_of(kernel);
-        let Some(function) = function else {
+        let Some(function) = self.role.function_of(kernel) else {
             weighted.copy_from_slice(light);
             return;
         };
-        self.apply(
-            function,
-            row,
-            first,
-            ramp,
-            light.len(),
-            #[inline(always)]
-            |columns, piece| {
-                let pixels = light[columns.clone()].iter().zip(&mut weighted[columns]);
-                match piece {
-                    Piece::Linear { start, slope, ramp } => {
-                        for ((light, weighted), &i) in pixels.zip(ramp) {
-                            *weighted = *light * (start + i * slope);
-                        }
-                    }
-                    Piece::Dense(values) => {
-                        for ((light, weighted), &value) in pixels.zip(values) {
-                            *weighted = *light * value;
-                        }
-                    }
-                }
-            },
-        );
-        if self.role.divides() {
-            self.apply(
-                0,
-                row,
-                first,
-                ramp,
-                light.len(),
-                #[inline(always)]
-                |columns, piece| match piece {
-                    Piece::Linear { start, slope, ramp } => {
-                        for (weighted, &i) in weighted[columns].iter_mut().zip(ramp) {
-                            *weighted /= start + i * slope;
-                        }
-                    }
-                    Piece::Dense(values) => {
-                        for (weighted, &value) in weighted[columns].iter_mut().zip(values) {
-                            *weighted /= value;
-                        }
-                    }
-                },
-            );
-        }
-    }
-
-    /// Calls `work` with the pieces of a function along part of a row. The part begins at column
-    /// `first`, and the columns that `work` receives are counted from there.
-    #[inline(always)]
-    fn apply(
-        &self,
-        function: usize,
-        row: usize,
-        first: usize,
-        ramp: &[T],
-        length: usize,
-        mut work: impl FnMut(std::ops::Range<usize>, Piece<'_, T>),
-    ) {
-        match &self.values {
-            Values::Dense(values) => {
-                let (nx, ny) = (self.region.shape().nx(), self.region.shape().ny());
-                let start = (function * ny + row) * nx + first;
-                work(0..length, Piece::Dense(&values[start..start + length]));
+        let of_row = self.row(row, first);
+        for (cell, &(column, length)) in of_row.cells.iter().enumerate() {
+            let (column, length) = (column as usize, length as usize);
+            let (from, to) = (column.max(first), (column + length).min(first + light.len()));
+            if from >= to {
+                break;
             }
-            Values::Linear {
-                row_starts,
-                runs,
-                ramps,
-            } => {
-                let of_row = row_starts[row] as usize..row_starts[row + 1] as usize;
-                for index in of_row {
-                    let (column, pixels) = (runs[index].0 as usize, runs[index].1 as usize);
-                    let (from, to) = (column.max(first), (column + pixels).min(first + length));
-                    if from < to {
-                        let [start, slope] = ramps[index * self.functions + function];
-                        work(
-                            from - first..to - first,
-                            Piece::Linear {
-                                start,
-                                slope,
-                                ramp: &ramp[from - column..to - column],
-                            },
-                        );
-                    }
+            let steps = T::nearest((length - 1).max(1) as f64);
+            let [a, b] = of_row.ends(cell, function).map(|end| end / steps);
+            let (pixels, ramp) = (from - first..to - first, &ramp[from - column..to - column]);
+            let pixels = light[pixels.clone()].iter().zip(&mut weighted[pixels]);
+            if self.role.divides() {
+                let [s, t] = of_row.ends(cell, 0).map(|end| end / steps);
+                for ((light, weighted), &i) in pixels.zip(ramp) {
+                    let flux = (steps - i) * s + i * t;
+                    *weighted = *light * ((steps - i) * a + i * b) / flux;
+                }
+            } else {
+                for ((light, weighted), &i) in pixels.zip(ramp) {
+                    *weighted = *light * ((steps - i) * a + i * b);
                 }
             }
         }
     }
 }
 
-/// A function along part of a row: linear in the column, or a list of values.
-enum Piece<'a, T> {
-    Linear { start: T, slope: T, ramp: &'a [T] },
-    Dense(&'a [T]),
-}
-
-struct Builder<'a> {
-    modes: &'a LocalModes,
-    ends: [Vec<f64>; 2],
-    /// The number of leading values that are not stored: 1 if the table does not need the flux,
-    /// otherwise 0.
-    skip: usize,
-    divides: bool,
-    undefined: Vec<(u32, u32)>,
-}
-
-impl Builder<'_> {
-    /// Calls `visit` for each cell of each row, with row, first column, length, the functions'
-    /// values at the first column and their slopes. If functions are divided by the flux, and the
-    /// flux is not positive at an end of a cell's row, calls `visit` for each pixel of this row of
-    /// the cell, because only some of these pixels may have a PSF.
-    fn each_piece(
-        &mut self,
-        cells: &RegionCells,
-        mut visit: impl FnMut(usize, usize, usize, &[f64], &dyn Fn(usize) -> f64),
-    ) {
-        let functions = 1 + self.modes.rank();
-        let mut corners = Vec::new();
-        for band in &cells.bands {
-            self.corner_values(cells, band, &mut corners);
-            let steps = (band.rows.len() - 1).max(1) as f64;
-            for row in band.rows.clone() {
-                let part = (row - band.rows.start) as f64 / steps;
-                let values = corners.chunks_exact(CORNERS * functions);
-                for (cell, corners) in cells.cells_of(band).iter().zip(values) {
-                    if cells.corners(cell).is_none() {
-                        self.undefined(row, cell.column, cell.length);
-                        // `check` returns an error if light needs these factors, so any finite
-                        // factor is allowed. A divisor of 1 avoids 0 / 0.
-                        self.ends[0].fill(0.0);
-                        self.ends[0][0] = 1.0;
-                        visit(row, cell.column, cell.length, &self.ends[0][self.skip..], &|_| {
-                            0.0
-                        });
-                        continue;
+/// The functions at the first and the last pixel of each cell in some rows of a band,
+/// `[cell, row, end, function]`. `at_corners` holds them at the corners, `[corner, function]`.
+fn values_in_rows(at_corners: &[f64], count: usize, band: &Band, cells: &[Cell], rows: &[usize]) -> Vec<f64> {
+    let part = |(low, high): (f64, f64), at: usize| {
+        if low < high {
+            (at as f64 - low) / (high - low)
+        } else {
+            0.0
+        }
+    };
+    let mut values = vec![0.0; cells.len() * rows.len() * 2 * count];
+    let mut into = values.chunks_exact_mut(count);
+    for cell in cells {
+        for &row in rows {
+            for column in [cell.columns.start, cell.columns.end - 1] {
+                let values = into.next().expect("two ends per cell and row");
+                let Some(corners) = cell.corners else {
+                    // `check` returns an error if light needs these values, so any finite values are
+                    // allowed. A flux of 1 avoids a division by 0.
+                    values[0] = 1.0;
+                    continue;
+                };
+                let (s, t) = (part(cell.sides, column), part(band.sides, row));
+                let weights = [(1.0 - s) * (1.0 - t), s * (1.0 - t), (1.0 - s) * t, s * t];
+                for (corner, weight) in corners.into_iter().zip(weights).filter(|&(_, w)| w != 0.0) {
+                    let at_corner = &at_corners[corner * count..(corner + 1) * count];
+                    for (value, at_corner) in values.iter_mut().zip(at_corner) {
+                        *value += weight * at_corner;
                     }
-                    let (first_row, last_row) = corners.split_at(2 * functions);
-                    let pairs = first_row.iter().zip(last_row);
-                    for (value, (a, b)) in self.ends.iter_mut().flatten().zip(pairs) {
-                        *value = if part == 0.0 {
-                            *a
-                        } else {
-                            (1.0 - part) * a + part * b
-                        };
-                    }
-                    self.piece(row, cell, &mut visit);
                 }
             }
         }
     }
+    values
+}
 
-    /// Computes the functions at the corners of a band's cells, `[cell, corner, function]`.
-    fn corner_values(&self, cells: &RegionCells, band: &Band, values: &mut Vec<f64>) {
-        let functions = 1 + self.modes.rank();
-        let of_band = cells.cells_of(band);
-        values.clear();
-        values.resize(of_band.len() * CORNERS * functions, 0.0);
-        for (cell, values) in of_band.iter().zip(values.chunks_exact_mut(CORNERS * functions)) {
-            let Some(corners) = cells.corners(cell) else {
-                continue;
-            };
-            // In a band of one row, the last two corners repeat the first two and are not used.
-            let rows = if band.rows.len() == 1 { 2 } else { CORNERS };
-            for (corner, values) in corners[..rows].iter().zip(values.chunks_exact_mut(functions)) {
-                self.modes.values_into(corner, values);
-            }
-        }
-    }
+/// The fluxes among functions, of which each place has `count`.
+fn fluxes(values: &[f64], count: usize) -> impl Iterator<Item = f64> {
+    values.iter().copied().step_by(count)
+}
 
-    /// Visits a cell's part of a row. The values at its ends are in `ends`.
-    fn piece(
-        &mut self,
-        row: usize,
-        cell: &Cell,
-        mut visit: impl FnMut(usize, usize, usize, &[f64], &dyn Fn(usize) -> f64),
-    ) {
-        let [first, last] = &self.ends;
-        let steps = (cell.length - 1).max(1) as f64;
-        let slope = |f: usize| (last[f] - first[f]) / steps;
-        if !self.divides || first[0].min(last[0]) > 0.0 {
-            visit(row, cell.column, cell.length, &first[self.skip..], &|f| {
-                slope(f + self.skip)
-            });
-            return;
-        }
-        for i in 0..cell.length {
-            let mut values: Vec<f64> = (0..first.len()).map(|f| first[f] + i as f64 * slope(f)).collect();
-            let positive = values[0] > 0.0 && values[0].is_finite();
-            if !positive {
-                values.fill(0.0);
-                values[0] = 1.0;
-                self.undefined.push((row as u32, (cell.column + i) as u32));
-            }
-            visit(row, cell.column + i, 1, &values[self.skip..], &|_| 0.0);
-        }
-    }
-
-    fn undefined(&mut self, row: usize, column: usize, length: usize) {
-        self.undefined
-            .extend((column..column + length).map(|column| (row as u32, column as u32)));
-    }
+fn is_positive(flux: f64) -> bool {
+    flux > 0.0 && flux.is_finite()
 }

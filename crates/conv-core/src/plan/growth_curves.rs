@@ -19,6 +19,8 @@ pub(crate) struct GrowthCurves {
     pub(crate) circles: Array2<f64>,
     /// The largest distance of a row that is not stored from the line between its neighbours.
     pub(crate) remainder: f64,
+    /// An upper bound of the flux of a vector of norm 1 in any circle.
+    pub(crate) norm: f64,
 }
 
 /// Rows are stored until the remainder is at most this fraction of the flux of a typical PSF,
@@ -85,8 +87,10 @@ impl GrowthCurves {
         // The first row, a circle without pixels, is not stored.
         let mut stored: Vec<usize> = gaps.iter().map(|gap| gap.last).collect();
         stored.sort_unstable();
+        let circles = rows.select(ndarray::Axis(0), &stored);
         Self {
-            circles: rows.select(ndarray::Axis(0), &stored),
+            norm: circles.outer_iter().map(norm).fold(0.0, f64::max) + remainder,
+            circles,
             remainder,
         }
     }

@@ -2,11 +2,13 @@
 
 use nalgebra::{Cholesky, DMatrix, SymmetricEigen};
 use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis, s};
-use psf_types::{PsfModel, ToleranceOn};
+use psf_types::{PixelRegion, PsfModel, ToleranceOn};
 
 use super::growth_curves::{GrowthCurves, TailGrowth};
-use super::norm::{norm, norm_squared};
-use super::region_cells::{CORNERS, RegionCells};
+use super::norm::{lanes_dot, norm};
+use super::region_cells::RegionCells;
+use super::span::span;
+use crate::simd::{Lanes, SimdReal as _, WithIsa};
 
 /// Coordinates in which the norm of a vector is the L2 norm of its PSF.
 ///
@@ -16,10 +18,9 @@ use super::region_cells::{CORNERS, RegionCells};
 /// the coefficient field.
 #[derive(Debug)]
 pub struct PsfSpace {
+    model: PsfModel,
     /// Orthonormal stamps, `[direction, stamp pixel]`.
     pub(crate) stamps: Array2<f64>,
-    /// For each node of the coefficient field, its PSF minus the mean, `[node, direction]`.
-    nodes: Array2<f64>,
     pub(crate) mean: Array1<f64>,
     /// The flux of each orthonormal stamp.
     pub(crate) fluxes: Array1<f64>,
@@ -42,7 +43,6 @@ impl PsfSpace {
         let first = usize::from(model.is_mean_centred());
         let components = flat.slice(s![first.., ..]);
         let rank = components.nrows();
-        let values = model.field().node_values();
         // Divides the mean into its part along the components and the rest. After two passes the
         // rest is orthogonal to the components up to rounding (Kahan, in Parlett 1980, section
         // 6-9).
@@ -70,24 +70,93 @@ impl PsfSpace {
             stamps.row_mut(rank).assign(&(rest / left));
             mean[rank] = left;
         }
-        let mut nodes = Array2::zeros((values.nrows(), rank + extra));
-        nodes.slice_mut(s![.., ..rank]).assign(&values);
         let fluxes = stamps
             .outer_iter()
             .map(|stamp| model.grid().flux_of_sum(stamp.sum()))
             .collect();
         let growth = (on == ToleranceOn::Aperture).then(|| {
             // Without a mean, the nodes are usually PSFs.
-            let of_nodes = nodes.mean_axis(Axis(0)).filter(|_| first == 0);
+            let of_nodes = model
+                .field()
+                .node_values()
+                .mean_axis(Axis(0))
+                .filter(|_| first == 0);
             let typical = of_nodes.as_ref().unwrap_or(&mean);
             GrowthCurves::new(stamps.view(), model.grid(), typical.view())
         });
         Self {
+            model: model.clone(),
             stamps,
-            nodes,
             mean,
             fluxes,
             growth,
+        }
+    }
+
+    /// A first guess of the error of coefficients that leaves most of the tolerance to the modes of a
+    /// region: [`SHARE_OF_CELLS`] of it for the faintest of a few PSFs.
+    fn error_of_cells(&self, region: PixelRegion, tolerance: f64) -> f64 {
+        let last = (region.shape().nx() - 1, region.shape().ny() - 1);
+        let first = usize::from(self.model.is_mean_centred());
+        let mut coefficients = vec![0.0; self.model.stamp_count()];
+        let mut least = f64::INFINITY;
+        for (column, row) in [(0, 0), (last.0, 0), (0, last.1), last, (last.0 / 2, last.1 / 2)] {
+            let position = region.position(column, row);
+            if self.model.coefficients_into(position, &mut coefficients).is_err() {
+                continue;
+            }
+            let mut psf = self.mean.clone();
+            for (value, a) in psf.iter_mut().zip(&coefficients[first..]) {
+                *value += a;
+            }
+            let (size, flux) = (norm(psf.view()), psf.dot(&self.fluxes).abs());
+            let errors = self.errors(tolerance, 1.0, 1.0);
+            let of_norm = size / errors.of_cells(size / flux);
+            least = least.min(of_norm.min(flux * of_norm / (size * errors.largest_flux)));
+        }
+        if least.is_finite() {
+            SHARE_OF_CELLS * tolerance * least
+        } else {
+            0.0
+        }
+    }
+
+    /// A few cells of a region and their modes. The tolerance must not be below the rounding of f64.
+    pub(crate) fn sampled_region(&self, region: PixelRegion, tolerance: f64) -> (RegionCells, LocalModes) {
+        let cells = RegionCells::sampled(self.model.field(), region);
+        let modes = LocalModes::new(self, &cells, tolerance).expect("these cells have no error");
+        (cells, modes)
+    }
+
+    /// The cells and the modes of a region. The tolerance must not be below the rounding of f64.
+    pub fn region(&self, region: PixelRegion, tolerance: f64) -> (RegionCells, LocalModes) {
+        let mut error = self.error_of_cells(region, tolerance);
+        loop {
+            let cells = RegionCells::new(self.model.field(), region, error);
+            if let Some(modes) = LocalModes::new(self, &cells, tolerance) {
+                return (cells, modes);
+            }
+            // Somewhere in the region, PSFs are much fainter than expected.
+            error *= if error > SMALLEST_ERROR * norm(self.mean.view()) {
+                0.1
+            } else {
+                0.0
+            };
+        }
+    }
+
+    /// `error_of_cells` is the error of the coefficients, `sign` the sign of the PSFs' flux.
+    fn errors(&self, tolerance: f64, error_of_cells: f64, sign: f64) -> AllowedErrors {
+        AllowedErrors {
+            tolerance,
+            coefficients: error_of_cells,
+            largest_flux: self.growth.as_ref().map_or(0.0, |growth| growth.norm),
+            scaled_flux: if self.model.needs_flux_scaling() {
+                norm(self.fluxes.view())
+            } else {
+                0.0
+            },
+            sign,
         }
     }
 
@@ -108,8 +177,14 @@ impl PsfSpace {
             && (size <= ROUNDING_NORM * psf_norm || growth.largest_flux(error) <= tolerance * flux.abs())
     }
 
-    pub(crate) fn node(&self, node: usize) -> ArrayView1<'_, f64> {
-        self.nodes.row(node)
+    /// The PSFs of nodes of the coefficient field, without the mean, `[node, direction]`.
+    pub(crate) fn nodes(&self, nodes: &[usize]) -> Array2<f64> {
+        let values = self.model.field().node_values();
+        let mut rows = Array2::zeros((nodes.len(), self.mean.len()));
+        for (mut row, &node) in rows.outer_iter_mut().zip(nodes) {
+            row.slice_mut(s![..values.ncols()]).assign(&values.row(node));
+        }
+        rows
     }
 }
 
@@ -148,10 +223,8 @@ pub struct LocalModes {
     /// `[mode, direction]`. The scalar product of a row and a PSF's vector is the PSF's coefficient
     /// of the mode. `None` if these rows equal the modes.
     duals: Option<Array2<f64>>,
-    /// The part of flux and coefficients that does not depend on the nodes.
-    offset: Array1<f64>,
-    /// Flux and coefficients of the region's nodes, `[node, 1 + mode]`.
-    node_values: Array2<f64>,
+    /// Flux and coefficients.
+    values: CornerTable,
 }
 
 /// The number of bands (neighbouring rows, [`RegionCells`]) whose PSFs determine the directions of
@@ -159,7 +232,7 @@ pub struct LocalModes {
 const SUPPORT_BANDS: usize = 5;
 /// The largest number of cells used from each of these bands. The last cell of the band is used in
 /// addition.
-const SUPPORT_CELLS: usize = 16;
+const SUPPORT_CELLS: usize = 8;
 /// The region's mean is the reference if it holds more than this fraction of the largest flux that
 /// a vector of its norm can hold.
 const MIN_REFERENCE_FLUX: f64 = 1e-3;
@@ -170,18 +243,19 @@ const NO_FLUX: f64 = 1e-12;
 /// A direction counts as rounding if no node's part along it exceeds this fraction of the largest
 /// norm of the nodes.
 const ROUNDING: f64 = 2e-16;
-
-/// In [`span`], the remainder of a node counts as rounding if less than this fraction of it is
-/// orthogonal to the directions found before.
-const MIN_NEW_PART: f64 = 0.5;
+/// Directions in which PSFs differ by at most this fraction of the smallest allowed error are left
+/// out.
+const OUTSIDE_SPAN: f64 = 0.2;
+/// The fraction of the tolerance that is left to the cells. Small cells cost little.
+const SHARE_OF_CELLS: f64 = 0.2;
+/// An error of coefficients below this fraction of the norm of the mean stamp counts as 0.
+const SMALLEST_ERROR: f64 = 1e-20;
 
 impl LocalModes {
-    /// Computes the modes of a region. The tolerance must not be below the rounding of f64.
-    pub fn new(space: &PsfSpace, cells: &RegionCells, tolerance: f64) -> Self {
-        let mut nodes = Array2::zeros((cells.nodes.len(), space.mean.len()));
-        for (mut row, &node) in nodes.outer_iter_mut().zip(&cells.nodes) {
-            row.assign(&space.node(node));
-        }
+    /// Computes the modes of a region. The tolerance must not be below the rounding of f64. `None` if
+    /// the error of the cells may use most of the tolerance.
+    fn new(space: &PsfSpace, cells: &RegionCells, tolerance: f64) -> Option<Self> {
+        let mut nodes = space.nodes(&cells.nodes);
         let mut offset = space.mean.clone();
         if cells.is_partition_of_unity() {
             nodes += &offset;
@@ -192,9 +266,6 @@ impl LocalModes {
         // beta(x) = <h(x), centre> / |centre| is linear in the weights of the nodes. It is at most
         // the norm of h(x).
         let along = &centre / norm(centre.view()).max(f64::MIN_POSITIVE);
-        let (beta, beta_offset) = (nodes.dot(&along), offset.dot(&along));
-        let fluxes = nodes.dot(&space.fluxes);
-        let flux_offset = offset.dot(&space.fluxes);
         let flux = centre.dot(&space.fluxes);
         let possible = norm(centre.view()) * norm(space.fluxes.view());
         let reference = (flux.abs() > MIN_REFERENCE_FLUX * possible).then(|| &centre / flux);
@@ -203,25 +274,34 @@ impl LocalModes {
             .chain([offset.view()])
             .map(norm)
             .fold(0.0, f64::max);
+        // The last row is the offset.
+        let mut rows = ndarray::concatenate(Axis(0), &[nodes.view(), offset.view().insert_axis(Axis(0))])
+            .expect("equally many columns");
+        let (betas, fluxes) = (rows.dot(&along), rows.dot(&space.fluxes));
         if let Some(reference) = &reference {
-            for (mut node, &flux) in nodes.outer_iter_mut().zip(&fluxes) {
-                node.scaled_add(-flux, reference);
+            for (mut row, &flux) in rows.outer_iter_mut().zip(&fluxes) {
+                row.scaled_add(-flux, reference);
             }
-            offset.scaled_add(-flux_offset, reference);
         }
-        // The modes must represent these remainders of the nodes and of the offset.
-        let span = span(nodes.view(), offset.view(), ROUNDING * scale);
-        let (nodes, offset) = (nodes.dot(&span.t()), span.dot(&offset));
+        let errors = space.errors(tolerance, cells.error, flux.signum());
+        // The modes must represent these remainders of the nodes and of the offset. Directions in
+        // which they differ by a small fraction of the allowed errors are left out.
+        let stop = match reference {
+            Some(_) => OUTSIDE_SPAN * support.least(&errors, betas.view(), fluxes.view()),
+            // What is left out would hold flux.
+            None => 0.0,
+        };
+        let (span, outside) = span(rows.view(), stop.max(ROUNDING * scale));
+        let rows = rows.dot(&span.t());
         // From here on, the scalar product of coordinates is that in which modes are orthonormal.
         let metric = space.growth.as_ref().and_then(|growth| {
             let psf_norm = reference.as_ref().map_or(0.0, |reference| norm(reference.view()));
             Metric::new(growth.circles.dot(&span.t()), psf_norm)
         });
-        let (nodes, offset) = match &metric {
-            None => (nodes, offset),
-            Some(metric) => (nodes.dot(&metric.root), offset.dot(&metric.root)),
+        let rows = match &metric {
+            None => rows,
+            Some(metric) => rows.dot(&metric.root),
         };
-        let covariance = support.covariance(nodes.view(), offset.view());
         let flux_axis = flux_axis(&span, space.fluxes.view()).map(|axis| match &metric {
             None => axis,
             Some(metric) => {
@@ -230,14 +310,15 @@ impl LocalModes {
                 axis / length
             }
         });
+        let covariance = support.covariance(rows.view());
         let (rotation, forced) = mode_axes(
             &covariance,
             flux_axis,
-            (nodes.view(), offset.view()),
+            rows.view(),
             reference.is_some(),
             NO_FLUX * scale,
         );
-        let (nodes, offset) = (nodes.dot(&rotation), offset.dot(&rotation));
+        let rows = rows.dot(&rotation);
         // The span in the coordinates of the metric, `[coordinate, direction]`.
         let axes = match &metric {
             None => span.clone(),
@@ -247,47 +328,34 @@ impl LocalModes {
             let circles = rotation.t().dot(&axes).dot(&growth.circles.t());
             TailGrowth::new(circles, growth.remainder)
         });
-        let at = |end: &[(usize, f64)], values: &Array1<f64>, offset: f64| {
-            end.iter().map(|&(n, w)| w * values[n]).sum::<f64>() + offset
+        let table = |first: &[ArrayView1<'_, f64>], rank: usize| {
+            let first = first.iter().map(|column| column.insert_axis(Axis(1)));
+            let columns: Vec<ArrayView2<'_, f64>> = first.chain([rows.slice(s![.., ..rank])]).collect();
+            let joined = ndarray::concatenate(Axis(1), &columns).expect("equally many rows");
+            CornerTable::new(&joined)
         };
-        let limits = |end: &[(usize, f64)]| Limits {
-            norm: tolerance * at(end, &beta, beta_offset).max(0.0),
-            flux: tolerance * (flux.signum() * at(end, &fluxes, flux_offset)).max(0.0),
-        };
-        let rounding = ROUNDING_NORM / tolerance;
-        let rank = forced.max(needed(
+        let needed = f64::dispatch(CountModes {
             cells,
-            nodes.view(),
-            offset.view(),
-            limits,
+            table: &table(&[betas.view(), fluxes.view()], rows.ncols()),
+            errors,
+            reference: reference.as_ref().map_or(0.0, |reference| norm(reference.view())),
+            outside,
             growth,
-            rounding,
-        ));
+        })?;
+        let rank = forced.max(needed);
         let kept = rotation.slice(s![.., ..rank]);
-        let modes = kept.t().dot(&axes);
-        let duals = metric.map(|metric| kept.t().dot(&metric.root.t()).dot(&span));
-        let with_flux = |flux: ArrayView2<'_, f64>, values: ArrayView2<'_, f64>| {
-            ndarray::concatenate(Axis(1), &[flux, values]).expect("equally many rows")
-        };
-        let kept = offset.slice(s![..rank]).insert_axis(Axis(0)).to_owned();
-        let offset = with_flux(ndarray::aview2(&[[flux_offset]]), kept.view());
-        Self {
+        Some(Self {
+            modes: kept.t().dot(&axes),
+            duals: metric.map(|metric| kept.t().dot(&metric.root.t()).dot(&span)),
+            values: table(&[fluxes.view()], rank),
             reference,
-            modes,
-            duals,
-            offset: offset.row(0).to_owned(),
-            node_values: with_flux(fluxes.view().insert_axis(Axis(1)), nodes.slice(s![.., ..rank])),
-        }
+        })
     }
 
     /// The mean PSF of a region, `[direction]`, not scaled to unit flux.
     pub(crate) fn mean(space: &PsfSpace, cells: &RegionCells) -> Array1<f64> {
-        let mut mean = space.mean.clone();
         let weights = Support::of(cells).mean_weights(cells.nodes.len());
-        for (&weight, &node) in weights.iter().zip(&cells.nodes) {
-            mean.scaled_add(weight, &space.node(node));
-        }
-        mean
+        weights.dot(&space.nodes(&cells.nodes)) + &space.mean
     }
 
     /// The number of modes, without the reference.
@@ -313,10 +381,34 @@ impl LocalModes {
     /// Computes the values at one corner of a cell: the flux, then the coefficient of each mode.
     /// `end` holds the weights of the nodes at this corner.
     pub(crate) fn values_into(&self, end: &[(usize, f64)], values: &mut [f64]) {
-        values.copy_from_slice(self.offset.as_slice().expect("contiguous"));
+        self.values.at(end, values);
+    }
+}
+
+/// Functions that are linear in the weights of the nodes.
+#[derive(Debug)]
+struct CornerTable {
+    width: usize,
+    /// The functions of each node, then those that belong to no node, `[node, function]`.
+    values: Vec<f64>,
+}
+
+impl CornerTable {
+    fn new(rows: &Array2<f64>) -> Self {
+        Self {
+            width: rows.ncols(),
+            values: rows.iter().copied().collect(),
+        }
+    }
+
+    /// Writes the functions for some weights of the nodes.
+    #[inline(always)]
+    fn at(&self, end: &[(usize, f64)], values: &mut [f64]) {
+        values.copy_from_slice(&self.values[self.values.len() - self.width..]);
         for &(node, weight) in end {
-            for (value, node_value) in values.iter_mut().zip(self.node_values.row(node)) {
-                *value += weight * node_value;
+            let row = &self.values[node * self.width..(node + 1) * self.width];
+            for (value, of_node) in values.iter_mut().zip(row) {
+                *value += weight * of_node;
             }
         }
     }
@@ -364,24 +456,16 @@ impl<'a> Support<'a> {
         let count = SUPPORT_BANDS.min(bands.len());
         let mut ends = Vec::new();
         for i in 0..count {
-            let band = &bands[i * (bands.len() - 1) / (count - 1).max(1)];
-            // In a band of one row, the last two corners repeat the first two.
-            let corners = if band.rows.len() == 1 {
-                CORNERS / 2
-            } else {
-                CORNERS
-            };
-            let band = cells.cells_of(band);
+            let band = cells.cells_of(&bands[i * (bands.len() - 1) / (count - 1).max(1)]);
             let step = band.len().div_ceil(SUPPORT_CELLS);
             let chosen = band.iter().step_by(step).chain(band.last());
-            let chosen = chosen.filter_map(|cell| cells.corners(cell));
-            ends.extend(chosen.flat_map(|of_cell| of_cell.into_iter().take(corners)));
+            ends.extend(chosen.filter_map(|cell| cell.corners).flatten());
         }
         if ends.is_empty() {
             // The chosen cells have no values. Takes the first cell that has values.
-            ends.extend(cells.all_corners().next().into_iter().flatten());
+            ends.extend(cells.corners_of_cells().next().into_iter().flatten());
         }
-        Self(ends)
+        Self(ends.into_iter().map(|corner| cells.weights(corner)).collect())
     }
 
     fn mean_weights(&self, nodes: usize) -> Array1<f64> {
@@ -392,68 +476,46 @@ impl<'a> Support<'a> {
         mean
     }
 
-    fn covariance(&self, nodes: ArrayView2<'_, f64>, offset: ArrayView1<'_, f64>) -> Array2<f64> {
-        let mut values = Array2::zeros((self.0.len(), offset.len()));
+    /// The least allowed error of a PSF, divided by the sum of the weights' magnitudes.
+    fn least(&self, errors: &AllowedErrors, betas: ArrayView1<'_, f64>, fluxes: ArrayView1<'_, f64>) -> f64 {
+        let last = betas.len() - 1;
+        let at = |end: &[(usize, f64)], values: ArrayView1<'_, f64>| {
+            end.iter().map(|&(n, w)| w * values[n]).sum::<f64>() + values[last]
+        };
+        let (mut least, mut most_weight) = (f64::INFINITY, 1.0_f64);
+        for end in &self.0 {
+            let (beta, flux) = (at(end, betas), errors.sign * at(end, fluxes));
+            let by_cells = errors.of_cells(beta / flux);
+            let norm = errors.norm(beta, by_cells);
+            let flux = errors.flux(flux, by_cells) / errors.largest_flux;
+            // Without a bound of fluxes, this is infinite or not a number.
+            least = least.min(norm).min(flux);
+            most_weight = most_weight.max(sum_of_magnitudes(end));
+        }
+        least.max(0.0) / most_weight
+    }
+
+    fn covariance(&self, rows: ArrayView2<'_, f64>) -> Array2<f64> {
+        let table = CornerTable::new(&rows.to_owned());
+        let mut values = Array2::zeros((self.0.len(), rows.ncols()));
         for (mut value, end) in values.outer_iter_mut().zip(&self.0) {
-            value.assign(&offset);
-            for &(node, weight) in *end {
-                value.scaled_add(weight, &nodes.row(node));
-            }
+            table.at(end, value.as_slice_mut().expect("row-major"));
         }
         values.t().dot(&values)
     }
 }
 
-/// Returns orthonormal rows that span the rows of `nodes` and `offset`, except for remainders with
-/// norms below `least`.
-fn span(nodes: ArrayView2<'_, f64>, offset: ArrayView1<'_, f64>, least: f64) -> Array2<f64> {
-    let dimension = nodes.ncols();
-    if nodes.nrows() >= dimension {
-        return Array2::eye(dimension);
-    }
-    let mut rest =
-        ndarray::concatenate(Axis(0), &[nodes, offset.insert_axis(Axis(0))]).expect("equally many columns");
-    let mut basis: Vec<Array1<f64>> = Vec::new();
-    while basis.len() < dimension {
-        let norms = rest.outer_iter().map(norm);
-        let Some((row, largest)) = norms.enumerate().max_by(|a, b| a.1.total_cmp(&b.1)) else {
-            break;
-        };
-        if largest <= least {
-            break;
-        }
-        let mut direction = &rest.row(row) / largest;
-        rest.row_mut(row).fill(0.0);
-        // Removes the rounding errors along earlier directions.
-        for earlier in &basis {
-            let p = earlier.dot(&direction);
-            direction.scaled_add(-p, earlier);
-        }
-        let new = norm(direction.view());
-        if new < MIN_NEW_PART {
-            continue;
-        }
-        direction /= new;
-        for mut other in rest.outer_iter_mut() {
-            let p = other.dot(&direction);
-            other.scaled_add(-p, &direction);
-        }
-        basis.push(direction);
-    }
-    let mut rows = Array2::zeros((basis.len(), dimension));
-    for (mut row, direction) in rows.outer_iter_mut().zip(&basis) {
-        row.assign(direction);
-    }
-    rows
+/// The sum of the magnitudes of weights, with 1 for the offset.
+fn sum_of_magnitudes(end: &[(usize, f64)]) -> f64 {
+    end.iter().map(|(_, w)| w.abs()).sum::<f64>() + 1.0
 }
 
 /// Returns the directions of the modes as columns, and how many of them must be kept: 1 if the
-/// first mode carries all flux, otherwise 0. `nodes` and `offset` have no flux if it is at most
-/// `no_flux`.
+/// first mode carries all flux, otherwise 0. `rows` have no flux if it is at most `no_flux`.
 fn mode_axes(
     covariance: &Array2<f64>,
     flux_axis: Option<Array1<f64>>,
-    (nodes, offset): (ArrayView2<'_, f64>, ArrayView1<'_, f64>),
+    rows: ArrayView2<'_, f64>,
     has_reference: bool,
     no_flux: f64,
 ) -> (Array2<f64>, usize) {
@@ -475,10 +537,7 @@ fn mode_axes(
         // With a reference, the nodes have no part along the flux direction, except for
         // rounding. If this rounding is small, the modes are chosen without such a part.
         Some(axis) => {
-            let along = nodes
-                .dot(&axis)
-                .iter()
-                .fold(offset.dot(&axis).abs(), |m, v| m.max(v.abs()));
+            let along = rows.dot(&axis).iter().fold(0.0_f64, |m, v| m.max(v.abs()));
             if along <= no_flux {
                 (beside(&axis), 0)
             } else {
@@ -520,73 +579,151 @@ fn principal_axes(covariance: &Array2<f64>) -> Array2<f64> {
     Array2::from_shape_fn((n, n), |(i, j)| eigen.eigenvectors[(i, order[j])])
 }
 
-/// The largest errors that the tolerance allows for a PSF.
-#[derive(Clone, Copy)]
-struct Limits {
-    norm: f64,
-    /// The flux in any circle.
-    flux: f64,
+/// The largest errors that modes may cause, after those of the cells.
+///
+/// Let the coefficients of a cell be off by `e` at most. An unscaled PSF `b` is then off by `e`, and
+/// its flux by `F e`, where `F` is the norm of the components' fluxes. A PSF `h` scaled to unit flux
+/// is off by at most `(e + F e |h|)`, divided by the flux of the unscaled PSF.
+#[derive(Debug, Clone, Copy)]
+struct AllowedErrors {
+    tolerance: f64,
+    /// `e`.
+    coefficients: f64,
+    /// `F`, or 0 if PSFs are not scaled.
+    scaled_flux: f64,
+    /// The largest flux in a circle of an error of norm 1. 0 if these fluxes are not bounded.
+    largest_flux: f64,
+    /// The sign of the region's mean flux.
+    sign: f64,
 }
 
-/// Returns the smallest number of leading coordinates to keep, so that for every PSF the other
-/// coordinates are within the PSF's limits: their norm and, if `growth` is given, their flux in
-/// every circle. The flux is not tested if the norm is at most the fraction `rounding` of its
-/// limit.
-fn needed(
-    cells: &RegionCells,
-    nodes: ArrayView2<'_, f64>,
-    offset: ArrayView1<'_, f64>,
-    limits: impl Fn(&[(usize, f64)]) -> Limits,
-    mut growth: Option<TailGrowth>,
-    rounding: f64,
-) -> usize {
-    let n = offset.len();
-    let (nodes, offset) = (nodes.as_standard_layout(), offset.as_standard_layout());
-    let nodes = nodes.as_slice().expect("row-major");
-    let offset = offset.as_slice().expect("contiguous");
-    let mut value = vec![0.0; n];
-    let mut needed = 0;
-    for corners in cells.all_corners() {
-        // A limit that is linear along rows and columns is nowhere in the cell below its least
-        // value at the corners.
-        let limits = corners.map(&limits);
-        let least = limits.iter().map(|l| l.norm).fold(f64::INFINITY, f64::min);
-        let least_flux = limits.iter().map(|l| l.flux).fold(f64::INFINITY, f64::min);
-        let least = least.powi(2);
-        for (i, corner) in corners.iter().enumerate() {
-            if corners[..i].iter().any(|before| std::ptr::eq(*before, *corner)) {
-                // This corner repeats an earlier one: the band has one row, or the cell one column.
-                continue;
-            }
-            // Only coordinates beyond `needed` can raise the number.
-            value[needed..].copy_from_slice(&offset[needed..]);
-            for &(node, weight) in *corner {
-                let node = &nodes[node * n + needed..(node + 1) * n];
-                for (v, coordinate) in value[needed..].iter_mut().zip(node) {
-                    *v += weight * coordinate;
-                }
-            }
-            if norm_squared(&value[needed..]) > least {
-                let mut tail = 0.0;
-                for i in (needed..n).rev() {
-                    tail += value[i] * value[i];
-                    if tail > least {
-                        needed = i + 1;
-                        break;
-                    }
-                }
-            }
-            let Some(growth) = &mut growth else { continue };
-            while needed < n {
-                let tail = &value[needed..];
-                if norm_squared(tail) <= rounding.powi(2) * least
-                    || growth.is_within(needed, tail, least_flux)
-                {
-                    break;
-                }
-                needed += 1;
-            }
+impl AllowedErrors {
+    /// The error of an unscaled PSF because of its cell. `scaled_norm` is the norm of the PSF divided
+    /// by its flux.
+    #[inline(always)]
+    fn of_cells(&self, scaled_norm: f64) -> f64 {
+        if self.scaled_flux == 0.0 {
+            self.coefficients
+        } else {
+            self.coefficients * (1.0 + self.scaled_flux * scaled_norm.abs())
         }
     }
-    needed
+
+    /// The allowed norm for a PSF of at least the norm `beta`. The error is relative to the PSF of
+    /// the model, which differs by the error of the cell.
+    #[inline(always)]
+    fn norm(&self, beta: f64, by_cells: f64) -> f64 {
+        self.tolerance * beta - (1.0 + self.tolerance) * by_cells
+    }
+
+    /// The allowed flux in any circle for a PSF of the given flux.
+    #[inline(always)]
+    fn flux(&self, flux: f64, by_cells: f64) -> f64 {
+        self.tolerance * flux - (1.0 + self.tolerance) * self.largest_flux * by_cells
+    }
+}
+
+/// Counts the leading coordinates to keep, so that for every PSF the other coordinates are within
+/// the allowed errors: their norm and, if `growth` is given, their flux in every circle. Returns
+/// `None` if cells may use most of the tolerance.
+struct CountModes<'a> {
+    cells: &'a RegionCells,
+    /// Beta, flux and coordinates.
+    table: &'a CornerTable,
+    errors: AllowedErrors,
+    /// The norm of the reference.
+    reference: f64,
+    /// The norm of what the coordinates leave out of a node.
+    outside: f64,
+    growth: Option<TailGrowth>,
+}
+
+/// The functions before the coordinates in [`CountModes::table`].
+const BEFORE: usize = 2;
+
+impl WithIsa<f64> for CountModes<'_> {
+    type Output = Option<usize>;
+
+    #[inline(always)]
+    fn run<S: Lanes<f64>>(mut self, simd: S) -> Option<usize> {
+        simd.vectorized(
+            #[inline(always)]
+            || self.count(),
+        )
+    }
+}
+
+impl CountModes<'_> {
+    #[inline(always)]
+    fn count(&mut self) -> Option<usize> {
+        let (width, errors) = (self.table.width, self.errors);
+        let mut values = vec![0.0; self.cells.corners().len() * width];
+        let mut outside = Vec::with_capacity(self.cells.corners().len());
+        for (corner, values) in self.cells.corners().zip(values.chunks_exact_mut(width)) {
+            self.table.at(corner, values);
+            outside.push(self.outside * sum_of_magnitudes(corner));
+        }
+        let rounding = ROUNDING_NORM / errors.tolerance;
+        let mut needed = 0;
+        for corners in self.cells.corners_of_cells() {
+            // An allowed error that is linear along rows and columns is nowhere in the cell below
+            // its least value at the corners.
+            let (mut beta, mut flux) = (f64::INFINITY, f64::INFINITY);
+            let (mut left_out, mut scaled_norm) = (0.0_f64, 0.0_f64);
+            for &corner in corners {
+                let values = &values[corner * width..(corner + 1) * width];
+                beta = beta.min(values[0]);
+                flux = flux.min(errors.sign * values[1]);
+                left_out = left_out.max(outside[corner]);
+                if errors.scaled_flux > 0.0 && errors.coefficients > 0.0 {
+                    let rest = lanes_dot(&values[BEFORE..], &values[BEFORE..]).sqrt() + outside[corner];
+                    scaled_norm = scaled_norm.max(self.reference + rest / values[1].abs());
+                }
+            }
+            let by_cells = errors.of_cells(scaled_norm);
+            let norm = errors.norm(beta, by_cells);
+            let flux_allowed = errors.flux(flux, by_cells);
+            if errors.coefficients > 0.0 {
+                let least = 0.5 * errors.tolerance;
+                let enough = norm >= least * beta && beta > 0.0;
+                if !enough || errors.largest_flux > 0.0 && flux_allowed < least * flux {
+                    return None;
+                }
+            }
+            // What is left out is orthogonal to the coordinates.
+            let norm_squared = (norm * norm.max(0.0) - left_out * left_out).max(0.0);
+            let flux = (flux_allowed - errors.largest_flux * left_out).max(0.0);
+            for &corner in corners {
+                let values = &values[corner * width + BEFORE..(corner + 1) * width];
+                needed = needed_beyond(needed, values, norm_squared);
+                let Some(growth) = &mut self.growth else { continue };
+                while needed < values.len() {
+                    let tail = &values[needed..];
+                    let size = lanes_dot(tail, tail);
+                    if size <= rounding.powi(2) * norm_squared || growth.is_within(needed, tail, flux) {
+                        break;
+                    }
+                    needed += 1;
+                }
+            }
+        }
+        Some(needed)
+    }
+}
+
+/// Returns the smallest number of leading values, at least `first`, so that the squared norm of the
+/// others is at most `limit`.
+#[inline(always)]
+fn needed_beyond(first: usize, values: &[f64], limit: f64) -> usize {
+    let tail = &values[first..];
+    // The negated test also holds for values that are not numbers.
+    if lanes_dot(tail, tail) <= limit {
+        return first;
+    }
+    let mut sum = 0.0;
+    let fits = |value: &&f64| {
+        sum += *value * *value;
+        sum <= limit
+    };
+    first + tail.len() - tail.iter().rev().take_while(fits).count()
 }

@@ -21,6 +21,7 @@ pub(crate) mod local_modes;
 mod norm;
 mod options;
 pub(crate) mod region_cells;
+mod span;
 mod summary;
 mod tiling;
 
@@ -62,7 +63,7 @@ const BLOCKS_PER_PRODUCT: usize = 32;
 #[derive(Debug)]
 pub struct Plan<T: ConvReal> {
     pub(crate) model: PsfModel,
-    pub(crate) whole: Arc<WholeFrame>,
+    pub(crate) whole: Arc<WholeFrame<T>>,
     pub(crate) geometry: Geometry,
     options: PlanOptions,
     pub(crate) tiling: Tiling,
@@ -162,7 +163,7 @@ impl<T: ConvReal> Plan<T> {
         progress: &dyn Progress,
     ) -> Result<Self, ConvError> {
         let view = View::new(shape, frame)?;
-        let whole = WholeFrame::new::<T>(model, view, options, progress)?;
+        let whole = WholeFrame::new(model, view, options, progress)?;
         Self::of_whole(model, Arc::new(whole), region, options, progress)
     }
 
@@ -179,7 +180,7 @@ impl<T: ConvReal> Plan<T> {
     #[inline(never)]
     pub(crate) fn of_whole(
         model: &PsfModel,
-        whole: Arc<WholeFrame>,
+        whole: Arc<WholeFrame<T>>,
         region: PixelRegion,
         options: PlanOptions,
         progress: &dyn Progress,
@@ -249,13 +250,13 @@ impl<T: ConvReal> Plan<T> {
             }
             room += 1;
         }
-        let stamps = self.whole.space.stamps.view();
+        let stamps = self.whole.stamps.view();
         self.blocks[..room]
             .par_chunks_mut(BLOCKS_PER_PRODUCT)
             .for_each(|blocks| {
                 let made = stamps_of(stamps, &blocks.iter().collect::<Vec<_>>());
                 for (block, stamps) in blocks.iter_mut().zip(made) {
-                    block.stamps = Some(Arc::new(stamps));
+                    block.stamps = Some(stamps);
                 }
             });
     }

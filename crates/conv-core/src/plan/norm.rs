@@ -11,3 +11,18 @@ pub(crate) fn norm(v: ArrayView1<'_, f64>) -> f64 {
 pub(crate) fn norm_squared(v: &[f64]) -> f64 {
     aview1(v).dot(&aview1(v))
 }
+
+/// The scalar product, in sums that vectorise.
+#[inline(always)]
+pub(crate) fn lanes_dot(a: &[f64], b: &[f64]) -> f64 {
+    const LANES: usize = 8;
+    let mut sums = [0.0; LANES];
+    let (a, b) = (a.chunks_exact(LANES), b.chunks_exact(LANES));
+    let rest: f64 = a.remainder().iter().zip(b.remainder()).map(|(a, b)| a * b).sum();
+    for (a, b) in a.zip(b) {
+        for ((sum, a), b) in sums.iter_mut().zip(a).zip(b) {
+            *sum += a * b;
+        }
+    }
+    sums.iter().sum::<f64>() + rest
+}

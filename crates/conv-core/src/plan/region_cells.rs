@@ -3,95 +3,210 @@
 //! At each pixel, a field's coefficients are `sum_n w_n v_n`. Node `n` has the values `v_n`
 //! ([`CoefficientField::node_values`]) and, at this pixel, the weight `w_n`.
 
-use std::ops::Range;
+use std::{iter, ops::Range};
 
-use psf_types::{CoefficientField, PixelRegion};
+use psf_types::{BilinearCells, CoefficientField, FrameShape, PixelRegion, Position};
 
-/// Cells: rectangles of pixels in which the nodes' weights are bilinear. A region is divided into
-/// bands of rows, and each band is divided into cells at some columns.
+use super::axis_cuts::parts;
+
+/// Cells: rectangles in which the nodes' weights are bilinear. A region is divided into bands of
+/// rows, and each band is divided into cells at some columns. Neighbouring cells share corners if
+/// the field is continuous from one to the next.
 #[derive(Debug, Default)]
 pub struct RegionCells {
     pub(crate) bands: Vec<Band>,
     cells: Vec<Cell>,
     /// The nodes that have a weight anywhere in the region, ascending.
     pub(crate) nodes: Vec<usize>,
+    /// For each corner, its range of the list `weights`.
+    corners: Vec<Range<usize>>,
     /// `(index into nodes, weight)`.
     weights: Vec<(usize, f64)>,
+    /// The largest error of the coefficients, because they are not quite bilinear in the cells.
+    pub(crate) error: f64,
 }
 
 /// Neighbouring rows of a region that are divided at the same columns.
 #[derive(Debug, Clone)]
 pub(crate) struct Band {
-    /// The rows, counted from the region's first row.
+    /// The rows of pixels, counted from the region's first row.
     pub(crate) rows: Range<usize>,
+    /// The y coordinates of the cells' corners, counted from the region's first row.
+    pub(crate) sides: (f64, f64),
     cells: Range<usize>,
 }
 
-/// A rectangle of pixels: neighbouring columns of a band.
+/// Neighbouring columns of a band.
 #[derive(Debug, Clone)]
 pub(crate) struct Cell {
-    /// First column, counted from the region's first column.
-    pub(crate) column: usize,
-    pub(crate) length: usize,
-    /// The ranges of the list `weights` that belong to the corners, in the order of [`Corners`].
-    /// `None` if the field has no value in the cell.
-    corners: Option<[Range<usize>; CORNERS]>,
+    /// The columns of pixels, counted from the region's first column.
+    pub(crate) columns: Range<usize>,
+    /// The x coordinates of the corners, counted from the region's first column.
+    pub(crate) sides: (f64, f64),
+    /// The corners: left and right at the first side of the band, then at its second side. `None`
+    /// if the field has no value in the cell.
+    pub(crate) corners: Option<[usize; CORNERS]>,
 }
-
-/// The weights at a cell's corners: first and last pixel of its first row, then of its last row.
-pub(crate) type Corners<'a> = [&'a [(usize, f64)]; CORNERS];
 
 pub(crate) const CORNERS: usize = 4;
 
-/// A stretch of one row, as the field returns it.
+/// A stretch of one row, with the corners at its first and its last pixel.
 struct Run {
-    column: usize,
-    length: usize,
-    ends: Option<[Range<usize>; 2]>,
+    columns: Range<usize>,
+    corners: Option<[usize; 2]>,
+}
+
+/// Neighbouring columns, and the x coordinates of corners from the first to the last of them.
+struct Stretch {
+    columns: Range<usize>,
+    edges: Vec<f64>,
 }
 
 impl RegionCells {
-    /// The cells of a field in a region. Together they cover all rows of the region.
-    pub fn new(field: &dyn CoefficientField, region: PixelRegion) -> Self {
-        let ny = region.shape().ny();
-        let mut starts = vec![0];
-        if let Some([_, ys]) = field.grid_lines() {
-            let rows = ys.iter().map(|line| line.ceil() - region.y0() as f64);
-            starts.extend(
-                rows.filter(|&row| row > 0.0 && row < ny as f64)
-                    .map(|row| row as usize),
-            );
-            // A field should return ascending lines. The sort is for a field that does not.
-            starts.sort_unstable();
-            starts.dedup();
-        } else {
-            starts.extend(1..ny);
-        }
-        starts.push(ny);
+    /// The cells of a field in a region. Together they cover all rows of the region. In the cells,
+    /// coefficients are bilinear up to `error`: the Euclidean norm of the vector of all coefficients.
+    pub fn new(field: &dyn CoefficientField, region: PixelRegion, error: f64) -> Self {
         let mut all = Self::default();
-        for band in starts.windows(2) {
-            all.add_band(field, region, band[0]..band[1]);
-        }
+        all.add_rows(field, region, 0..region.shape().ny(), error);
         all.number_nodes();
         all
     }
 
     /// The cells of a few rows of a region, which include the first and the last row. Each of these
-    /// rows is a band of its own. The other rows have no cells.
+    /// rows is a band of its own, with cells between a few columns unless the field has runs. The
+    /// other rows have no cells.
     pub(crate) fn sampled(field: &dyn CoefficientField, region: PixelRegion) -> Self {
-        let ny = region.shape().ny();
-        let count = SAMPLED_ROWS.min(ny);
+        let (nx, ny) = (region.shape().nx(), region.shape().ny());
+        let has_runs = matches!(field.bilinear_cells(region, 0.0), BilinearCells::Bands(_));
         let mut all = Self::default();
+        let count = SAMPLED_ROWS.min(ny);
         for i in 0..count {
             let row = i * (ny - 1) / (count - 1).max(1);
-            all.add_band(field, region, row..row + 1);
+            if has_runs {
+                all.add_band(field, region, row..row + 1);
+                continue;
+            }
+            let columns = parts(0, nx, nx.div_ceil(SAMPLED_COLUMNS));
+            let runs: Vec<Run> = columns
+                .into_iter()
+                .map(|(first, length)| {
+                    let mut at = |column: usize| all.corner(field, region, [column as f64, row as f64]);
+                    Run {
+                        columns: first..first + length,
+                        corners: at(first).zip(at(first + length - 1)).map(|(a, b)| [a, b]),
+                    }
+                })
+                .collect();
+            all.push_band(row..row + 1, &runs, &runs);
         }
         all.number_nodes();
         all
     }
 
-    /// Adds the rows between two neighbouring grid lines of the field. They become one band if the
-    /// first and the last row are divided at the same columns. Otherwise each row becomes a band.
+    /// Adds the cells of some rows of a region.
+    fn add_rows(
+        &mut self,
+        field: &dyn CoefficientField,
+        region: PixelRegion,
+        rows: Range<usize>,
+        error: f64,
+    ) {
+        // Parts of these rows, from left to right. If the field has a kink in them, their columns
+        // are divided, and then the rows, until kinks are in single pixels.
+        let mut left: Vec<_> = iter::once(0..region.shape().nx()).collect();
+        let (mut stretches, mut lines) = (Vec::new(), Vec::new());
+        while let Some(columns) = left.pop() {
+            let shape = FrameShape::new(columns.len(), rows.len()).expect("a part has pixels");
+            let (x, y) = (
+                region.x0() + columns.start as i64,
+                region.y0() + rows.start as i64,
+            );
+            match field.bilinear_cells(PixelRegion::new(x, y, shape), error) {
+                BilinearCells::Bands(ys) => {
+                    let edges = edges(&ys, region.y0(), &rows);
+                    for (rows, _) in between(&edges, rows) {
+                        self.add_band(field, region, rows);
+                    }
+                    return;
+                }
+                BilinearCells::Lines { x, y, error } => {
+                    lines.extend(y);
+                    self.error = self.error.max(error);
+                    stretches.push(Stretch {
+                        edges: edges(&x, region.x0(), &columns),
+                        columns,
+                    });
+                }
+                BilinearCells::Divide if columns.len() > 1 => {
+                    let middle = usize::midpoint(columns.start, columns.end);
+                    left.extend([middle..columns.end, columns.start..middle]);
+                }
+                BilinearCells::Divide if rows.len() > 1 => {
+                    let middle = usize::midpoint(rows.start, rows.end);
+                    self.add_rows(field, region, rows.start..middle, error);
+                    self.add_rows(field, region, middle..rows.end, error);
+                    return;
+                }
+                BilinearCells::Divide => stretches.push(Stretch {
+                    edges: vec![columns.start as f64; 2],
+                    columns,
+                }),
+            }
+        }
+        let edges = edges(&lines, region.y0(), &rows);
+        let corners: Vec<Vec<Option<usize>>> = edges
+            .iter()
+            .map(|&y| {
+                let xs = stretches.iter().flat_map(|stretch| &stretch.edges);
+                xs.map(|&x| self.corner(field, region, [x, y])).collect()
+            })
+            .collect();
+        for (rows, i) in between(&edges, rows) {
+            let (start, mut first) = (self.cells.len(), 0);
+            for Stretch { columns, edges } in &stretches {
+                for (columns, j) in between(edges, columns.clone()) {
+                    let at = |i: usize, j: usize| corners[i][first + j];
+                    let of_cell = [at(i, j), at(i, j + 1), at(i + 1, j), at(i + 1, j + 1)];
+                    self.cells.push(Cell {
+                        columns,
+                        sides: (edges[j], edges[j + 1]),
+                        corners: of_cell
+                            .iter()
+                            .all(Option::is_some)
+                            .then(|| of_cell.map(Option::unwrap_or_default)),
+                    });
+                }
+                first += edges.len();
+            }
+            self.bands.push(Band {
+                rows,
+                sides: (edges[i], edges[i + 1]),
+                cells: start..self.cells.len(),
+            });
+        }
+    }
+
+    /// Stores the weights at a position, which is counted from the region's first pixel. `None` if
+    /// the field has no value there.
+    fn corner(
+        &mut self,
+        field: &dyn CoefficientField,
+        region: PixelRegion,
+        [x, y]: [f64; 2],
+    ) -> Option<usize> {
+        let position = Position::new(region.x0() as f64 + x, region.y0() as f64 + y).ok()?;
+        let start = self.weights.len();
+        let outcome = field.weights_at(position, &mut self.weights);
+        if outcome.is_err() || !self.weights[start..].iter().all(|(_, w)| w.is_finite()) {
+            self.weights.truncate(start);
+            return None;
+        }
+        self.corners.push(start..self.weights.len());
+        Some(self.corners.len() - 1)
+    }
+
+    /// Adds rows whose runs are of equal lengths. They become one band if the first and the last row
+    /// are divided at the same columns. Otherwise each row becomes a band.
     fn add_band(&mut self, field: &dyn CoefficientField, region: PixelRegion, rows: Range<usize>) {
         let nx = region.shape().nx();
         let runs_of =
@@ -102,9 +217,8 @@ impl RegionCells {
             return;
         }
         let last = runs_of(self, rows.end - 1);
-        let alike = |(a, b): (&Run, &Run)| {
-            a.column == b.column && a.length == b.length && a.ends.is_some() == b.ends.is_some()
-        };
+        let alike =
+            |(a, b): (&Run, &Run)| a.columns == b.columns && a.corners.is_some() == b.corners.is_some();
         if first.len() == last.len() && first.iter().zip(&last).all(alike) {
             self.push_band(rows, &first, &last);
             return;
@@ -121,14 +235,16 @@ impl RegionCells {
     fn push_band(&mut self, rows: Range<usize>, first: &[Run], last: &[Run]) {
         let start = self.cells.len();
         self.cells.extend(first.iter().zip(last).map(|(first, last)| {
-            let ends = first.ends.clone().zip(last.ends.clone());
+            let corners = first.corners.zip(last.corners);
+            let columns = first.columns.clone();
             Cell {
-                column: first.column,
-                length: first.length,
-                corners: ends.map(|([a, b], [c, d])| [a, b, c, d]),
+                sides: (columns.start as f64, (columns.end - 1) as f64),
+                columns,
+                corners: corners.map(|([a, b], [c, d])| [a, b, c, d]),
             }
         }));
         self.bands.push(Band {
+            sides: (rows.start as f64, (rows.end - 1) as f64),
             rows,
             cells: start..self.cells.len(),
         });
@@ -143,22 +259,19 @@ impl RegionCells {
                 // A run may extend beyond the row. Such a run is cut, and its pixels have no value.
                 let pixels = run.length.min(length - column);
                 let finite = |end: &[(usize, f64)]| end.iter().all(|(_, w)| w.is_finite());
-                let ends = if finite(run.first) && finite(run.last) && pixels == run.length {
+                let corners = (finite(run.first) && finite(run.last) && pixels == run.length).then(|| {
                     let first = self.push(run.first);
                     let last = if run.length == 1 {
-                        first.clone()
+                        first
                     } else {
                         self.push(run.last)
                     };
-                    Some([first, last])
-                } else {
-                    None
-                };
+                    [first, last]
+                });
                 if pixels > 0 {
                     runs.push(Run {
-                        column,
-                        length: pixels,
-                        ends,
+                        columns: column..column + pixels,
+                        corners,
                     });
                 }
                 column += pixels;
@@ -166,9 +279,8 @@ impl RegionCells {
             if outcome.is_err() || column < length {
                 // This pixel has no PSF. That is an error of the execution if the pixel is lit.
                 runs.push(Run {
-                    column,
-                    length: 1,
-                    ends: None,
+                    columns: column..column + 1,
+                    corners: None,
                 });
                 column += 1;
             }
@@ -176,137 +288,89 @@ impl RegionCells {
         runs
     }
 
-    fn push(&mut self, weights: &[(usize, f64)]) -> Range<usize> {
+    fn push(&mut self, weights: &[(usize, f64)]) -> usize {
         let start = self.weights.len();
         self.weights.extend_from_slice(weights);
-        start..self.weights.len()
+        self.corners.push(start..self.weights.len());
+        self.corners.len() - 1
     }
 
+    /// Lists the nodes and numbers them from 0.
     fn number_nodes(&mut self) {
-        let mut nodes: Vec<usize> = Vec::new();
-        let mut last = usize::MAX;
-        let mut room = ROOM_FOR_NODES;
+        let range = |(low, high): (usize, usize), &(node, _): &(usize, f64)| (low.min(node), high.max(node));
+        let (low, high) = self.weights.iter().fold((usize::MAX, 0), range);
+        if low > high {
+            return;
+        }
+        let mut numbers = vec![usize::MAX; high - low + 1];
         for &(node, _) in &self.weights {
-            if node != last {
-                nodes.push(node);
-                last = node;
-            }
-            if nodes.len() > room {
-                nodes.sort_unstable();
-                nodes.dedup();
-                // The list may double before the next sort, so that few sorts are needed even in
-                // regions with tens of thousands of nodes.
-                room = ROOM_FOR_NODES.max(2 * nodes.len());
-            }
+            numbers[node - low] = 0;
         }
-        nodes.sort_unstable();
-        nodes.dedup();
+        for (node, number) in numbers.iter_mut().enumerate().filter(|(_, number)| **number == 0) {
+            *number = self.nodes.len();
+            self.nodes.push(low + node);
+        }
         for (node, _) in &mut self.weights {
-            *node = nodes.binary_search(node).expect("every node is listed");
+            *node = numbers[*node - low];
         }
-        self.nodes = nodes;
     }
 
     pub(crate) fn cells_of(&self, band: &Band) -> &[Cell] {
         &self.cells[band.cells.clone()]
     }
 
-    /// The weights of [`nodes`](Self::nodes) at the corners of a cell. `None` if the field has no
-    /// value in the cell.
-    pub(crate) fn corners(&self, cell: &Cell) -> Option<Corners<'_>> {
-        let corners = cell.corners.as_ref()?;
-        Some(corners.each_ref().map(|range| &self.weights[range.clone()]))
+    /// The corners of all cells with values, cell by cell.
+    pub(crate) fn corners_of_cells(&self) -> impl Iterator<Item = &[usize; CORNERS]> {
+        self.cells.iter().filter_map(|cell| cell.corners.as_ref())
     }
 
-    /// The corners of all cells with values.
-    pub(crate) fn all_corners(&self) -> impl Iterator<Item = Corners<'_>> {
-        self.cells.iter().filter_map(|cell| self.corners(cell))
+    /// The weights of [`nodes`](Self::nodes) at a corner.
+    pub(crate) fn weights(&self, corner: usize) -> &[(usize, f64)] {
+        &self.weights[self.corners[corner].clone()]
     }
 
-    /// Returns whether runs have so few pixels that it takes less memory to store coefficients
-    /// pixel by pixel.
-    pub(crate) fn are_short(&self) -> bool {
-        let (mut runs, mut pixels) = (0, 0);
-        for band in &self.bands {
-            runs += band.rows.len() * band.cells.len();
-            let columns: usize = self.cells_of(band).iter().map(|cell| cell.length).sum();
-            pixels += band.rows.len() * columns;
-        }
-        runs * SHORT_RUN > pixels
+    /// The weights at each corner.
+    pub(crate) fn corners(&self) -> impl ExactSizeIterator<Item = &[(usize, f64)]> {
+        self.corners.iter().map(|range| &self.weights[range.clone()])
     }
 
     /// Returns whether the weights at every corner sum to 1.
     pub(crate) fn is_partition_of_unity(&self) -> bool {
-        let sums_to_one = |corners: Corners<'_>| {
-            corners
-                .iter()
-                .all(|corner| (corner.iter().map(|(_, w)| w).sum::<f64>() - 1.0).abs() <= ROUNDING_OF_WEIGHTS)
-        };
-        self.all_corners().all(sums_to_one)
+        let sum = |corner: &[(usize, f64)]| corner.iter().map(|(_, w)| w).sum::<f64>();
+        self.corners()
+            .all(|corner| (sum(corner) - 1.0).abs() <= ROUNDING_OF_WEIGHTS)
     }
 }
 
-/// The list of nodes may hold repetitions up to this length, or up to twice the number of nodes if
-/// that is more. This limits the memory of the list, not the number of nodes.
-const ROOM_FOR_NODES: usize = 1 << 12;
+/// The coordinates of corners over a range of pixels: its first pixel, the lines after it, its last
+/// pixel. Lines are counted from 0, pixels and the result from `origin`.
+fn edges(lines: &[f64], origin: i64, range: &Range<usize>) -> Vec<f64> {
+    let (first, last) = (range.start as f64, (range.end - 1) as f64);
+    let mut edges: Vec<f64> = lines.iter().map(|line| line - origin as f64).collect();
+    edges.retain(|&edge| edge > first && edge <= last);
+    edges.extend([first, last]);
+    edges.sort_by(f64::total_cmp);
+    edges
+}
+
+/// The pixels between each edge and the next, and the index of the first edge. A pixel on an edge
+/// lies after it. Pairs of edges without a pixel are left out.
+fn between(edges: &[f64], range: Range<usize>) -> impl Iterator<Item = (Range<usize>, usize)> {
+    let last = edges.len() - 2;
+    let pixels = edges.windows(2).enumerate().map(move |(i, pair)| {
+        let end = if i == last {
+            range.end
+        } else {
+            pair[1].ceil() as usize
+        };
+        (pair[0].ceil() as usize..end, i)
+    });
+    pixels.filter(|(pixels, _)| !pixels.is_empty())
+}
+
 /// The number of rows in [`RegionCells::sampled`].
 const SAMPLED_ROWS: usize = 5;
-/// If runs are shorter than this on average, coefficients are stored pixel by pixel.
-const SHORT_RUN: usize = 4;
+/// The number of cells in each of these rows.
+const SAMPLED_COLUMNS: usize = 6;
 /// The largest rounding error of a sum of weights.
 const ROUNDING_OF_WEIGHTS: f64 = 1e-12;
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use psf_types::{FieldError, FrameShape, Position, RowRun};
-
-    const SIDE: usize = 120;
-
-    /// Every pixel is a node, numbered from the last pixel to the first. The weights of a pixel
-    /// belong to its own node and to the node of the pixel before it, row by row.
-    #[derive(Debug)]
-    struct NodesOfPixels;
-
-    impl NodesOfPixels {
-        fn weights(x: usize, y: usize) -> [(usize, f64); 2] {
-            let node = SIDE * SIDE - 1 - (y * SIDE + x);
-            [(node, 0.75), ((node + 1) % (SIDE * SIDE), 0.25)]
-        }
-    }
-
-    impl CoefficientField for NodesOfPixels {
-        fn component_count(&self) -> usize {
-            1
-        }
-        fn evaluate_into(&self, _: Position, _: &mut [f64]) -> Result<(), FieldError> {
-            unreachable!("only weights are requested")
-        }
-        fn weights_along_row(
-            &self,
-            (x, y): (i64, i64),
-            length: usize,
-            visit: &mut dyn FnMut(RowRun<'_>),
-        ) -> Result<(), FieldError> {
-            for column in 0..length {
-                visit(RowRun::of_pixel(&Self::weights(x as usize + column, y as usize)));
-            }
-            Ok(())
-        }
-    }
-
-    #[test]
-    fn more_nodes_than_there_is_room_for_keep_their_weights() {
-        let region = PixelRegion::new(0, 0, FrameShape::new(SIDE, SIDE).unwrap());
-        let cells = RegionCells::new(&NodesOfPixels, region);
-        let all: Vec<usize> = (0..SIDE * SIDE).collect();
-        assert!(all.len() > 2 * ROOM_FOR_NODES);
-        assert_eq!(cells.nodes, all);
-        for band in &cells.bands {
-            for cell in cells.cells_of(band) {
-                let expected = NodesOfPixels::weights(cell.column, band.rows.start);
-                assert_eq!(cells.corners(cell).unwrap(), [&expected[..]; CORNERS]);
-            }
-        }
-    }
-}

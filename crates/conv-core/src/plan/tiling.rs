@@ -3,15 +3,15 @@
 
 use std::ops::Range;
 
-use psf_types::{Anchor, FrameShape, PixelRegion, Progress, PsfModel};
+use ndarray::Array2;
+use psf_types::{Anchor, BilinearCells, FrameShape, PixelRegion, Progress, PsfModel};
 use rayon::prelude::*;
 
 use super::axis_cuts::{Stretch, at_cuts, even, longest, within};
 use super::cost_model::{CostModel, sizes, transform_size};
 use super::geometry::Geometry;
-use super::local_modes::{LocalModes, PsfSpace};
+use super::local_modes::PsfSpace;
 use super::options::PlanOptions;
-use super::region_cells::RegionCells;
 use crate::view::{Reach, View};
 use crate::{ConvError, ConvReal};
 
@@ -89,7 +89,7 @@ fn best_tiling<T: ConvReal>(
             break;
         }
     }
-    let fastest = |tilings| fastest::<T>(tilings, model, space, geometry, options, progress);
+    let fastest = |tilings| fastest::<T>(tilings, space, geometry, options, progress);
     let (regular, along_cuts) = rayon::join(|| fastest(regular), || fastest(along_cuts));
     let timed = regular?.into_iter().chain(along_cuts?);
     let best = timed.reduce(|a, b| if b.0 < a.0 { b } else { a });
@@ -105,7 +105,6 @@ fn best_tiling<T: ConvReal>(
 /// more modes.
 fn fastest<T: ConvReal>(
     mut tilings: Vec<Tiling>,
-    model: &PsfModel,
     space: &PsfSpace,
     geometry: &Geometry,
     options: PlanOptions,
@@ -115,7 +114,7 @@ fn fastest<T: ConvReal>(
         |tiling: &Tiling, kernels| tiling.seconds::<T>(kernels, space.stamps.nrows(), geometry, options);
     tilings.sort_by(|a, b| a.block_area().total_cmp(&b.block_area()));
     let mut best: Option<(f64, usize)> = None;
-    let mut before: Option<(f64, KernelCount)> = None;
+    let mut before: Option<(f64, f64)> = None;
     let mut timed = 0;
     while timed < tilings.len() {
         progress.check_cancelled()?;
@@ -126,7 +125,7 @@ fn fastest<T: ConvReal>(
         let counted = &tilings[to - 1];
         let after = (
             counted.block_area(),
-            counted.kernels::<T>(model, space, geometry, options),
+            counted.kernels::<T>(space, geometry, options),
         );
         for (i, tiling) in tilings.iter().enumerate().take(to).skip(timed) {
             let seconds = seconds(
@@ -147,43 +146,35 @@ fn fastest<T: ConvReal>(
     Ok(best.map(|(seconds, i)| (seconds, tilings.swap_remove(i))))
 }
 
-/// The mean number of kernels of a block: its modes and the reference.
-#[derive(Clone, Copy)]
-struct KernelCount {
-    mean: f64,
-    /// Whether blocks would need coefficients pixel by pixel ([`RegionCells::are_short`]).
-    short_runs: bool,
-}
-
 /// Interpolates the number of kernels, as a power of the block's area.
-fn between((low, few): (f64, KernelCount), (high, many): (f64, KernelCount), area: f64) -> KernelCount {
+fn between((low, few): (f64, f64), (high, many): (f64, f64), area: f64) -> f64 {
     let part = if low < high {
         (area / low).ln() / (high / low).ln()
     } else {
         0.0
     };
-    KernelCount {
-        mean: few.mean * (many.mean / few.mean).powf(part),
-        short_runs: few.short_runs || many.short_runs,
-    }
+    few * (many / few).powf(part)
 }
 
-/// The first pixels of the field's grid cells, counted from the first pixel of the weighted side
-/// ([`Geometry`]). `None` if the field has no grid.
+/// The first pixels of the field's cells, counted from the first pixel of the weighted side
+/// ([`Geometry`]). `None` if the field has no cells, or if they are too small for tiles of their own.
 fn cuts(model: &PsfModel, geometry: &Geometry) -> Option<[Vec<usize>; 2]> {
-    let [xs, ys] = model.field().grid_lines()?;
-    let cuts = |lines: &[f64], first: i64, length: usize| {
+    let BilinearCells::Lines { x, y, .. } = model.field().bilinear_cells(geometry.weighted, 0.0) else {
+        return None;
+    };
+    let cuts = |lines: Vec<f64>, first: i64, length: usize| {
         let pixels = lines.iter().map(|line| line.ceil() - first as f64);
         let inside = pixels.filter(|&p| p >= 1.0 && p < length as f64);
         let mut cuts: Vec<usize> = inside.map(|p| p as usize).collect();
         cuts.dedup();
         cuts
     };
-    let (nx, ny) = geometry.weighted_size();
-    Some([
-        cuts(&xs, geometry.weighted.x0(), nx),
-        cuts(&ys, geometry.weighted.y0(), ny),
-    ])
+    let ((nx, ny), (sx, sy)) = (geometry.weighted_size(), geometry.stamp);
+    let [xs, ys] = [
+        cuts(x, geometry.weighted.x0(), nx),
+        cuts(y, geometry.weighted.y0(), ny),
+    ];
+    (nx > sx * xs.len() && ny > sy * ys.len()).then_some([xs, ys])
 }
 
 impl Tiling {
@@ -226,37 +217,28 @@ impl Tiling {
         length(&self.columns) * length(&self.rows)
     }
 
-    /// The kernels of a few blocks, which are spread over rows and columns.
-    fn kernels<T: ConvReal>(
-        &self,
-        model: &PsfModel,
-        space: &PsfSpace,
-        geometry: &Geometry,
-        options: PlanOptions,
-    ) -> KernelCount {
+    /// The mean number of kernels (modes and the reference) of a few blocks, which are spread over
+    /// rows and columns.
+    fn kernels<T: ConvReal>(&self, space: &PsfSpace, geometry: &Geometry, options: PlanOptions) -> f64 {
         let (across, up) = (self.columns.len(), self.rows.len());
         let samples = SAMPLES.min(across * up);
-        let counted: Vec<(usize, bool)> = (0..samples)
+        let kernels: usize = (0..samples)
             .into_par_iter()
             .map(|i| {
                 let row = (2 * i + 1) * up / (2 * samples);
                 let column = ((3 * i + 1) % samples * 2 + 1) * across / (2 * samples);
                 let region = self.region(geometry, column.min(across - 1), row.min(up - 1));
-                let cells = RegionCells::sampled(model.field(), region);
-                let modes = LocalModes::new(space, &cells, options.tolerance_in::<T>());
-                (modes.rank() + 1, cells.are_short())
+                let (_, modes) = space.sampled_region(region, options.tolerance_in::<T>());
+                modes.rank() + 1
             })
-            .collect();
-        KernelCount {
-            mean: counted.iter().map(|&(kernels, _)| kernels).sum::<usize>() as f64 / samples as f64,
-            short_runs: counted.iter().any(|&(_, short)| short),
-        }
+            .sum();
+        kernels as f64 / samples as f64
     }
 
     /// Predicted seconds if every pixel is lit. `stamps` is the number of stamps of the model.
     fn seconds<T: ConvReal>(
         &self,
-        kernels: KernelCount,
+        kernels: f64,
         stamps: usize,
         geometry: &Geometry,
         options: PlanOptions,
@@ -265,12 +247,6 @@ impl Tiling {
         let blocks = self.columns.len() * self.rows.len();
         let tiles = |stretches: &[Stretch]| stretches.iter().map(|s| s.tiles.len()).sum::<usize>();
         let (across, up) = (tiles(&self.columns), tiles(&self.rows));
-        if kernels.short_runs && across * up > blocks {
-            // Coefficients would be stored pixel by pixel, so blocks of several tiles would take
-            // too much memory.
-            return f64::INFINITY;
-        }
-        let kernels = kernels.mean;
         let (nx, ny) = geometry.weighted_size();
         let tile = (nx.div_ceil(across), ny.div_ceil(up));
         let tiles_a_block = (across * up) as f64 / blocks as f64;
@@ -308,9 +284,11 @@ impl Tiling {
 /// The vectors of a model's PSFs, and the tiles of the whole frame. Plans of all regions of the
 /// frame share these data, so that they have the same modes.
 #[derive(Debug)]
-pub(crate) struct WholeFrame {
+pub(crate) struct WholeFrame<T> {
     pub(crate) view: View,
     pub(crate) space: PsfSpace,
+    /// The stamps of the space, `[direction, stamp pixel]`.
+    pub(crate) stamps: Array2<T>,
     geometry: Geometry,
     tiling: Tiling,
     reach: Reach,
@@ -328,9 +306,9 @@ pub(crate) struct Part {
     pub(crate) blocks: [Range<usize>; 2],
 }
 
-impl WholeFrame {
+impl<T: ConvReal> WholeFrame<T> {
     /// Chooses the tiles.
-    pub(crate) fn new<T: ConvReal>(
+    pub(crate) fn new(
         model: &PsfModel,
         view: View,
         options: PlanOptions,
@@ -342,6 +320,7 @@ impl WholeFrame {
         let tiling = best_tiling::<T>(model, &space, &geometry, options, progress)?;
         Ok(Self {
             view,
+            stamps: space.stamps.mapv(T::nearest),
             space,
             geometry,
             tiling,

@@ -111,7 +111,7 @@ impl<T: ConvReal> StarBlock<T> {
         let cells = RegionCells::sampled(model.field(), region);
         let mean = LocalModes::mean(space, &cells);
         let of_modes = MARGIN * tolerance * norms.share(mean.view());
-        let modes = LocalModes::new(space, &cells, of_modes.max(ROUNDING));
+        let (_, modes) = space.sampled_region(region, of_modes.max(ROUNDING));
         let kernels: Vec<Array2<f64>> = modes
             .directions()
             .map(|direction| coefficients_of(space.stamps.view(), direction, model.grid(), columns.kernel))

@@ -3,7 +3,7 @@
 use std::borrow::Cow;
 
 use ndarray::Array2;
-use psf_types::{CoefficientField, FieldError, Position, RowRun};
+use psf_types::{BilinearCells, CoefficientField, FieldError, PixelRegion, Position};
 
 /// Coefficients that are bilinear in the cells of a square grid of nodes. The first node is at
 /// pixel `(0, 0)`.
@@ -66,33 +66,17 @@ impl CoefficientField for GridField {
         Cow::Borrowed(&self.values)
     }
 
-    fn grid_lines(&self) -> Option<[Vec<f64>; 2]> {
+    fn bilinear_cells(&self, _: PixelRegion, _: f64) -> BilinearCells {
         let lines: Vec<f64> = (0..self.side).map(|n| n as f64 * self.step).collect();
-        Some([lines.clone(), lines])
+        BilinearCells::Lines {
+            x: lines.clone(),
+            y: lines,
+            error: 0.0,
+        }
     }
 
-    fn weights_along_row(
-        &self,
-        (x, y): (i64, i64),
-        length: usize,
-        visit: &mut dyn FnMut(RowRun<'_>),
-    ) -> Result<(), FieldError> {
-        let (row, end) = (self.cell(y as f64), x + length as i64);
-        let mut first = x;
-        while first < end {
-            let column = self.cell(first as f64).0;
-            let next = if column + 2 < self.side {
-                (((column + 1) as f64 * self.step).ceil() as i64).clamp(first + 1, end)
-            } else {
-                end
-            };
-            visit(RowRun {
-                length: (next - first) as usize,
-                first: &self.weights(column, first as f64, row),
-                last: &self.weights(column, (next - 1) as f64, row),
-            });
-            first = next;
-        }
+    fn weights_at(&self, p: Position, weights: &mut Vec<(usize, f64)>) -> Result<(), FieldError> {
+        weights.extend(self.weights(self.cell(p.x()).0, p.x(), self.cell(p.y())));
         Ok(())
     }
 }

@@ -13,7 +13,7 @@
 //! | `PSFMODEL` | version of the layout, 1 |
 //! | `NCOMP` | number of components `K` |
 //! | `CENTRED` | `T` if plane 0 is the mean stamp, `F` (default) if there is none |
-//! | `INTERPOL` | `auto`, `delaunay`, `natural-neighbour`, `idw`, `idw=POWER`, `bilinear`, `bicubic`, `polynomial=DEGREE` or `nearest` |
+//! | `INTERPOL` | `auto`, `delaunay`, `natural-neighbour`, `idw`, `idw=POWER` (these three on a quadtree of the samples), `bilinear`, `bicubic`, `polynomial=DEGREE` or `nearest` |
 //! | `OUTSIDE` | policy outside the area that the samples cover: `nearest`, `extend` or `error` |
 //! | `NORMALIS` | `unit` (every PSF is scaled to unit flux) or `keep` |
 //! | `OVERSAMP`, `CENX`, `CENY`, `PIXCONV`, `STAMPINT`, `FIELDNX`, `FIELDNY` | as in [`psf-samples`](crate::samples) |
@@ -37,7 +37,7 @@
 use std::path::Path;
 
 use ndarray::{Array2, Axis, s};
-use psf_types::{PsfBasis, PsfModelRecord, SampleCoefficients, SamplePositions};
+use psf_types::{Interpolation, PsfBasis, PsfModelRecord, SampleCoefficients, SamplePositions};
 
 use crate::error::{IoError, IoErrorKind, Row, invalid};
 use crate::fits::card::{Card, CardValue};
@@ -191,12 +191,18 @@ pub fn write_model(
         record.normalisation().to_string(),
     ];
     let [interpolation, outside, normalisation] = choices.map(CardValue::from);
+    let of_interpolation = match record.interpolation() {
+        Interpolation::NaturalNeighbour | Interpolation::InverseDistance { .. } => {
+            "interpolation, on a quadtree of the samples"
+        }
+        _ => "interpolation of the coefficients",
+    };
     let centred = basis.mean().is_some();
     let own = [
         (VERSION_KEYWORD, MODEL_VERSION.into(), "version of this layout"),
         ("NCOMP", rank.into(), "number of components"),
         ("CENTRED", centred.into(), "plane 0 is the mean stamp"),
-        ("INTERPOL", interpolation, "interpolation of the coefficients"),
+        ("INTERPOL", interpolation, of_interpolation),
         ("OUTSIDE", outside, "policy outside the area of samples"),
         ("NORMALIS", normalisation, "normalisation of every PSF"),
     ];

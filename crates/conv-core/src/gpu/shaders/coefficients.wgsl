@@ -1,15 +1,12 @@
 // Coefficients of a block's kernels as functions along its rows.
 
 // Offsets of the words in a table's header, which `CoefficientTable::packed` explains.
-const DENSE: u32 = 0u;
-const FUNCTIONS: u32 = 1u;
-const DIVIDES: u32 = 2u;
-const PLAIN: u32 = 3u;
-const COLUMNS: u32 = 4u;
-const ROWS: u32 = 5u;
-const ROW_STARTS: u32 = 6u;
-const RUNS: u32 = 7u;
-const VALUES: u32 = 8u;
+const FUNCTIONS: u32 = 0u;
+const DIVIDES: u32 = 1u;
+const PLAIN: u32 = 2u;
+const ROW_STARTS: u32 = 3u;
+const RUNS: u32 = 4u;
+const VALUES: u32 = 5u;
 
 fn real(place: u32) -> f32 {
     return bitcast<f32>(tables[place]);
@@ -35,9 +32,6 @@ fn run_of(table: u32, row: u32, column: u32) -> u32 {
 
 fn function_value(table: u32, function: u32, row: u32, column: u32) -> f32 {
     let values = table + tables[table + VALUES];
-    if (tables[table + DENSE] == 1u) {
-        return real(values + (function * tables[table + ROWS] + row) * tables[table + COLUMNS] + column);
-    }
     let run = run_of(table, row, column);
     let place = values + 2u * (run * tables[table + FUNCTIONS] + function);
     let from_start = f32(column - tables[table + tables[table + RUNS] + run]);

@@ -40,9 +40,9 @@ impl Case {
         // One tile fills most of its plane, the other fills less than half the rows.
         let sizes = [(nx - 6, ny - 4), (nx / 2 + 1, half - 3)];
         let panel = (nx + 40, 2 * ny + 10);
-        let mut tables = runs_table(sizes[0], &mut reals);
+        let mut tables = runs_table(sizes[0], false, &mut reals);
         let second = tables.len() as u32;
-        tables.extend(dense_table(sizes[1], &mut reals));
+        tables.extend(runs_table(sizes[1], true, &mut reals));
         let tile = |n: usize, light: usize, plane: u32, spectrum: u32| Tile {
             light: light as u32,
             width: sizes[n].0 as u32 - 3,
@@ -195,23 +195,38 @@ pub(super) fn doubles(values: &[f32]) -> Vec<f64> {
     values.iter().map(|&v| f64::from(v)).collect()
 }
 
-/// A table with three runs per row, two functions, and one kernel without a function before them.
-fn runs_table((columns, rows): (usize, usize), reals: &mut impl FnMut(usize) -> Vec<f32>) -> Vec<u32> {
-    let runs = 3 * rows;
-    let header = [0, 2, 0, 1, columns, rows, 9, 9 + rows + 1, 9 + rows + 1 + runs];
+/// A table with three runs per row. With `divides`, it has three functions, and the first is positive
+/// and divides the others. Otherwise it has two, and one kernel without a function before them.
+fn runs_table(
+    (columns, rows): (usize, usize),
+    divides: bool,
+    reals: &mut impl FnMut(usize) -> Vec<f32>,
+) -> Vec<u32> {
+    let (runs, functions) = (3 * rows, 2 + usize::from(divides));
+    let first_run = 6 + rows + 1;
+    let header = [
+        functions,
+        usize::from(divides),
+        usize::from(!divides),
+        6,
+        first_run,
+        first_run + runs,
+    ];
     let mut words: Vec<u32> = header.map(|v| v as u32).to_vec();
     words.extend((0..=rows as u32).map(|row| 3 * row));
     words.extend((0..rows as u32).flat_map(|row| [0, columns as u32 / 3 + row % 3, columns as u32 / 2]));
-    words.extend(reals(4 * runs).iter().map(|v| (0.1 * v).to_bits()));
-    words
-}
-
-/// A table with three functions at all pixels. The first is positive and divides the others.
-fn dense_table((columns, rows): (usize, usize), reals: &mut impl FnMut(usize) -> Vec<f32>) -> Vec<u32> {
-    let header = [1, 3, 1, 0, columns, rows, 9, 9, 9];
-    let mut words: Vec<u32> = header.map(|v| v as u32).to_vec();
-    words.extend(reals(columns * rows).iter().map(|v| (1.5 + v).to_bits()));
-    words.extend(reals(2 * columns * rows).iter().map(|v| v.to_bits()));
+    for _ in 0..runs {
+        let mut ramps = reals(2 * functions);
+        for value in &mut ramps {
+            *value *= 0.1;
+        }
+        if divides {
+            // Positive along the whole run.
+            ramps[0] += 1.5;
+            ramps[1] *= 0.01;
+        }
+        words.extend(ramps.iter().map(|v| v.to_bits()));
+    }
     words
 }
 

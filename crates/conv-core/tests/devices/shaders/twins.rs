@@ -208,17 +208,7 @@ pub(super) fn weigh_rows(case: &Case) -> Vec<f64> {
     planes
 }
 
-const HEADER_WORDS: [&str; 9] = [
-    "dense",
-    "functions",
-    "divides",
-    "plain",
-    "columns",
-    "rows",
-    "row starts",
-    "runs",
-    "values",
-];
+const HEADER_WORDS: [&str; 6] = ["functions", "divides", "plain", "row starts", "runs", "values"];
 
 /// A value times the coefficient of a kernel at a pixel of its block.
 pub(super) fn weighted(
@@ -236,9 +226,6 @@ pub(super) fn weighted(
     };
     let function = |function: usize| {
         let real = |place: usize| f64::from(f32::from_bits(words[header("values") + place]));
-        if header("dense") == 1 {
-            return real((function * header("rows") + row) * header("columns") + column);
-        }
         let starts = header("row starts") + row;
         let runs = words[starts] as usize..words[starts + 1] as usize;
         let first = |run: usize| words[header("runs") + run] as usize;

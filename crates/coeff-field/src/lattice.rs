@@ -1,0 +1,404 @@
+//! Interpolators that are defined on a quadtree of the samples: their own weights at the corners of
+//! the tree's cells, bilinear in each cell.
+
+use std::collections::{BTreeMap, HashMap, VecDeque};
+use std::num::NonZeroUsize;
+
+use ndarray::{Array2, ArrayView2};
+use psf_types::{BilinearCells, FieldError, OutsidePolicy, PixelRegion, Position, SamplePositions};
+
+use crate::error::CoeffFieldError;
+use crate::geometry::{Hull, Point, Points, Row, last_where, pixel_ranges, query, range, sub};
+use crate::interpolation::{
+    FieldWeights, OnRun, Visited, WeightList, add_weight, admit, check_rows, in_runs,
+};
+use crate::neighbours::SearchTree;
+
+/// Weights that are bilinear in the cells of a quadtree.
+///
+/// The tree covers the samples and the frame, and under the policy extend also the surroundings. A
+/// cell is divided into quarters until its sides are at
+/// most a quarter of the distance from its middle to the third nearest sample. A cell with a sample
+/// inside, on an edge or near it is then divided at this sample, so that every sample is a corner of
+/// all cells around it. Where a corner of small cells lies on an edge of a larger cell, it has the value of
+/// this edge. So the field is continuous, exact at the samples, and reproduces 1, x and y if the
+/// interpolator does.
+///
+/// The nodes are the corners of the cells.
+///
+/// # Outside the tree
+/// * Nearest: the value at the nearest position of the tree.
+/// * Extend: the formula of the nearest cell continues, linear in each coordinate.
+/// * Error: an error, as everywhere outside the hull of the samples.
+#[derive(Debug)]
+pub(crate) struct Lattice {
+    samples: usize,
+    cells: Vec<Cell>,
+    /// For each corner, the weights of the samples.
+    corners: Vec<WeightList>,
+    hull: Hull,
+}
+
+/// A rectangle of the tree.
+#[derive(Debug, Clone)]
+struct Cell {
+    /// First and last coordinate along each axis.
+    sides: [(f64, f64); 2],
+    content: Content,
+}
+
+#[derive(Debug, Clone)]
+enum Content {
+    /// Divided at a point. The four parts are the cells from this index on: first those below the
+    /// point, and of these the left one first.
+    Divided(Point, usize),
+    /// The indices of the corners: those of lower y first, and of these the one of lower x first.
+    Leaf([usize; 4]),
+}
+
+/// The sides of cells are at most this fraction of the distance to the third nearest sample.
+const RESOLUTION: f64 = 0.25;
+const NEIGHBOURS: NonZeroUsize = NonZeroUsize::new(3).expect("3 is not 0");
+/// A sample divides cells up to this fraction of their sides away. Otherwise the field would be steep
+/// between a sample and a cell's edge very close to it.
+const NEAR: f64 = 0.25;
+/// Only samples in a cell divide it after this number of divisions at samples.
+const MOST_NEAR: usize = 2;
+/// Under the policy extend, the tree reaches this multiple of the width of the samples and the frame
+/// beyond them, to either side.
+const BEYOND: f64 = 0.5;
+/// The largest number of times that the tree is divided into quarters, so that samples very close to
+/// each other do not divide it without end.
+const DEPTH: usize = 16;
+
+impl Lattice {
+    /// Puts an interpolator on a quadtree. `weights` writes the interpolator's weights at a point
+    /// under the policy, or under [`OutsidePolicy::Nearest`] if the policy is an error.
+    pub(crate) fn new(
+        positions: &SamplePositions,
+        points: &Points,
+        outside: OutsidePolicy,
+        mut weights: impl FnMut(Point, &mut WeightList),
+    ) -> Result<Self, CoeffFieldError> {
+        let mut sides = [0, 1].map(|axis| range(&points.points, axis));
+        if let Some(frame) = positions.field() {
+            for ((low, high), (first, last)) in sides.iter_mut().zip(pixel_ranges(frame.region())) {
+                (*low, *high) = (low.min(first), high.max(last));
+            }
+        }
+        let least = points.scale.extent.max(1.0);
+        for (low, high) in &mut sides {
+            // Samples on a line along an axis get a tree of some width. Under the policy extend, the
+            // tree reaches far beyond the samples, where its cells are large.
+            let width = if low < high { *high - *low } else { least };
+            let beyond = match outside {
+                OutsidePolicy::Extend => BEYOND * width,
+                _ if low < high => 0.0,
+                _ => 0.5 * width,
+            };
+            (*low, *high) = (*low - beyond, *high + beyond);
+        }
+        let mut lattice = Self {
+            samples: points.len(),
+            cells: vec![Cell {
+                sides,
+                content: Content::Leaf([0; 4]),
+            }],
+            corners: Vec::new(),
+            hull: Hull::new(points, outside)?,
+        };
+        lattice.divide(points, &SearchTree::new(points)?);
+        let at = lattice.number_corners();
+        for &point in &at {
+            let mut list = WeightList::new();
+            weights(point, &mut list);
+            lattice.corners.push(list);
+        }
+        lattice.join_edges(&at);
+        Ok(lattice)
+    }
+
+    /// Divides cells until they are small enough.
+    fn divide(&mut self, points: &Points, tree: &SearchTree) {
+        let everything: Vec<usize> = (0..points.len()).collect();
+        // Cells, with the numbers of divisions into quarters and at samples.
+        let mut left = VecDeque::from([(0, 0, 0, everything)]);
+        while let Some((index, depth, at_samples, samples)) = left.pop_front() {
+            let sides = self.cells[index].sides;
+            // An axis as short as the rounding of coordinates is not divided: the parts before its
+            // middle are empty.
+            let middle = sides.map(|(low, high)| {
+                let middle = f64::midpoint(low, high);
+                if middle < high { middle } else { low }
+            });
+            let longest = sides
+                .iter()
+                .fold(0.0_f64, |longest, (low, high)| longest.max(high - low));
+            let spacing = tree
+                .square_of_kth(middle, NEIGHBOURS, None)
+                .map_or(f64::INFINITY, f64::sqrt);
+            // The point of the cell nearest to a sample.
+            let nearest = |p: Point| [0, 1].map(|axis| p[axis].clamp(sides[axis].0, sides[axis].1));
+            let is_corner =
+                |p: Point| (0..2).all(|axis| p[axis] == sides[axis].0 || p[axis] == sides[axis].1);
+            let near = if at_samples < MOST_NEAR { NEAR } else { 0.0 };
+            let is_near = |p: Point| {
+                let distance = sub(p, nearest(p)).map(f64::abs);
+                (0..2).all(|axis| distance[axis] <= near * (sides[axis].1 - sides[axis].0))
+            };
+            let samples: Vec<usize> = samples
+                .into_iter()
+                .filter(|&sample| {
+                    is_near(points.points[sample]) && !is_corner(nearest(points.points[sample]))
+                })
+                .collect();
+            let is_coarse = longest > RESOLUTION * spacing && depth < DEPTH;
+            let at = if is_coarse {
+                middle
+            } else if let Some(&sample) = samples.first() {
+                let p = points.points[sample];
+                // A sample on an edge, or beyond it, divides this edge only.
+                [0, 1].map(|axis| {
+                    let (low, high) = sides[axis];
+                    if low < p[axis] && p[axis] < high {
+                        p[axis]
+                    } else {
+                        middle[axis]
+                    }
+                })
+            } else {
+                continue;
+            };
+            if (0..2).all(|axis| at[axis] == sides[axis].0) {
+                continue;
+            }
+            let first = self.cells.len();
+            self.cells[index].content = Content::Divided(at, first);
+            for part in 0..4 {
+                let side = |axis: usize, is_after: bool| {
+                    if is_after {
+                        (at[axis], sides[axis].1)
+                    } else {
+                        (sides[axis].0, at[axis])
+                    }
+                };
+                let sides = [side(0, part % 2 == 1), side(1, part >= 2)];
+                self.cells.push(Cell {
+                    sides,
+                    content: Content::Leaf([0; 4]),
+                });
+                if sides.iter().any(|(low, high)| low == high) {
+                    continue;
+                }
+                let divisions = (
+                    depth + usize::from(is_coarse),
+                    at_samples + usize::from(!is_coarse),
+                );
+                left.push_back((first + part, divisions.0, divisions.1, samples.clone()));
+            }
+        }
+    }
+
+    fn leaves(&self) -> impl Iterator<Item = (&Cell, &[usize; 4])> {
+        self.cells.iter().filter_map(|cell| match &cell.content {
+            Content::Leaf(corners) => Some((cell, corners)),
+            Content::Divided(..) => None,
+        })
+    }
+
+    /// Numbers the corners of the leaves. Returns their points.
+    fn number_corners(&mut self) -> Vec<Point> {
+        let (mut numbers, mut at) = (HashMap::new(), Vec::new());
+        for cell in &mut self.cells {
+            if let Content::Leaf(corners) = &mut cell.content {
+                let [x, y] = cell.sides;
+                for (corner, point) in
+                    corners
+                        .iter_mut()
+                        .zip([[x.0, y.0], [x.1, y.0], [x.0, y.1], [x.1, y.1]])
+                {
+                    *corner = *numbers.entry(point.map(f64::to_bits)).or_insert_with(|| {
+                        at.push(point);
+                        at.len() - 1
+                    });
+                }
+            }
+        }
+        at
+    }
+
+    /// Gives corners that lie on the edge of a larger cell the values of this edge.
+    fn join_edges(&mut self, at: &[Point]) {
+        // For each axis, the lines of corners: by the other coordinate, then along the axis. The
+        // coordinates are ordered as numbers.
+        let key = |v: f64| {
+            let bits = v.to_bits() as i64;
+            bits ^ (((bits >> 63) as u64) >> 1) as i64
+        };
+        let mut lines: [BTreeMap<(i64, i64), usize>; 2] = [BTreeMap::new(), BTreeMap::new()];
+        for (corner, p) in at.iter().enumerate() {
+            for axis in 0..2 {
+                lines[axis].insert((key(p[1 - axis]), key(p[axis])), corner);
+            }
+        }
+        let mut edges = Vec::new();
+        for (_, &[a, b, c, d]) in self.leaves() {
+            edges.extend([(0, a, b), (0, c, d), (1, a, c), (1, b, d)]);
+        }
+        let length = |&(axis, from, to): &(usize, usize, usize)| at[to][axis] - at[from][axis];
+        edges.sort_by(|a, b| length(b).total_cmp(&length(a)).then(a.cmp(b)));
+        edges.retain(|edge| length(edge) > 0.0);
+        edges.retain(|&(axis, from, to)| {
+            let line = key(at[from][1 - axis]);
+            let mut between = lines[axis].range((line, key(at[from][axis]) + 1)..(line, key(at[to][axis])));
+            between.next().is_some()
+        });
+        // The ends of an edge may themselves lie on another edge, so this is repeated.
+        for _ in 0..DEPTH {
+            let mut is_changed = false;
+            for &(axis, from, to) in &edges {
+                let line = key(at[from][1 - axis]);
+                let range = (line, key(at[from][axis]) + 1)..(line, key(at[to][axis]));
+                for (_, &corner) in lines[axis].range(range) {
+                    let part = (at[corner][axis] - at[from][axis]) / (at[to][axis] - at[from][axis]);
+                    let mut list = WeightList::new();
+                    for (end, weight) in [(from, 1.0 - part), (to, part)] {
+                        for &(sample, w) in &self.corners[end] {
+                            add_weight(&mut list, sample, weight * w);
+                        }
+                    }
+                    if self.corners[corner] != list {
+                        self.corners[corner] = list;
+                        is_changed = true;
+                    }
+                }
+            }
+            if !is_changed {
+                break;
+            }
+        }
+    }
+
+    /// The leaf with a point, or the one nearest to it. A point on an edge belongs to the leaf with
+    /// the larger coordinates.
+    fn leaf(&self, p: Point) -> (&[(f64, f64); 2], &[usize; 4]) {
+        let mut cell = &self.cells[0];
+        loop {
+            match &cell.content {
+                Content::Leaf(corners) => return (&cell.sides, corners),
+                Content::Divided(at, first) => {
+                    let part = usize::from(p[0] >= at[0]) + 2 * usize::from(p[1] >= at[1]);
+                    cell = &self.cells[first + part];
+                }
+            }
+        }
+    }
+
+    /// The point at which weights are computed: the point itself under the policy extend, otherwise
+    /// the nearest one of the tree.
+    fn place(&self, p: Point) -> Point {
+        if self.hull.outside == OutsidePolicy::Extend {
+            return p;
+        }
+        let sides = self.cells[0].sides;
+        [0, 1].map(|axis| p[axis].clamp(sides[axis].0, sides[axis].1))
+    }
+
+    fn is_admitted(&self, p: Point) -> bool {
+        self.hull.outside != OutsidePolicy::Error || self.hull.covers(p)
+    }
+
+    /// Writes the weights at a point, with the formula of a leaf.
+    fn bilinear(p: Point, (sides, corners): (&[(f64, f64); 2], &[usize; 4]), weights: &mut WeightList) {
+        let part = |axis: usize| {
+            let (low, high) = sides[axis];
+            if low < high {
+                (p[axis] - low) / (high - low)
+            } else {
+                0.0
+            }
+        };
+        let (s, t) = (part(0), part(1));
+        let products = [(1.0 - s) * (1.0 - t), s * (1.0 - t), (1.0 - s) * t, s * t];
+        weights.clear();
+        weights.extend(corners.iter().copied().zip(products).filter(|&(_, w)| w != 0.0));
+    }
+}
+
+impl FieldWeights for Lattice {
+    fn sample_count(&self) -> usize {
+        self.samples
+    }
+
+    fn node_count(&self) -> usize {
+        self.corners.len()
+    }
+
+    fn node_values(&self, sample_values: ArrayView2<'_, f64>) -> Result<Array2<f64>, CoeffFieldError> {
+        check_rows(self.samples, sample_values)?;
+        let mut values = Array2::zeros((self.corners.len(), sample_values.ncols()));
+        for (mut value, weights) in values.outer_iter_mut().zip(&self.corners) {
+            for &(sample, weight) in weights {
+                value.scaled_add(weight, &sample_values.row(sample));
+            }
+        }
+        Ok(values)
+    }
+
+    fn weights_into(&self, position: Position, weights: &mut WeightList) -> Result<(), FieldError> {
+        let p = query(position)?;
+        admit(self.is_admitted(p), self.hull.outside, position)?;
+        let at = self.place(p);
+        Self::bilinear(at, self.leaf(at), weights);
+        Ok(())
+    }
+
+    fn bilinear_cells(&self, _: ArrayView2<'_, f64>, region: PixelRegion, _: f64) -> BilinearCells {
+        let ranges = pixel_ranges(region);
+        let overlaps = |sides: &[(f64, f64); 2]| {
+            (0..2).all(|axis| sides[axis].0 <= ranges[axis].1 && ranges[axis].0 <= sides[axis].1)
+        };
+        let [_, (low, high)] = self.cells[0].sides;
+        let (mut lines, mut left) = (vec![low, high], vec![0]);
+        while let Some(index) = left.pop() {
+            let cell = &self.cells[index];
+            if let Content::Divided(at, first) = &cell.content
+                && overlaps(&cell.sides)
+            {
+                lines.push(at[1]);
+                left.extend(*first..first + 4);
+            }
+        }
+        lines.retain(|&line| ranges[1].0 <= line && line <= ranges[1].1);
+        lines.sort_by(f64::total_cmp);
+        lines.dedup();
+        BilinearCells::Bands(lines)
+    }
+
+    /// Visits one run for each leaf that the row crosses.
+    fn weights_along_row(&self, start: (i64, i64), length: usize, visit: OnRun<'_>) -> Visited {
+        let row = Row::new(start, length);
+        let is_admitted = |column| self.is_admitted(row.point(column));
+        let weights_into =
+            |column, weights: &mut WeightList| self.weights_into(row.position(column), weights);
+        let end_of = |column| {
+            let (p, tree) = (row.point(column), self.cells[0].sides[0]);
+            let is_clamped = self.hull.outside != OutsidePolicy::Extend;
+            let until = match self.leaf(self.place(p)).0[0].1 {
+                _ if is_clamped && p[0] < tree.0 => tree.0,
+                // The last leaf of the row: its edge belongs to it.
+                end if end == tree.1 && is_clamped && p[0] <= end => end.floor() + 1.0,
+                end if end == tree.1 => f64::INFINITY,
+                end => end,
+            };
+            let end = row.first_from(until, column);
+            if is_admitted(end - 1) {
+                end
+            } else {
+                // The covered area is convex, so the admitted columns have no gaps.
+                1 + last_where(column, end, is_admitted)
+            }
+        };
+        in_runs(row, weights_into, end_of, visit)
+    }
+}

@@ -1,0 +1,137 @@
+//! Cells of regions in which coefficients are bilinear up to an error, for every interpolator and
+//! for difficult layouts of samples.
+
+mod common;
+
+use coeff_field::{Bilinear, InterpolatedField, Polynomial};
+use common::{Extent, at, each, field, grid, rng, samples_of};
+use psf_types::{BilinearCells, CoefficientField, FrameShape, OutsidePolicy, PixelRegion, Position};
+use rand::RngExt;
+
+/// Rounding of an interpolated value of order 1.
+const ROUNDING: f64 = 1e-9;
+const COMPONENTS: usize = 3;
+
+/// The Euclidean norm of the difference between the coefficients at a position and those that the
+/// corners of its cell give. `None` if a corner has no value.
+fn difference(field: &dyn CoefficientField, [x, y]: [(f64, f64); 2], p: Position) -> Option<f64> {
+    let at_corner = |x: f64, y: f64| {
+        let mut values = [0.0; COMPONENTS];
+        field.evaluate_into(at(x, y), &mut values).ok().map(|()| values)
+    };
+    let part = |(low, high): (f64, f64), v: f64| if low < high { (v - low) / (high - low) } else { 0.0 };
+    let (s, t) = (part(x, p.x()), part(y, p.y()));
+    let mut sum = at_corner(p.x(), p.y())?.map(|v| -v);
+    for (x, y, weight) in [
+        (x.0, y.0, (1.0 - s) * (1.0 - t)),
+        (x.1, y.0, s * (1.0 - t)),
+        (x.0, y.1, (1.0 - s) * t),
+        (x.1, y.1, s * t),
+    ] {
+        for (sum, value) in sum.iter_mut().zip(at_corner(x, y)?) {
+            *sum += weight * value;
+        }
+    }
+    Some(sum.iter().map(|v| v * v).sum::<f64>().sqrt())
+}
+
+/// The cell of a coordinate: the last line at or before it and the first one after it, or the ends of
+/// the region.
+fn cell(lines: &[f64], (first, last): (f64, f64), v: f64) -> (f64, f64) {
+    let before = lines.iter().copied().filter(|&line| line <= v && line > first);
+    let after = lines.iter().copied().filter(|&line| line > v && line <= last);
+    (before.fold(first, f64::max), after.fold(last, f64::min))
+}
+
+/// The largest difference at the pixels of a region, and the number of cells. `None` if the region
+/// has no lines, or no value at some corner.
+fn largest_difference(field: &InterpolatedField, region: PixelRegion, error: f64) -> Option<(f64, usize)> {
+    let BilinearCells::Lines {
+        x,
+        y,
+        error: achieved,
+    } = field.bilinear_cells(region, error)
+    else {
+        return None;
+    };
+    assert!(achieved <= error, "{achieved} of {error}");
+    let last = region.position(region.shape().nx() - 1, region.shape().ny() - 1);
+    let mut largest: f64 = 0.0;
+    for row in 0..region.shape().ny() {
+        for column in 0..region.shape().nx() {
+            let p = region.position(column, row);
+            let sides = [
+                cell(&x, (region.x0() as f64, last.x()), p.x()),
+                cell(&y, (region.y0() as f64, last.y()), p.y()),
+            ];
+            largest = largest.max(difference(field, sides, p)? - achieved);
+        }
+    }
+    Some((largest, (x.len() + 1) * (y.len() + 1)))
+}
+
+fn region(x: i64, y: i64, nx: usize, ny: usize) -> PixelRegion {
+    PixelRegion::new(x, y, FrameShape::new(nx, ny).unwrap())
+}
+
+#[test]
+fn coefficients_are_bilinear_in_cells_up_to_the_error() {
+    let mut checked = 0;
+    each(|layout, name, positions, method| {
+        let extent = Extent::of(positions);
+        if extent.size() > 300.0 {
+            return;
+        }
+        let mut rng = rng(3);
+        let noise: Vec<[f64; COMPONENTS]> = positions.iter().map(|_| rng.random()).collect();
+        let value = |p: Position, k: usize| noise[positions.iter().position(|q| *q == p).unwrap()][k];
+        for outside in [
+            OutsidePolicy::Nearest,
+            OutsidePolicy::Extend,
+            OutsidePolicy::Error,
+        ] {
+            let field = field(&samples_of(positions, COMPONENTS, value), method, outside);
+            for _ in 0..8 {
+                let corner =
+                    |low: f64, rng: &mut rand_chacha::ChaCha8Rng| low as i64 + rng.random_range(-30..60);
+                let (x, y) = (corner(extent.low.0, &mut rng), corner(extent.low.1, &mut rng));
+                let region = region(x, y, rng.random_range(1..40), rng.random_range(1..40));
+                for error in [0.0, 1e-6, 1e-2, 0.3] {
+                    if let Some((largest, _)) = largest_difference(&field, region, error) {
+                        checked += 1;
+                        assert!(
+                            largest < ROUNDING,
+                            "{layout} {name} {outside} {region:?} {error}: {largest:e}"
+                        );
+                    }
+                }
+            }
+        }
+    });
+    assert!(checked > 1000, "{checked}");
+}
+
+#[test]
+fn smooth_fields_have_few_cells() {
+    let positions = grid(21, 21, 10.0, 0.0, 0.0);
+    let parabola = |p: Position, k: usize| (p.x() * p.x() + (k + 1) as f64 * p.y()) * 1e-6;
+    let samples = samples_of(&positions, COMPONENTS, parabola);
+    let region = region(0, 0, 201, 201);
+    for (method, error, cells) in [
+        (&Bilinear as &dyn coeff_field::FieldInterpolation, 0.0, 441),
+        (&Bilinear, 1.0, 1),
+        (&Polynomial::new(2).unwrap(), 1.0, 1),
+    ] {
+        let field = field(&samples, method, OutsidePolicy::Extend);
+        let found = largest_difference(&field, region, error).unwrap();
+        assert!(
+            found.0 < ROUNDING && found.1 <= cells,
+            "{method:?} {error}: {found:?}"
+        );
+    }
+    // A parabola needs cells whose squared width falls with the error.
+    let field = field(&samples, &Polynomial::new(2).unwrap(), OutsidePolicy::Extend);
+    let cells = |error| largest_difference(&field, region, error).unwrap().1;
+    let (coarse, fine) = (cells(1e-3), cells(1e-5));
+    assert!(coarse > 1 && fine > 7 * coarse, "{coarse} {fine}");
+}
