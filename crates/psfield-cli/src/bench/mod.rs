@@ -13,7 +13,7 @@ use clap::builder::{OsStringValueParser, TypedValueParser};
 use conv_core::ConvReal;
 use psf_basis::RankSelection;
 use psf_sample::{SamplingMethod, UniformSampling};
-use psf_types::{Anchor, FrameShape, Image, Interpolation, PsfModelRecord, PsfSource as _};
+use psf_types::{Anchor, FrameShape, Image, Interpolation, PsfModelRecord, PsfSource as _, ToleranceOn};
 use psfield::{Device, FitOptions, Psf};
 use psfield_lab::bench::{self, BenchCase, BenchOptions};
 use serde::Serialize;
@@ -84,6 +84,9 @@ pub(crate) struct BenchArgs {
         help_heading = METHODS
     )]
     tolerances: Option<Vec<f64>>,
+    /// Errors of the PSF that --tolerances bound: l2, or aperture (as for simulate)
+    #[arg(long, default_value_t, value_name = "l2|aperture", help_heading = METHODS, hide_short_help = true)]
+    tolerance_on: ToleranceOn,
     /// Sides of the patches (pixels) [default: 32,64,128,256]
     #[arg(
         long,
@@ -201,6 +204,7 @@ impl BenchArgs {
         let mut settings = Settings::of(&self);
         let options = BenchOptions {
             anchor: self.anchor,
+            tolerance_on: self.tolerance_on,
             repeat: settings.repeat,
             pixels: settings.pixels,
             seed: settings.seed,
@@ -342,6 +346,7 @@ impl BenchArgs {
             stretch: self.psf.is_none() || self.stretch,
             scene: self.scene.clone(),
             anchor: self.anchor,
+            tolerance_on: self.tolerance_on,
             precision: T::NAME,
             device: self.device.device.to_string(),
             gpu_adapter: self.device.gpu_adapter.clone(),

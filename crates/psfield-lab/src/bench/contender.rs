@@ -126,6 +126,7 @@ impl<T: ConvReal> PlannedContender<T> {
             method,
             tolerance: contender.tolerance().unwrap_or(0.0),
             anchor: options.anchor,
+            tolerance_on: options.tolerance_on,
             device: Device::Cpu,
             ..SimulateOptions::default()
         };

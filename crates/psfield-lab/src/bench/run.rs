@@ -2,7 +2,7 @@
 
 use conv_core::{ConvReal, Direct};
 use ndarray::Array2;
-use psf_types::{Anchor, Image, NoProgress, Progress, PsfModel};
+use psf_types::{Anchor, Image, NoProgress, Progress, PsfModel, ToleranceOn};
 use psfield::{Device, GpuSeconds, Psf, PsfieldError, Scene, check_frame_on_field, model_of, open_gpu};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -17,6 +17,8 @@ use crate::memory::PeakMemory;
 pub struct BenchOptions {
     /// The position at which the PSF is evaluated: source or output pixel.
     pub anchor: Anchor,
+    /// The errors that the tolerances of [`Contender::LowRank`] and [`Contender::Auto`] bound.
+    pub tolerance_on: ToleranceOn,
     /// Number of timed turns of each contender, after a first run that is not timed. 0 counts as 1.
     pub repeat: usize,
     /// Number of random pixels at which images are compared with the direct sum. 0 counts as 1.
@@ -54,6 +56,7 @@ impl Default for BenchOptions {
     fn default() -> Self {
         Self {
             anchor: Anchor::default(),
+            tolerance_on: ToleranceOn::default(),
             repeat: Self::DEFAULT_REPEAT,
             pixels: Self::DEFAULT_PIXELS,
             seed: Self::DEFAULT_SEED,
