@@ -285,11 +285,8 @@ impl CoefficientField for InterpolatedField {
         Cow::Borrowed(&self.nodes)
     }
 
-    fn weights_at(&self, position: Position, weights: &mut Vec<(usize, f64)>) -> Result<(), FieldError> {
-        let mut at = WeightList::new();
-        self.weights.weights_into(position, &mut at)?;
-        weights.extend(at);
-        Ok(())
+    fn weights_into(&self, position: Position, weights: &mut WeightList) -> Result<(), FieldError> {
+        self.weights.weights_into(position, weights)
     }
 
     fn weights_along_row(&self, start: (i64, i64), length: usize, visit: OnRun<'_>) -> Visited {

@@ -17,12 +17,11 @@ use crate::neighbours::SearchTree;
 /// Weights that are bilinear in the cells of a quadtree.
 ///
 /// The tree covers the samples and the frame, and under the policy extend also the surroundings. A
-/// cell is divided into quarters until its sides are at
-/// most a quarter of the distance from its middle to the third nearest sample. A cell with a sample
-/// inside, on an edge or near it is then divided at this sample, so that every sample is a corner of
-/// all cells around it. Where a corner of small cells lies on an edge of a larger cell, it has the value of
-/// this edge. So the field is continuous, exact at the samples, and reproduces 1, x and y if the
-/// interpolator does.
+/// cell is divided into quarters until its sides are at most 0.4 times the distance from its middle
+/// to the third nearest sample. A cell with a sample inside, on an edge or near it is then divided at
+/// this sample, so that every sample is a corner of all cells around it. Where a corner of small
+/// cells lies on an edge of a larger cell, it has the value of this edge. So the field is continuous,
+/// exact at the samples, and reproduces 1, x and y if the interpolator does.
 ///
 /// The nodes are the corners of the cells.
 ///
@@ -57,7 +56,7 @@ enum Content {
 }
 
 /// The sides of cells are at most this fraction of the distance to the third nearest sample.
-const RESOLUTION: f64 = 0.25;
+const RESOLUTION: f64 = 0.4;
 const NEIGHBOURS: NonZeroUsize = NonZeroUsize::new(3).expect("3 is not 0");
 /// A sample divides cells up to this fraction of their sides away. Otherwise the field would be steep
 /// between a sample and a cell's edge very close to it.

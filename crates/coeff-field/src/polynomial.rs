@@ -100,7 +100,7 @@ impl FieldInterpolation for Polynomial {
             if at == points.points[sample] {
                 return Ok(correction.norm());
             }
-            let terms = nalgebra::DVector::from_vec(fit.scaling.terms(self.degree, at));
+            let terms = nalgebra::DVector::from_vec(fit.scaling.terms(self.degree, at).collect());
             let at = fit
                 .r
                 .tr_solve_upper_triangular(&terms)
@@ -195,13 +195,13 @@ impl FieldWeights for PolynomialWeights {
 
     fn weights_into(&self, position: Position, weights: &mut WeightList) -> Result<(), FieldError> {
         let p = self.hull.admit(position)?;
-        let terms = self.fit.scaling.terms(self.fit.degree, p);
-        if !terms.iter().all(|term| term.is_finite()) {
-            return Err(external(position, CoeffFieldError::WeightOverflow { position }));
-        }
         weights.clear();
-        weights.extend(terms.into_iter().enumerate());
-        Ok(())
+        weights.extend(self.fit.scaling.terms(self.fit.degree, p).enumerate());
+        if weights.iter().all(|(_, term)| term.is_finite()) {
+            Ok(())
+        } else {
+            Err(external(position, CoeffFieldError::WeightOverflow { position }))
+        }
     }
 
     /// In a cell of `m` by `n` pixels, the bilinear function through the values at the corners
@@ -346,10 +346,10 @@ impl Scaling {
 
     /// The terms at a point, ordered by total degree, and for each total degree by falling power of
     /// x.
-    pub(crate) fn terms(&self, degree: usize, p: Point) -> Vec<f64> {
+    pub(crate) fn terms(&self, degree: usize, p: Point) -> impl Iterator<Item = f64> {
         let scaled = [0, 1].map(|axis| self.scaled(axis, p[axis]));
         let [x, y] = scaled.map(|v| normalised_legendre(degree, v));
-        orders(degree).map(|(i, j)| x[i] * y[j]).collect()
+        orders(degree).map(move |(i, j)| x[i] * y[j])
     }
 }
 
@@ -506,7 +506,7 @@ mod tests {
     fn terms_are_ordered_by_total_degree() {
         let scaling = Scaling::new(&[[1e7, 3.0], [1e7 + 4.0, 3.0]]);
         // x' = 0.5. All y are equal, so y' = 0.
-        let terms = scaling.terms(2, [1e7 + 3.0, 3.0]);
+        let terms: Vec<f64> = scaling.terms(2, [1e7 + 3.0, 3.0]).collect();
         let s = [1.0, 3.0_f64.sqrt(), 5.0_f64.sqrt()];
         let expected = [1.0, 0.5 * s[1], 0.0, -0.125 * s[2], 0.0, -0.5 * s[2]];
         for (got, expected) in terms.iter().zip(expected) {

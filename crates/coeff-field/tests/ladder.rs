@@ -157,8 +157,9 @@ fn the_edge_of_an_uneven_grid_follows_its_samples() {
                         let p = at(along * c - off * s, along * s + off * c);
                         let error = (value(&field, p) - curve(p, 0)).abs();
                         // 0.25 from linear interpolation between neighbours 10 apart with second
-                        // derivative 0.02, and a slope of 4 over 0.01.
-                        assert!(error < 0.3, "{method:?} {outside} {angle} {jitter} {p}: {error}");
+                        // derivative 0.02, and a slope of 4 over 0.01. The cells of a quadtree are up
+                        // to 4.5 wide: both second derivatives add 0.05.
+                        assert!(error < 0.4, "{method:?} {outside} {angle} {jitter} {p}: {error}");
                     }
                 }
             }
@@ -181,8 +182,8 @@ fn extended_fields_continue_linearly() {
     for t in [10.0, 20.0, 30.0] {
         let p = at(120.0 + t, 120.0 + t);
         let difference = (value(&natural, p) - value(&linear, p)).abs();
-        // A fifth of the slope of 0.03 per pixel, over a cell of 12 pixels.
-        assert!(difference < 0.07, "{t}: {difference}");
+        // A fifth of the slope of 0.03 per pixel, over a cell of 19 pixels.
+        assert!(difference < 0.115, "{t}: {difference}");
     }
     // Outside a grid, the slope is about that of the samples: second derivatives of 1e-3 over 5
     // pixels.

@@ -16,7 +16,7 @@ const ILL_CONDITIONED: f64 = 1e-5;
 
 /// Natural neighbours and inverse distances predict a sample from their own weights, not from those of
 /// a quadtree without the sample.
-const QUADTREE: f64 = 0.1;
+const QUADTREE: f64 = 0.15;
 
 /// A method without its shortcut.
 #[derive(Debug)]
@@ -110,7 +110,7 @@ fn natural_neighbours_on_a_grid_have_no_ties() {
     let slow = Rebuilt(&NaturalNeighbour)
         .leave_one_out(&samples, OutsidePolicy::Nearest)
         .unwrap();
-    assert_same(&fast, &slow, 0.5 * QUADTREE, "grid");
+    assert_same(&fast, &slow, 0.4 * QUADTREE, "grid");
     // Only the corners are extrapolated.
     let extrapolated = fast
         .outcomes()

@@ -25,7 +25,6 @@ struct BlockSteps<T: ConvReal> {
     modes: LocalModes,
     role: FluxRole,
     table: CoefficientTable<T>,
-    ramp: Vec<T>,
 }
 
 impl<T: ConvReal> BlockSteps<T> {
@@ -36,7 +35,6 @@ impl<T: ConvReal> BlockSteps<T> {
         let (role, _) = FluxRole::of(model, &modes, &cells);
         Self {
             table: CoefficientTable::new(region, role, &modes, &cells),
-            ramp: (0..region.shape().nx()).map(|i| T::nearest(i as f64)).collect(),
             space,
             region,
             tolerance,
@@ -74,8 +72,10 @@ impl<T: ConvReal> WithIsa<T> for Weigh<'_, T> {
             #[inline(always)]
             || {
                 let rows = light.chunks_exact(nx).zip(weighted.chunks_exact_mut(nx));
+                let mut buffer = Vec::new();
+                let mut coefficients = block.table.rows_of(last, 0..nx, &mut buffer);
                 for (row, (light, weighted)) in rows.enumerate() {
-                    block.table.weigh(last, row, 0, light, &block.ramp, weighted);
+                    coefficients.multiply(row, light, weighted);
                 }
             },
         );

@@ -100,7 +100,8 @@ pub fn spline_slopes(u: f64) -> [f64; 4] {
 /// The Legendre polynomials `P_0(t)` to `P_degree(t)`, by Bonnet's recurrence
 /// `(n+1) P_{n+1} = (2n+1) t P_n - n P_{n-1}`.
 pub fn legendre(degree: usize, t: f64) -> Vec<f64> {
-    let mut values = vec![1.0, t];
+    let mut values = Vec::with_capacity(2 + degree);
+    values.extend([1.0, t]);
     for n in 1..degree {
         let k = n as f64;
         values.push(((2.0 * k + 1.0) * t * values[n] - k * values[n - 1]) / (k + 1.0));

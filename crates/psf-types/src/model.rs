@@ -78,16 +78,17 @@ pub trait CoefficientField: std::fmt::Debug + Send + Sync {
         BilinearCells::every_row(region)
     }
 
-    /// Appends the weights `w_n` of the nodes at a position: pairs of a node and its weight. No node
-    /// appears twice.
+    /// Writes the weights `w_n` of the nodes at a position, in place of what `weights` holds: pairs of
+    /// a node and its weight. No node appears twice.
     ///
     /// The default implementation belongs to that of [`node_values`](Self::node_values).
     ///
     /// # Errors
     /// [`FieldError`] if the field has no value there.
-    fn weights_at(&self, position: Position, weights: &mut Vec<(usize, f64)>) -> Result<(), FieldError> {
+    fn weights_into(&self, position: Position, weights: &mut Vec<(usize, f64)>) -> Result<(), FieldError> {
         let mut coefficients = vec![0.0; self.component_count()];
         self.evaluate_into(position, &mut coefficients)?;
+        weights.clear();
         weights.extend(coefficients.into_iter().enumerate());
         Ok(())
     }
@@ -111,7 +112,7 @@ pub trait CoefficientField: std::fmt::Debug + Send + Sync {
         let mut weights = Vec::new();
         for column in 0..length {
             weights.clear();
-            self.weights_at(Position::of_pixel(x + column as i64, y), &mut weights)?;
+            self.weights_into(Position::of_pixel(x + column as i64, y), &mut weights)?;
             visit(RowRun::of_pixel(&weights));
         }
         Ok(())

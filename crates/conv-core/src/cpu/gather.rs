@@ -107,10 +107,9 @@ fn gather_block<T: ConvReal, S: Lanes<T>>(
                 }
             }
             if !treatment.drawn.is_empty() {
-                let row = &mut workspace.row;
                 simd.vectorized(
                     #[inline(always)]
-                    || engine.draw_gathered(simd, local, &treatment.drawn, row, &mut output),
+                    || engine.draw_gathered(simd, local, &treatment.drawn, &mut output),
                 );
             }
         },

@@ -22,8 +22,6 @@ use crate::transform::TileTransform;
 pub(crate) struct Processor<T: ConvReal> {
     pub(crate) plan: Plan<T>,
     pub(crate) fft: TileTransform<T>,
-    /// 0, 1, 2 ... for the pixels of a block's row, along which coefficients are linear.
-    pub(crate) ramp: Vec<T>,
     /// Workspaces that threads take and give back, so that there are never more of them than
     /// threads.
     workspaces: Mutex<Vec<Workspace<T>>>,
@@ -34,9 +32,6 @@ impl<T: ConvReal> Processor<T> {
         let (nx, ny) = plan.tiling.size;
         Self {
             fft: TileTransform::new(nx, ny),
-            ramp: (0..plan.whole.longest_row())
-                .map(|i| T::nearest(i as f64))
-                .collect(),
             workspaces: Mutex::new(Vec::new()),
             plan,
         }
@@ -80,7 +75,6 @@ impl<'a, T: ConvReal> LightPass<'a, T> {
             fft: &self.processor.fft,
             geometry: self.processor.plan.geometry,
             flip: self.flip,
-            ramp: &self.processor.ramp,
         }
     }
 }

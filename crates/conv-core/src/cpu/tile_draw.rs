@@ -1,9 +1,9 @@
 //! Drawing of single pixels of a tile's light, stamp by stamp.
 
-use ndarray::ArrayViewMut2;
+use ndarray::{ArrayViewMut2, s};
 use pulp::bytemuck::{cast_slice, cast_slice_mut};
 
-use super::tile_engine::{LocalTile, TileEngine};
+use super::tile_engine::{LocalTile, TileEngine, add_row};
 use super::treatment::LitPixel;
 use crate::ConvReal;
 use crate::simd::Lanes;
@@ -26,9 +26,9 @@ impl<T: ConvReal> TileEngine<'_, T> {
         let mut coefficients = vec![T::zero(); pixels.len() * kernels];
         for (&(y, x, value), all) in pixels.iter().zip(coefficients.chunks_exact_mut(kernels)) {
             let (column, row) = (local.part.corner.0 + x, local.part.corner.1 + y);
+            let coefficients_here = local.table.pixel(row, column);
             for (kernel, c) in all.iter_mut().enumerate() {
-                let one = std::slice::from_mut(c);
-                local.table.weigh(kernel, row, column, &[value], self.ramp, one);
+                *c = coefficients_here.weigh(kernel, value);
             }
         }
         // Draws row by row of the stamps, so that one row of all stamps stays in the first-level
@@ -68,12 +68,12 @@ impl<T: ConvReal> TileEngine<'_, T> {
         _: S,
         local: LocalTile<'_, T>,
         pixels: &[LitPixel<T>],
-        row: &mut [T],
         output: &mut ArrayViewMut2<'_, T>,
     ) {
         let (columns, rows) = local.part.size;
         let (sx, sy) = self.geometry.stamp;
-        let mut line = vec![T::zero(); sx];
+        let (mut line, mut weighted) = (vec![T::zero(); sx], vec![T::zero(); sx]);
+        let (mut buffer, mut for_fluxes) = (Vec::new(), Vec::new());
         for &(y, x, value) in pixels {
             // Light at pixel q, counted in the area around the tile, reaches pixel p of the tile
             // with the value at stamp pixel (p + stamp size - 1) - q.
@@ -81,27 +81,21 @@ impl<T: ConvReal> TileEngine<'_, T> {
             if from >= to {
                 continue;
             }
-            for p in (y + 1).saturating_sub(sy)..(y + 1).min(rows) {
-                let j = p + sy - 1 - y;
-                for (kernel, stamp) in local.stamps.chunks_exact(sx * sy).enumerate() {
-                    let line = &mut line[..to - from];
-                    for (t, p) in line.iter_mut().zip(from..to) {
-                        *t = value * self.at(stamp, p + sx - 1 - x, j);
+            let (line, weighted) = (&mut line[..to - from], &mut weighted[..to - from]);
+            let mut output = output.slice_mut(s![.., from..to]);
+            let columns = local.part.corner.0 + from..local.part.corner.0 + to;
+            let mut fluxes = local.table.fluxes(columns.clone(), &mut for_fluxes);
+            for (kernel, stamp) in local.stamps.chunks_exact(sx * sy).enumerate() {
+                let mut coefficients = local.table.rows_of(kernel, columns.clone(), &mut buffer);
+                for p in (y + 1).saturating_sub(sy)..(y + 1).min(rows) {
+                    for (t, i) in line.iter_mut().zip(from..to) {
+                        *t = value * self.at(stamp, i + sx - 1 - x, p + sy - 1 - y);
                     }
-                    let row = &mut row[..to - from];
-                    local.table.weigh(
-                        kernel,
-                        local.part.corner.1 + p,
-                        local.part.corner.0 + from,
-                        line,
-                        self.ramp,
-                        row,
-                    );
-                    let mut target = output.row_mut(p);
-                    let target = target.as_slice_mut().expect("images are row-major");
-                    for (t, v) in target[from..to].iter_mut().zip(row.iter()) {
-                        *t += *v;
+                    coefficients.multiply(local.part.corner.1 + p, line, weighted);
+                    if local.table.role.is_divided(kernel) {
+                        fluxes.divide(local.part.corner.1 + p, weighted);
                     }
+                    add_row(weighted, &mut output, p);
                 }
             }
         }

@@ -1,10 +1,12 @@
 //! Convolution of one tile, by transforms or by the direct sum, and its working memory.
 
-use ndarray::{ArrayView2, ArrayViewMut2};
+use std::ops::Range;
+
+use ndarray::{Array2, ArrayView2, ArrayViewMut2};
 
 use crate::ConvReal;
 use crate::overlap::overlap;
-use crate::plan::coefficient_table::CoefficientTable;
+use crate::plan::coefficient_table::{CoefficientTable, FunctionRows};
 use crate::plan::geometry::{Geometry, TilePart};
 use crate::simd::{Aligned, Lanes};
 use crate::transform::{TileTransform, X_STEP};
@@ -24,6 +26,8 @@ pub(crate) struct Workspace<T> {
     pub(crate) kernels: Aligned<T>,
     /// Buffer for one row.
     pub(crate) row: Vec<T>,
+    /// Buffer for coefficients.
+    pub(crate) coefficients: Vec<T>,
 }
 
 impl<T: ConvReal> Workspace<T> {
@@ -36,6 +40,7 @@ impl<T: ConvReal> Workspace<T> {
             column: Aligned::zeros(fft.column_len()),
             kernels: Aligned::zeros(0),
             row: vec![T::zero(); fft.nx],
+            coefficients: Vec::new(),
         }
     }
 }
@@ -47,8 +52,6 @@ pub(crate) struct TileEngine<'a, T> {
     pub(crate) geometry: Geometry,
     /// True if stamps are turned by 180 degrees, as in the adjoint.
     pub(crate) flip: bool,
-    /// 0, 1, 2 ... for the pixels of a block's row.
-    pub(crate) ramp: &'a [T],
 }
 
 /// A tile and its block's coefficients and stamps.
@@ -58,6 +61,66 @@ pub(crate) struct LocalTile<'a, T> {
     pub(crate) table: &'a CoefficientTable<T>,
     /// `[kernel, y, x]`.
     pub(crate) stamps: &'a [T],
+}
+
+impl<T: ConvReal> LocalTile<'_, T> {
+    /// The columns of the tile, counted from its block's first.
+    fn columns(&self) -> Range<usize> {
+        self.part.corner.0..self.part.corner.0 + self.part.size.0
+    }
+
+    /// Divides the tile's light by the flux if `kernel` is the first whose light is divided.
+    #[inline(always)]
+    fn divide_light(&self, kernel: usize, light: &mut [T], pitch: usize, buffer: &mut Vec<T>) {
+        let role = self.table.role;
+        if role.is_divided(kernel) && (kernel == 0 || !role.is_divided(kernel - 1)) {
+            let mut fluxes = self.table.fluxes(self.columns(), buffer);
+            let (columns, rows) = self.part.size;
+            for (y, light) in light.chunks_exact_mut(pitch).take(rows).enumerate() {
+                fluxes.divide(self.part.corner.1 + y, &mut light[..columns]);
+            }
+        }
+    }
+
+    /// Multiplies values of a tile's row by the coefficients of a kernel, and adds them to the
+    /// output, or to `divided` if they are to be divided by the flux.
+    #[inline(always)]
+    fn weigh_and_add(
+        &self,
+        (kernel, coefficients): (usize, &mut FunctionRows<'_, T>),
+        y: usize,
+        values: &[T],
+        output: &mut ArrayViewMut2<'_, T>,
+        divided: &mut Array2<T>,
+        row: &mut [T],
+    ) {
+        let row = &mut row[..values.len()];
+        coefficients.multiply(self.part.corner.1 + y, values, row);
+        if self.table.role.is_divided(kernel) {
+            add_row(row, &mut divided.view_mut(), y);
+        } else {
+            add_row(row, output, y);
+        }
+    }
+
+    /// Divides values by the flux and adds them to the output.
+    #[inline(always)]
+    fn divide_and_add(&self, mut divided: Array2<T>, output: &mut ArrayViewMut2<'_, T>, buffer: &mut Vec<T>) {
+        let mut fluxes = self.table.fluxes(self.columns(), buffer);
+        for (y, mut row) in divided.outer_iter_mut().enumerate() {
+            let row = row.as_slice_mut().expect("row-major");
+            fluxes.divide(self.part.corner.1 + y, row);
+            add_row(row, output, y);
+        }
+    }
+
+    /// Zeros with the tile's size, if there are values to be divided by the flux. Otherwise without
+    /// any row.
+    fn zeros(&self) -> Array2<T> {
+        let (columns, rows) = self.part.size;
+        let rows = if self.table.role.divides() { rows } else { 0 };
+        Array2::zeros((rows, columns))
+    }
 }
 
 impl<T: ConvReal> TileEngine<'_, T> {
@@ -162,19 +225,15 @@ impl<T: ConvReal> TileEngine<'_, T> {
         let padded = columns.next_multiple_of(X_STEP);
         let w = workspace;
         for kernel in 0..local.table.kernel_count() {
+            local.divide_light(kernel, w.light.get_mut(), pitch, &mut w.coefficients);
             let light = w.light.get().chunks_exact(pitch);
             let weighted = w.weighted.get_mut().chunks_exact_mut(pitch);
+            let mut coefficients = local.table.rows_of(kernel, local.columns(), &mut w.coefficients);
             for (y, (light, weighted)) in light.zip(weighted).take(rows).enumerate() {
                 let weighted = &mut weighted[..padded];
                 weighted[columns..].fill(T::zero());
-                local.table.weigh(
-                    kernel,
-                    local.part.corner.1 + y,
-                    local.part.corner.0,
-                    &light[..columns],
-                    self.ramp,
-                    &mut weighted[..columns],
-                );
+                let row = local.part.corner.1 + y;
+                coefficients.multiply(row, &light[..columns], &mut weighted[..columns]);
             }
             self.fft.forward_multiply_swapped(
                 simd,
@@ -208,10 +267,11 @@ impl<T: ConvReal> TileEngine<'_, T> {
         workspace: &mut Workspace<T>,
         output: &mut ArrayViewMut2<'_, T>,
     ) {
-        let (_, rows) = local.part.size;
+        let rows = local.part.size.1;
         let (width, height) = self.geometry.around(local.part.size);
         let (pitch, length) = (self.fft.pitch(), self.fft.spectrum_len());
         let w = workspace;
+        let mut divided = local.zeros();
         let column = w.column.get_mut();
         self.fft
             .forward(simd, w.light.get(), (height, width), w.spectrum.get_mut(), column);
@@ -226,37 +286,14 @@ impl<T: ConvReal> TileEngine<'_, T> {
                 .chunks_exact(pitch)
                 .skip(self.geometry.stamp.1 - 1)
                 .take(rows);
+            let mut coefficients = local.table.rows_of(kernel, local.columns(), &mut w.coefficients);
             for (y, values) in whole.enumerate() {
                 let values = &values[self.geometry.stamp.0 - 1..width];
-                self.weigh_and_add(local, kernel, y, values, &mut w.row, output);
+                let kernel = (kernel, &mut coefficients);
+                local.weigh_and_add(kernel, y, values, output, &mut divided, &mut w.row);
             }
         }
-    }
-
-    #[inline(always)]
-    pub(crate) fn weigh_and_add(
-        &self,
-        local: LocalTile<'_, T>,
-        kernel: usize,
-        y: usize,
-        values: &[T],
-        row: &mut [T],
-        output: &mut ArrayViewMut2<'_, T>,
-    ) {
-        let row = &mut row[..values.len()];
-        local.table.weigh(
-            kernel,
-            local.part.corner.1 + y,
-            local.part.corner.0,
-            values,
-            self.ramp,
-            row,
-        );
-        let mut target = output.row_mut(y);
-        let target = target.as_slice_mut().expect("images are row-major");
-        for (t, v) in target.iter_mut().zip(row.iter()) {
-            *t += *v;
-        }
+        local.divide_and_add(divided, output, &mut w.coefficients);
     }
 
     #[inline(always)]
@@ -287,17 +324,12 @@ impl<T: ConvReal> TileEngine<'_, T> {
             into[..columns + sx - 1].fill(T::zero());
         }
         for (kernel, stamp) in local.stamps.chunks_exact(sx * sy).enumerate() {
+            local.divide_light(kernel, w.light.get_mut(), pitch, &mut w.coefficients);
+            let mut coefficients = local.table.rows_of(kernel, local.columns(), &mut w.coefficients);
             for y in 0..rows {
                 let light = &w.light.get()[y * pitch..y * pitch + columns];
                 let row = &mut w.row[..columns];
-                local.table.weigh(
-                    kernel,
-                    local.part.corner.1 + y,
-                    local.part.corner.0,
-                    light,
-                    self.ramp,
-                    row,
-                );
+                coefficients.multiply(local.part.corner.1 + y, light, row);
                 for j in 0..sy {
                     let into = &mut result[(y + j) * pitch..(y + j + 1) * pitch];
                     for i in 0..sx {
@@ -325,7 +357,9 @@ impl<T: ConvReal> TileEngine<'_, T> {
         let pitch = self.fft.pitch();
         let w = workspace;
         let mut values = vec![T::zero(); columns];
+        let mut divided = local.zeros();
         for (kernel, stamp) in local.stamps.chunks_exact(sx * sy).enumerate() {
+            let mut coefficients = local.table.rows_of(kernel, local.columns(), &mut w.coefficients);
             for y in 0..rows {
                 values.fill(T::zero());
                 for j in 0..sy {
@@ -337,8 +371,20 @@ impl<T: ConvReal> TileEngine<'_, T> {
                         }
                     }
                 }
-                self.weigh_and_add(local, kernel, y, &values, &mut w.row, output);
+                let kernel = (kernel, &mut coefficients);
+                local.weigh_and_add(kernel, y, &values, output, &mut divided, &mut w.row);
             }
         }
+        local.divide_and_add(divided, output, &mut w.coefficients);
+    }
+}
+
+/// Adds values to a row of an image, from its first pixel on.
+#[inline(always)]
+pub(crate) fn add_row<T: ConvReal>(values: &[T], output: &mut ArrayViewMut2<'_, T>, row: usize) {
+    let mut target = output.row_mut(row);
+    let target = target.as_slice_mut().expect("images are row-major");
+    for (t, v) in target.iter_mut().zip(values) {
+        *t += *v;
     }
 }

@@ -214,12 +214,12 @@ impl<T: ConvReal> CoefficientTable<T> {
         let bits = |value: T| (value.as_f64() as f32).to_bits();
         let (mut row_starts, mut runs, mut ramps) = (vec![0], Vec::new(), Vec::new());
         for row in 0..self.region.shape().ny() {
-            let of_row = self.row(row, 0);
-            for (cell, &(column, length)) in of_row.cells.iter().enumerate() {
+            for &(column, length) in self.cells_in(row) {
                 runs.push(column);
                 let steps = T::nearest(f64::from((length - 1).max(1)));
+                let ends = [column, column + length - 1].map(|column| self.pixel(row, column as usize));
                 for &function in &functions {
-                    let [first, last] = of_row.ends(cell, function);
+                    let [first, last] = [0, 1].map(|end| ends[end].function(function));
                     ramps.extend([bits(first), bits((last - first) / steps)]);
                 }
             }

@@ -234,7 +234,6 @@ impl<T: ConvReal> Examination<'_, '_, T> {
                 .map(|(_, _, value)| value.as_f64() as f32)
                 .collect(),
             Direction::Scatter => {
-                let ramp = &self.pass.processor.ramp;
                 let table = kernels.table();
                 let pairs = treatment
                     .drawn
@@ -242,10 +241,8 @@ impl<T: ConvReal> Examination<'_, '_, T> {
                     .flat_map(|pixel| part.kernels.clone().map(move |kernel| (pixel, kernel)));
                 pairs
                     .map(|(&(row, column, value), kernel)| {
-                        let mut amount = [T::zero()];
-                        let (row, column) = (corner.1 + row, corner.0 + column);
-                        table.weigh(kernel, row, column, &[value], ramp, &mut amount);
-                        amount[0].as_f64() as f32
+                        let here = table.pixel(corner.1 + row, corner.0 + column);
+                        here.weigh(kernel, value).as_f64() as f32
                     })
                     .collect()
             }

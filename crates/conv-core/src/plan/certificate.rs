@@ -165,7 +165,7 @@ fn errors_of_block<T: ConvReal>(
     let table = block.table_or_new(model);
     let kernels = block.directions();
     let (nx, ny) = (region.shape().nx(), region.shape().ny());
-    let ramp: Vec<T> = (0..nx).map(|i| T::nearest(i as f64)).collect();
+    let mut buffer = Vec::new();
     let (ones, mut weighted) = (vec![T::one(); nx], Array2::zeros((kernels.nrows(), nx)));
     let first = usize::from(model.is_mean_centred());
     let mut coefficients = vec![0.0; model.stamp_count()];
@@ -173,7 +173,12 @@ fn errors_of_block<T: ConvReal>(
     for row in 0..ny {
         for (kernel, mut weighted) in weighted.outer_iter_mut().enumerate() {
             let weighted = weighted.as_slice_mut().unwrap();
-            table.weigh(kernel, row, 0, &ones, &ramp, weighted);
+            table
+                .rows_of(kernel, 0..nx, &mut buffer)
+                .multiply(row, &ones, weighted);
+            if table.role.is_divided(kernel) {
+                table.fluxes(0..nx, &mut buffer).divide(row, weighted);
+            }
         }
         weighted
             .row_mut(kernels.nrows() - 1)

@@ -59,33 +59,114 @@ struct TableBand {
     value: usize,
 }
 
-/// The cells of one row.
-pub(crate) struct RowCells<'a, T> {
-    /// First column and length of each cell.
-    pub(crate) cells: &'a [(u32, u32)],
-    values: &'a [T],
-    functions: usize,
-    corners: usize,
-    /// The weights of the band's first and last row.
-    weights: [T; 2],
-}
-
-impl<T: ConvReal> RowCells<'_, T> {
-    /// The values of a function at the first and the last column of a cell.
+impl TableBand {
+    /// The number of corners of a cell with values of their own.
     #[inline(always)]
-    pub(crate) fn ends(&self, cell: usize, function: usize) -> [T; 2] {
-        let corner = |corner: usize| self.values[(cell * self.corners + corner) * self.functions + function];
-        if self.corners < CORNERS {
-            return [corner(0), corner(1)];
-        }
-        let [first, last] = self.weights;
-        [
-            first * corner(0) + last * corner(2),
-            first * corner(1) + last * corner(3),
-        ]
+    fn corners(&self) -> usize {
+        if self.rows.len() == 1 { 2 } else { CORNERS }
     }
 }
 
+/// The coefficients of a block's kernels at one pixel.
+pub(crate) struct PixelCoefficients<'a, T> {
+    /// The values at the corners of the pixel's cell, and their weights.
+    values: &'a [T],
+    weights: [T; CORNERS],
+    table: &'a CoefficientTable<T>,
+}
+
+impl<T: ConvReal> PixelCoefficients<'_, T> {
+    #[inline(always)]
+    pub(crate) fn function(&self, function: usize) -> T {
+        let corners = self.values.chunks_exact(self.table.functions);
+        let terms = corners
+            .zip(self.weights)
+            .map(|(values, weight)| weight * values[function]);
+        terms.fold(T::zero(), |sum, term| sum + term)
+    }
+
+    /// The light of the pixel, multiplied by the coefficient of a kernel.
+    #[inline(always)]
+    pub(crate) fn weigh(&self, kernel: usize, light: T) -> T {
+        let role = self.table.role;
+        let weighted = role
+            .function_of(kernel)
+            .map_or(light, |f| light * self.function(f));
+        if role.is_divided(kernel) {
+            weighted / self.function(0)
+        } else {
+            weighted
+        }
+    }
+}
+
+/// A function in some columns of a region, row by row.
+///
+/// From the first to the last row of a band, it is linear along each column. So its values in these
+/// two rows are enough for all rows of the band.
+#[derive(Debug)]
+pub struct FunctionRows<'a, T> {
+    table: &'a CoefficientTable<T>,
+    /// `None` for the constant 1.
+    function: Option<usize>,
+    columns: Range<usize>,
+    /// The rows of the present band.
+    rows: Range<usize>,
+    /// The function in the first and in the last row of the band, with room for [`CHUNK`] values
+    /// after each.
+    ends: &'a mut Vec<T>,
+}
+
+impl<T: ConvReal> FunctionRows<'_, T> {
+    /// Multiplies the values of a row's pixels by the function, and writes the products to
+    /// `products`. `row` counts from the region's first pixel.
+    #[inline(always)]
+    pub fn multiply(&mut self, row: usize, values: &[T], products: &mut [T]) {
+        if self.function.is_none() {
+            products.copy_from_slice(values);
+            return;
+        }
+        for ((product, &value), function) in products.iter_mut().zip(values).zip(self.along(row)) {
+            *product = value * function;
+        }
+    }
+
+    /// Divides the values of a row's pixels by the function.
+    #[inline(always)]
+    pub(crate) fn divide(&mut self, row: usize, values: &mut [T]) {
+        for (value, function) in values.iter_mut().zip(self.along(row)) {
+            *value /= function;
+        }
+    }
+
+    /// The function along a row.
+    #[inline(always)]
+    fn along(&mut self, row: usize) -> impl Iterator<Item = T> + '_ {
+        let (table, width) = (self.table, self.columns.len());
+        let (first, last) = self.ends.split_at_mut(width + CHUNK);
+        if !self.rows.contains(&row) {
+            let band = table.band(row);
+            self.rows = band.rows.clone();
+            let function = self.function.unwrap_or(0);
+            table.along_row(band, 0, function, &self.columns, first);
+            if band.corners() == CORNERS {
+                table.along_row(band, 2, function, &self.columns, last);
+            }
+        }
+        let steps = T::nearest((self.rows.len() - 1).max(1) as f64);
+        let after = T::nearest((row - self.rows.start) as f64);
+        let weights = [(steps - after) / steps, after / steps];
+        // The only row of a band is its first and its last row.
+        let last = if self.rows.len() == 1 { &*first } else { &*last };
+        first[..width].iter().zip(&last[..width]).map(
+            #[inline(always)]
+            move |(&first, &last)| weights[0] * first + weights[1] * last,
+        )
+    }
+}
+
+/// The number of neighbouring coefficients that are written together.
+const CHUNK: usize = 16;
 /// Fluxes count as equal if they differ by at most this fraction: the rounding of their sums. The
 /// error of their mean is then half of it.
 const SAME_FLUX: f64 = 4e-15;
@@ -132,8 +213,14 @@ impl FluxRole {
         }
     }
 
+    /// True if the modes are divided by the flux.
     pub(crate) fn divides(self) -> bool {
         matches!(self, Self::Divisor | Self::NoReference { scaled: true })
+    }
+
+    /// True if a kernel is a mode that is divided by the flux.
+    pub(crate) fn is_divided(self, kernel: usize) -> bool {
+        self.divides() && self.function_of(kernel).is_some()
     }
 }
 
@@ -263,21 +350,105 @@ impl<T: ConvReal> CoefficientTable<T> {
             + size_of_val(&self.undefined[..])
     }
 
-    /// The cells of a row from the one that holds the column `first`.
+    /// The first column and the length of each cell in a row.
+    pub(crate) fn cells_in(&self, row: usize) -> &[(u32, u32)] {
+        &self.cells[self.band(row).cells.clone()]
+    }
+
+    fn band(&self, row: usize) -> &TableBand {
+        &self.bands[self.bands.partition_point(|band| band.rows.end <= row)]
+    }
+
+    /// The coefficients at a pixel. Row and column count from the region's first pixel.
+    pub(crate) fn pixel(&self, row: usize, column: usize) -> PixelCoefficients<'_, T> {
+        let (band, cells) = (self.band(row), self.cells_in(row));
+        let cell = cells.partition_point(|&(start, length)| (start + length) as usize <= column);
+        let size = band.corners() * self.functions;
+        let parts = |length: usize, after: usize| {
+            let steps = T::nearest((length - 1).max(1) as f64);
+            let after = T::nearest(after as f64);
+            [(steps - after) / steps, after / steps]
+        };
+        let [left, right] = parts(cells[cell].1 as usize, column - cells[cell].0 as usize);
+        let [first, last] = parts(band.rows.len(), row - band.rows.start);
+        PixelCoefficients {
+            values: &self.values[band.value + cell * size..][..size],
+            weights: [first * left, first * right, last * left, last * right],
+            table: self,
+        }
+    }
+
+    /// The function that multiplies a kernel's light, in some columns. If
+    /// [`FluxRole::is_divided`], the products are to be divided by [`Self::fluxes`]. `buffer` is
+    /// overwritten.
     #[inline(always)]
-    pub(crate) fn row(&self, row: usize, first: usize) -> RowCells<'_, T> {
-        let band = &self.bands[self.bands.partition_point(|band| band.rows.end <= row)];
+    pub fn rows_of<'a>(
+        &'a self,
+        kernel: usize,
+        columns: Range<usize>,
+        buffer: &'a mut Vec<T>,
+    ) -> FunctionRows<'a, T> {
+        self.rows(self.role.function_of(kernel), columns, buffer)
+    }
+
+    /// The flux in some columns, if there are kernels whose light is divided by it.
+    #[inline(always)]
+    pub(crate) fn fluxes<'a>(&'a self, columns: Range<usize>, buffer: &'a mut Vec<T>) -> FunctionRows<'a, T> {
+        self.rows(Some(0), columns, buffer)
+    }
+
+    #[inline(always)]
+    fn rows<'a>(
+        &'a self,
+        function: Option<usize>,
+        columns: Range<usize>,
+        ends: &'a mut Vec<T>,
+    ) -> FunctionRows<'a, T> {
+        ends.resize(2 * (columns.len() + CHUNK), T::zero());
+        FunctionRows {
+            table: self,
+            function,
+            columns,
+            rows: 0..0,
+            ends,
+        }
+    }
+
+    /// Writes a function in some columns of a row to `values`, which has room for [`CHUNK`] values
+    /// more. `corner` is 0 for the first row of a band, 2 for its last row.
+    #[inline(always)]
+    fn along_row(
+        &self,
+        band: &TableBand,
+        corner: usize,
+        function: usize,
+        columns: &Range<usize>,
+        values: &mut [T],
+    ) {
         let cells = &self.cells[band.cells.clone()];
-        let skip = cells.partition_point(|&(column, length)| (column + length) as usize <= first);
-        let corners = if band.rows.len() == 1 { 2 } else { CORNERS };
-        let steps = T::nearest((band.rows.len() - 1).max(1) as f64);
-        let after = T::nearest((row - band.rows.start) as f64);
-        RowCells {
-            cells: &cells[skip..],
-            values: &self.values[band.value + skip * corners * self.functions..],
-            functions: self.functions,
-            corners,
-            weights: [(steps - after) / steps, after / steps],
+        let skip = cells.partition_point(|&(column, length)| (column + length) as usize <= columns.start);
+        for (cell, &(column, length)) in cells.iter().enumerate().skip(skip) {
+            let (column, length) = (column as usize, length as usize);
+            if column >= columns.end {
+                break;
+            }
+            let (from, to) = (column.max(columns.start), (column + length).min(columns.end));
+            let steps = T::nearest((length - 1).max(1) as f64);
+            let at = |right: usize| {
+                let place = (cell * band.corners() + corner + right) * self.functions + function;
+                self.values[band.value + place] / steps
+            };
+            let (a, b) = (at(0), at(1));
+            // Writes whole chunks, because cells are often short. What is beyond a cell is written
+            // again with the next cell.
+            for start in (from..to).step_by(CHUNK) {
+                let first = T::nearest((start - column) as f64);
+                let chunk = &mut values[start - columns.start..][..CHUNK];
+                for (i, value) in chunk.iter_mut().enumerate() {
+                    let i = first + T::nearest(i as f64);
+                    *value = (steps - i) * a + i * b;
+                }
+            }
         }
     }
 
@@ -300,48 +471,6 @@ impl<T: ConvReal> CoefficientTable<T> {
             }
         }
         Ok(())
-    }
-
-    /// Multiplies the light of a row's pixels by the coefficients of a kernel, and writes the
-    /// products to `weighted`. `row` and `first` (the first column) count from the region's first
-    /// pixel. `ramp` holds 0, 1, 2 ... .
-    #[inline(always)]
-    pub fn weigh(
-        &self,
-        kernel: usize,
-        row: usize,
-        first: usize,
-        light: &[T],
-        ramp: &[T],
-        weighted: &mut [T],
-    ) {
-        let Some(function) = self.role.function_of(kernel) else {
-            weighted.copy_from_slice(light);
-            return;
-        };
-        let of_row = self.row(row, first);
-        for (cell, &(column, length)) in of_row.cells.iter().enumerate() {
-            let (column, length) = (column as usize, length as usize);
-            let (from, to) = (column.max(first), (column + length).min(first + light.len()));
-            if from >= to {
-                break;
-            }
-            let steps = T::nearest((length - 1).max(1) as f64);
-            let [a, b] = of_row.ends(cell, function).map(|end| end / steps);
-            let (pixels, ramp) = (from - first..to - first, &ramp[from - column..to - column]);
-            let pixels = light[pixels.clone()].iter().zip(&mut weighted[pixels]);
-            if self.role.divides() {
-                let [s, t] = of_row.ends(cell, 0).map(|end| end / steps);
-                for ((light, weighted), &i) in pixels.zip(ramp) {
-                    let flux = (steps - i) * s + i * t;
-                    *weighted = *light * ((steps - i) * a + i * b) / flux;
-                }
-            } else {
-                for ((light, weighted), &i) in pixels.zip(ramp) {
-                    *weighted = *light * ((steps - i) * a + i * b);
-                }
-            }
-        }
     }
 }
 

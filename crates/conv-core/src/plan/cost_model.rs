@@ -34,7 +34,12 @@ const DRAW: f64 = 0.05e-9;
 /// Factor on [`DRAW`] if every pixel that receives light has its own coefficients.
 const DRAW_GATHERED: f64 = 6.0;
 /// Computing a local stamp, per stamp pixel and per stamp of the model.
-const MAKE_STAMP: f64 = 0.1e-9;
+const MAKE_STAMP: f64 = 0.025e-9;
+/// Planning a block, without its stamps.
+const PLAN_BLOCK: f64 = 100e-6;
+/// The number of executions that share the cost of a plan. More of them would choose smaller blocks
+/// with fewer modes.
+const EXECUTIONS: f64 = 4.0;
 /// One product and sum of the direct convolution.
 const DIRECT: f64 = 0.012e-9;
 
@@ -49,8 +54,8 @@ impl CostModel {
     pub(crate) fn transform(self, (nx, ny): (usize, usize)) -> f64 {
         let values = (nx * ny) as f64;
         let unit = match nx * ny {
-            ..=110_000 => TRANSFORM,
-            110_001..=300_000 => TRANSFORM_LARGE,
+            ..=80_000 => TRANSFORM,
+            80_001..=300_000 => TRANSFORM_LARGE,
             _ => TRANSFORM_HUGE,
         };
         self.width * unit * values * values.log2()
@@ -61,9 +66,11 @@ impl CostModel {
         self.transform(size) * (0.42 + 0.5 * stamp.0 as f64 / size.0 as f64)
     }
 
-    /// Computing one local stamp from the stamps of the model.
-    pub(crate) fn make_stamp(stamp: (usize, usize), stamps: usize) -> f64 {
-        MAKE_STAMP * (stamp.0 * stamp.1 * stamps) as f64
+    /// An execution's share of planning one block whose kernels are computed from the `stamps` of
+    /// the model. Each execution computes a part `made_anew` of the kernels again.
+    pub(crate) fn plan_block(stamp: (usize, usize), stamps: usize, kernels: f64, made_anew: f64) -> f64 {
+        let make_stamps = MAKE_STAMP * kernels * (stamp.0 * stamp.1 * stamps) as f64;
+        PLAN_BLOCK / EXECUTIONS + (1.0 / EXECUTIONS + made_anew) * make_stamps
     }
 
     pub(crate) fn stamp_bytes(self, stamp: (usize, usize)) -> f64 {

@@ -138,7 +138,7 @@ impl PsfSpace {
             }
             // Somewhere in the region, PSFs are much fainter than expected.
             error *= if error > SMALLEST_ERROR * norm(self.mean.view()) {
-                0.1
+                0.4
             } else {
                 0.0
             };
@@ -247,7 +247,7 @@ const ROUNDING: f64 = 2e-16;
 /// out.
 const OUTSIDE_SPAN: f64 = 0.2;
 /// The fraction of the tolerance that is left to the cells. Small cells cost little.
-const SHARE_OF_CELLS: f64 = 0.2;
+const SHARE_OF_CELLS: f64 = 0.3;
 /// An error of coefficients below this fraction of the norm of the mean stamp counts as 0.
 const SMALLEST_ERROR: f64 = 1e-20;
 

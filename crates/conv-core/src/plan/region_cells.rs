@@ -22,6 +22,8 @@ pub struct RegionCells {
     corners: Vec<Range<usize>>,
     /// `(index into nodes, weight)`.
     weights: Vec<(usize, f64)>,
+    /// Weights at a position.
+    buffer: Vec<(usize, f64)>,
     /// The largest error of the coefficients, because they are not quite bilinear in the cells.
     pub(crate) error: f64,
 }
@@ -195,14 +197,12 @@ impl RegionCells {
         [x, y]: [f64; 2],
     ) -> Option<usize> {
         let position = Position::new(region.x0() as f64 + x, region.y0() as f64 + y).ok()?;
-        let start = self.weights.len();
-        let outcome = field.weights_at(position, &mut self.weights);
-        if outcome.is_err() || !self.weights[start..].iter().all(|(_, w)| w.is_finite()) {
-            self.weights.truncate(start);
-            return None;
-        }
-        self.corners.push(start..self.weights.len());
-        Some(self.corners.len() - 1)
+        let mut weights = std::mem::take(&mut self.buffer);
+        let outcome = field.weights_into(position, &mut weights);
+        let corner =
+            (outcome.is_ok() && weights.iter().all(|(_, w)| w.is_finite())).then(|| self.push(&weights));
+        self.buffer = weights;
+        corner
     }
 
     /// Adds rows whose runs are of equal lengths. They become one band if the first and the last row

@@ -235,7 +235,7 @@ impl Tiling {
         kernels as f64 / samples as f64
     }
 
-    /// Predicted seconds if every pixel is lit. `stamps` is the number of stamps of the model.
+    /// Predicted seconds of an execution if every pixel is lit, with its share of the plan. `stamps` is the number of stamps of the model.
     fn seconds<T: ConvReal>(
         &self,
         kernels: f64,
@@ -254,7 +254,7 @@ impl Tiling {
         let bytes = cost.stamp_bytes(geometry.stamp) * kernels * blocks as f64;
         let made_anew = (1.0 - STAMP_MEMORY * options.memory_bytes() as f64 / bytes).clamp(0.0, 1.0);
         let block = kernels * cost.kernel(self.size, geometry.stamp)
-            + made_anew * kernels * CostModel::make_stamp(geometry.stamp, stamps)
+            + CostModel::plan_block(geometry.stamp, stamps, kernels, made_anew)
             + tiles_a_block * cost.tile(tile, self.size, kernels);
         self.rounds() as f64 * block
     }
@@ -356,12 +356,6 @@ impl<T: ConvReal> WholeFrame<T> {
     /// The region of a block, in pixel coordinates of the frame.
     pub(crate) fn block(&self, column: usize, row: usize) -> PixelRegion {
         self.tiling.region(&self.geometry, column, row)
-    }
-
-    /// The number of pixels in the longest row of any block.
-    pub(crate) fn longest_row(&self) -> usize {
-        let lengths = self.tiling.columns.iter().map(Stretch::length);
-        lengths.max().unwrap_or(1)
     }
 }
 

@@ -75,7 +75,8 @@ impl CoefficientField for GridField {
         }
     }
 
-    fn weights_at(&self, p: Position, weights: &mut Vec<(usize, f64)>) -> Result<(), FieldError> {
+    fn weights_into(&self, p: Position, weights: &mut Vec<(usize, f64)>) -> Result<(), FieldError> {
+        weights.clear();
         weights.extend(self.weights(self.cell(p.x()).0, p.x(), self.cell(p.y())));
         Ok(())
     }
