@@ -1,5 +1,6 @@
 //! `psfield bench`.
 
+mod real;
 mod report;
 mod settings;
 
@@ -15,7 +16,7 @@ use psf_basis::RankSelection;
 use psf_sample::{SamplingMethod, UniformSampling};
 use psf_types::{Anchor, FrameShape, Image, Interpolation, PsfModelRecord, PsfSource as _, ToleranceOn};
 use psfield::{Device, FitOptions, Psf};
-use psfield_lab::bench::{self, BenchCase, BenchOptions};
+use psfield_lab::bench::{self, BenchCase, BenchOptions, WorkGroup};
 use serde::Serialize;
 
 use crate::UsageError;
@@ -39,9 +40,37 @@ use crate::values::{Precision, number, tolerance};
 /// All run times are also given as ratios to the run time of `single`, which always runs. `single`
 /// convolves the scene with one PSF: the PSF at the middle of the frame. It is the fastest
 /// convolution with one PSF in psfield.
+///
+/// --real measures real work instead: how time and memory grow with pixels, light, stars, galaxies
+/// and frames, for PSFs of several kinds.
 #[derive(Debug, clap::Args)]
 pub(crate) struct BenchArgs {
-    /// Sides of the square frames (pixels) [default: 512,1024,2048]
+    /// Measure how time and memory grow with real work, in groups [default: all groups]
+    ///
+    /// pixels: frames of --sizes through five PSFs, every pixel lit.
+    /// light: 0 to 100 % of the pixels lit, chosen at random.
+    /// stars: 10^3 to 10^7 stars.
+    /// galaxies: 10^3 to 10^5 galaxies.
+    /// frames: 1000 frames of 256 x 256 pixels with one plan.
+    ///
+    /// The method is auto with tolerance 1e-3, in f32. No frame is larger than the largest of
+    /// --sizes. A work whose first run takes more than 10 s runs once. All groups together take
+    /// about ten minutes and 2 GiB of memory on two cores.
+    #[arg(
+        long,
+        value_name = "GROUP,...",
+        num_args = 0..=1,
+        require_equals = true,
+        value_delimiter = ',',
+        default_missing_value = "pixels,light,stars,galaxies,frames",
+        conflicts_with_all = [
+            "grids", "psf", "scene", "stretch", "preset", "rank", "methods", "tolerances", "patches", "ranks", "anchor",
+            "precision", "plot", "device", "gpu_adapter"
+        ],
+        verbatim_doc_comment
+    )]
+    real: Option<Vec<WorkGroup>>,
+    /// Sides of the square frames (pixels) [default: 512,1024,2048; with --real: 1024,4096,9216]
     #[arg(long, value_name = "N,...", value_delimiter = ',', conflicts_with = "scene", value_parser = side, help_heading = CASES)]
     sizes: Option<Vec<NonZeroUsize>>,
     /// Numbers of PSF samples along each side of the field [default: 9,33]
@@ -85,8 +114,9 @@ pub(crate) struct BenchArgs {
     )]
     tolerances: Option<Vec<f64>>,
     /// Errors of the PSF that --tolerances bound: l2, or aperture (as for simulate)
-    #[arg(long, default_value_t, value_name = "l2|aperture", help_heading = METHODS, hide_short_help = true)]
-    tolerance_on: ToleranceOn,
+    /// [default: aperture; with --real: l2]
+    #[arg(long, value_name = "l2|aperture", help_heading = METHODS, hide_short_help = true)]
+    tolerance_on: Option<ToleranceOn>,
     /// Sides of the patches (pixels) [default: 32,64,128,256]
     #[arg(
         long,
@@ -140,7 +170,7 @@ pub(crate) struct BenchArgs {
     )]
     seed: u64,
     /// Use smaller defaults: --sizes 256, --grids 5, --patches 64, --ranks 10, --tolerances
-    /// 1e-2,1e-4, --repeat 1, --pixels 100
+    /// 1e-2,1e-4, --repeat 1, --pixels 100. With --real: a small version of every work
     #[arg(long, help_heading = MEASUREMENT)]
     quick: bool,
     /// Write all numbers as JSON to FILE. Without FILE: print them instead of the table
@@ -193,6 +223,9 @@ impl BenchArgs {
         if let Some(what) = self.device.misused(self.precision == Precision::F32) {
             return Err(UsageError(what.to_owned()).into());
         }
+        if let Some(groups) = &self.real {
+            return self.run_real(groups, context);
+        }
         match self.precision {
             Precision::F32 => self.run_in::<f32>(context),
             Precision::F64 => self.run_in::<f64>(context),
@@ -202,16 +235,7 @@ impl BenchArgs {
     fn run_in<T: ConvReal>(self, context: &Context) -> anyhow::Result<()> {
         let json = self.json.as_ref().and_then(JsonTo::file);
         let mut settings = Settings::of(&self);
-        let options = BenchOptions {
-            anchor: self.anchor,
-            tolerance_on: self.tolerance_on,
-            repeat: settings.repeat,
-            pixels: settings.pixels,
-            seed: settings.seed,
-            device: self.device.device,
-            gpu_adapter: self.device.gpu_adapter.clone(),
-            ..BenchOptions::default()
-        };
+        let options = self.bench_options(&settings);
         if options.device == Device::Gpu {
             // A missing GPU is reported before samples are drawn.
             psfield::open_gpu(options.gpu_adapter.as_deref())?;
@@ -271,6 +295,19 @@ impl BenchArgs {
             psf_io::write_text(path, drawn.svg(), self.overwrite)?;
         }
         context.report(&report, || report.text())
+    }
+
+    fn bench_options(&self, settings: &Settings) -> BenchOptions {
+        BenchOptions {
+            anchor: self.anchor,
+            tolerance_on: settings.tolerance_on,
+            repeat: settings.repeat,
+            pixels: settings.pixels,
+            seed: settings.seed,
+            device: self.device.device,
+            gpu_adapter: self.device.gpu_adapter.clone(),
+            ..BenchOptions::default()
+        }
     }
 
     /// Returns the origin of the PSF, for error messages.
@@ -346,7 +383,6 @@ impl BenchArgs {
             stretch: self.psf.is_none() || self.stretch,
             scene: self.scene.clone(),
             anchor: self.anchor,
-            tolerance_on: self.tolerance_on,
             precision: T::NAME,
             device: self.device.device.to_string(),
             gpu_adapter: self.device.gpu_adapter.clone(),

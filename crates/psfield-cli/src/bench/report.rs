@@ -39,9 +39,9 @@ impl<O> Report<O> {
                 let _ = write!(text, ", lowrank and auto on {gpu}");
             }
             let shown = if gpu.is_some() { COLUMNS.len() } else { ON_CPU };
-            let _ = writeln!(text, "\n{}", line(&COLUMNS[..shown]));
+            let _ = writeln!(text, "\n{}", line(&COLUMNS[..shown], &WIDTHS));
             for row in rows {
-                let _ = writeln!(text, "{}", line(&cells(row)[..shown]));
+                let _ = writeln!(text, "{}", line(&cells(row)[..shown], &WIDTHS));
             }
             for row in rows {
                 text.push_str(&least_bytes(row));
@@ -80,8 +80,12 @@ fn settings_of(row: &BenchRow) -> String {
     )
 }
 
-fn or_dash(text: Option<String>) -> String {
+pub(super) fn or_dash(text: Option<String>) -> String {
     text.unwrap_or_else(|| "-".to_owned())
+}
+
+pub(super) fn mebibytes(bytes: u64) -> String {
+    format!("{:.0} MiB", bytes as f64 / f64::from(1 << 20))
 }
 
 /// Returns a line with two lower bounds for this run, which hold for every GPU: the bytes moved over
@@ -112,7 +116,6 @@ const WIDTHS: [usize; 14] = [8, 16, 9, 9, 9, 8, 10, 6, 11, 9, 9, 9, 9, 9];
 const ON_CPU: usize = 10;
 
 fn cells(row: &BenchRow) -> [String; 14] {
-    let mebibytes = |bytes: u64| format!("{:.0} MiB", bytes as f64 / f64::from(1 << 20));
     let times = row.gpu_seconds.as_ref();
     let on_gpu = |seconds: Option<f64>| or_dash(seconds.map(|s| format!("{s:.5}")));
     [
@@ -133,9 +136,13 @@ fn cells(row: &BenchRow) -> [String; 14] {
     ]
 }
 
-/// A line of the table. Method and setting are left-aligned, numbers are right-aligned.
-fn line(cells: &[impl AsRef<str>]) -> String {
-    let cells = cells.iter().map(AsRef::as_ref).zip(WIDTHS).enumerate();
+/// A line of a table. The first two columns are left-aligned, numbers are right-aligned.
+pub(super) fn line(cells: &[impl AsRef<str>], widths: &[usize]) -> String {
+    let cells = cells
+        .iter()
+        .map(AsRef::as_ref)
+        .zip(widths.iter().copied())
+        .enumerate();
     let padded = cells.map(|(k, (cell, width))| match k {
         0 | 1 => format!("{cell:width$}"),
         _ => format!("{cell:>width$}"),

@@ -3,6 +3,7 @@
 use std::num::NonZeroUsize;
 
 use clap::ValueEnum;
+use psf_types::ToleranceOn;
 use psfield::Device;
 use psfield_lab::bench::{BenchOptions, Contender};
 use serde::Serialize;
@@ -21,6 +22,7 @@ pub(super) struct Settings {
     pub(super) tolerances: Vec<f64>,
     pub(super) patches: Vec<usize>,
     pub(super) ranks: Vec<usize>,
+    pub(super) tolerance_on: ToleranceOn,
     pub(super) repeat: usize,
     pub(super) pixels: usize,
     pub(super) seed: u64,
@@ -28,9 +30,17 @@ pub(super) struct Settings {
 
 impl Settings {
     pub(super) fn of(args: &BenchArgs) -> Self {
-        let quick = args.quick;
-        let sizes: &[usize] = if quick { &[256] } else { &[512, 1024, 2048] };
-        let grids: &[usize] = if quick { &[5] } else { &[9, 33] };
+        let (quick, real) = (args.quick, args.real.is_some());
+        let sizes: &[usize] = match (quick, real) {
+            (true, _) => &[256],
+            (false, true) => &[1024, 4096, 9216],
+            (false, false) => &[512, 1024, 2048],
+        };
+        let grids: &[usize] = match (quick, real) {
+            (true, _) => &[5],
+            (false, true) => &[71],
+            (false, false) => &[9, 33],
+        };
         let patches: &[usize] = if quick { &[64] } else { &[32, 64, 128, 256] };
         let ranks: &[usize] = if quick { &[10] } else { &[10, 30, 100] };
         let tolerances: &[f64] = if quick {
@@ -59,6 +69,11 @@ impl Settings {
             tolerances: args.tolerances.clone().unwrap_or_else(|| tolerances.to_vec()),
             patches: numbers(&args.patches, patches),
             ranks: numbers(&args.ranks, ranks),
+            tolerance_on: args.tolerance_on.unwrap_or(if real {
+                ToleranceOn::L2
+            } else {
+                ToleranceOn::default()
+            }),
             repeat: args.repeat.map_or(repeat, |n| usize::from(n.get())),
             pixels: args.pixels.map_or(pixels, |n| n as usize),
             seed: args.seed,

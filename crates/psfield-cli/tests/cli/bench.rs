@@ -187,6 +187,103 @@ fn what_takes_too_long_says_so() {
     assert!(reason.contains("262144 pixels with light"), "{reason}");
 }
 
+/// The keys of a row of `bench --real`.
+const WORK_KEYS: [&str; 12] = [
+    "group",
+    "psf",
+    "size",
+    "amount",
+    "unit",
+    "seconds_plan",
+    "seconds_first",
+    "seconds",
+    "seconds_median",
+    "seconds_single",
+    "relative_l2",
+    "peak_memory_bytes",
+];
+
+#[test]
+fn real_work_has_rows_for_every_group_within_the_tolerance() {
+    let desk = Desk::empty();
+    let run = desk.done("bench --real --quick --sizes 96 --json out.json --threads 2");
+    let report: Value = serde_json::from_slice(&desk.bytes("out.json")).unwrap();
+    assert_keys(&report, &["version", "options", "rows"]);
+    let options = &report["options"];
+    assert_eq!(
+        (&options["tolerance"], &options["tolerance_on"]),
+        (&0.001.into(), &"l2".into())
+    );
+    let tolerance = options["tolerance"].as_f64().unwrap();
+    let of_group = |group: &str| {
+        let rows = report["rows"].as_array().unwrap().iter();
+        rows.filter(|row| row["group"] == group).collect::<Vec<_>>()
+    };
+    for (group, count) in [
+        ("pixels", 5),
+        ("light", 3),
+        ("stars", 1),
+        ("galaxies", 1),
+        ("frames", 1),
+    ] {
+        assert!(
+            run.stdout.contains(&format!("\n{group} ")),
+            "{group} in {}",
+            run.stdout
+        );
+        let rows = of_group(group);
+        assert_eq!(rows.len(), count, "{group}");
+        for row in rows {
+            assert_keys(row, &WORK_KEYS);
+            assert_eq!(row["size"], serde_json::json!([96, 96]));
+            let seconds = |key: &str| row[key].as_f64().unwrap();
+            assert!(seconds("seconds") > 0.0 && seconds("seconds") <= seconds("seconds_median"));
+            assert!(seconds("seconds_plan") > 0.0 && seconds("seconds_first") > 0.0);
+            let with_image = !["stars", "galaxies"].contains(&group);
+            assert_eq!(row["seconds_single"].is_number(), with_image, "{row}");
+            match row["relative_l2"].as_f64() {
+                Some(error) => assert!(error <= tolerance, "{row}"),
+                None => assert_eq!(row["amount"], 0.0, "{row}"),
+            }
+        }
+    }
+    // The error of the approximation is measured, not only rounding.
+    let error = |row: &&Value| row["relative_l2"].as_f64();
+    let errors: Vec<f64> = of_group("pixels").iter().filter_map(error).collect();
+    assert!(errors.iter().any(|&e| e > 10.0 * ROUNDING_F32), "{errors:?}");
+
+    let one = desk
+        .done("bench --real=light --quick --sizes 64 --tolerance-on aperture --json")
+        .json();
+    assert_eq!(one["options"]["tolerance_on"], "aperture");
+    let mut rows = one["rows"].as_array().unwrap().iter();
+    assert!(rows.all(|row| row["group"] == "light"));
+}
+
+#[test]
+fn real_work_refuses_options_that_do_not_apply() {
+    let desk = Desk::new();
+    for option in [
+        "--grids 3",
+        "--psf samples.fits",
+        "--scene scene.fits",
+        "--preset survey-2m",
+        "--rank 2",
+        "--methods auto",
+        "--tolerances 1e-2",
+        "--patches 32",
+        "--ranks 2",
+        "--anchor output",
+        "--precision f64",
+        "--plot out.svg",
+        "--device cpu",
+    ] {
+        let name = option.split(' ').next().unwrap();
+        desk.refused(&format!("bench --real --quick {option}"), 2, &["--real", name]);
+    }
+    desk.refused("bench --real=moon --quick", 2, &["--real", "galaxies", "moon"]);
+}
+
 #[test]
 fn options_that_make_no_sense() {
     let desk = Desk::new();

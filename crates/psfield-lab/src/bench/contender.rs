@@ -4,7 +4,7 @@ use std::time::Instant;
 
 use conv_core::{ConvReal, PlanSummary};
 use ndarray::Array2;
-use psf_types::{NoProgress, Position};
+use psf_types::{FrameShape, NoProgress, Position, PsfModelRecord};
 use psfield::{Device, GpuSeconds, Method, Psf, PsfieldError, Scene, SimulateOptions, Simulator, model_of};
 
 use crate::bench::case::constant;
@@ -82,6 +82,45 @@ impl Contender {
             _ => None,
         }
     }
+
+    /// Returns the simulator of this contender for frames of one shape. `record` is the model of
+    /// `psf`.
+    pub(super) fn simulator<T: ConvReal>(
+        self,
+        record: &PsfModelRecord,
+        psf: &Psf,
+        frame: FrameShape,
+        options: &BenchOptions,
+    ) -> Result<Simulator<T>, PsfieldError> {
+        let (psf, method) = match self {
+            Self::Single => {
+                let middle = Position::new((frame.nx() - 1) as f64 / 2.0, (frame.ny() - 1) as f64 / 2.0)?;
+                (Psf::from(constant(psf.model()?, middle)?), Method::LowRank)
+            }
+            Self::LowRank { .. } => (psf.clone(), Method::LowRank),
+            Self::Auto { .. } => (psf.clone(), Method::Auto),
+            Self::Patch { size } => (psf.clone(), Method::Patch(size)),
+            Self::Basis { rank } => {
+                let truncated = model_of(record.truncated(rank)?)?;
+                (Psf::from(truncated), Method::Basis)
+            }
+            Self::Direct => (psf.clone(), Method::Direct),
+        };
+        let mut settings = SimulateOptions {
+            method,
+            tolerance: self.tolerance().unwrap_or(0.0),
+            anchor: options.anchor,
+            tolerance_on: options.tolerance_on,
+            device: Device::Cpu,
+            ..SimulateOptions::default()
+        };
+        if self.tolerance().is_some() {
+            settings.device = options.device;
+            settings.gpu_adapter.clone_from(&options.gpu_adapter);
+            settings.gpu_memory = options.gpu_memory;
+        }
+        psf.simulator((frame.ny(), frame.nx())).options(settings).build()
+    }
 }
 
 /// A contender that is planned and ready to run.
@@ -108,37 +147,7 @@ impl<T: ConvReal> PlannedContender<T> {
         options: &BenchOptions,
     ) -> Result<Self, PsfieldError> {
         let frame = case.scene.shape();
-        let (psf, method) = match contender {
-            Contender::Single => {
-                let middle = Position::new((frame.nx() - 1) as f64 / 2.0, (frame.ny() - 1) as f64 / 2.0)?;
-                (Psf::from(constant(psf.model()?, middle)?), Method::LowRank)
-            }
-            Contender::LowRank { .. } => (psf.clone(), Method::LowRank),
-            Contender::Auto { .. } => (psf.clone(), Method::Auto),
-            Contender::Patch { size } => (psf.clone(), Method::Patch(size)),
-            Contender::Basis { rank } => {
-                let truncated = model_of(case.record.truncated(rank)?)?;
-                (Psf::from(truncated), Method::Basis)
-            }
-            Contender::Direct => (psf.clone(), Method::Direct),
-        };
-        let mut settings = SimulateOptions {
-            method,
-            tolerance: contender.tolerance().unwrap_or(0.0),
-            anchor: options.anchor,
-            tolerance_on: options.tolerance_on,
-            device: Device::Cpu,
-            ..SimulateOptions::default()
-        };
-        if contender.tolerance().is_some() {
-            settings.device = options.device;
-            settings.gpu_adapter.clone_from(&options.gpu_adapter);
-            settings.gpu_memory = options.gpu_memory;
-        }
-        let simulator = psf
-            .simulator((frame.ny(), frame.nx()))
-            .options(settings)
-            .build()?;
+        let simulator = contender.simulator(&case.record, psf, frame, options)?;
         let made = simulator.prepare(&Scene::from(&case.scene), false, &NoProgress)?;
         let plan = made.plan.as_ref();
         let (modes, tile) = match contender {
@@ -174,18 +183,26 @@ impl<T: ConvReal> PlannedContender<T> {
         Ok(Self { simulator, row })
     }
 
-    /// Clears `image`, then simulates the image in this array. The returned time is the time of the
-    /// simulation alone.
+    /// Makes the image of a scene ([`timed_run`]).
     pub(super) fn run(&self, scene: &Scene<'_, T>, image: &mut Array2<T>) -> Result<RunTime, PsfieldError> {
-        image.fill(T::zero());
-        let clock = Instant::now();
-        self.simulator
-            .simulate_into(scene, image.view_mut(), &NoProgress)?;
-        Ok(RunTime {
-            seconds: clock.elapsed().as_secs_f64(),
-            gpu: self.simulator.gpu_seconds(),
-        })
+        timed_run(&self.simulator, scene, image)
     }
+}
+
+/// Clears `image`, then simulates the image in this array. The returned time is the time of the
+/// simulation alone.
+pub(super) fn timed_run<T: ConvReal>(
+    simulator: &Simulator<T>,
+    scene: &Scene<'_, T>,
+    image: &mut Array2<T>,
+) -> Result<RunTime, PsfieldError> {
+    image.fill(T::zero());
+    let clock = Instant::now();
+    simulator.simulate_into(scene, image.view_mut(), &NoProgress)?;
+    Ok(RunTime {
+        seconds: clock.elapsed().as_secs_f64(),
+        gpu: simulator.gpu_seconds(),
+    })
 }
 
 #[cfg(test)]

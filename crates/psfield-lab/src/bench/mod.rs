@@ -8,6 +8,9 @@
 //! [`BenchOptions::device`] chooses a GPU for the fast engine ([`Contender::LowRank`] and
 //! [`Contender::Auto`]).
 //!
+//! [`run_works`] measures real work instead of methods: how the cost of [`Contender::Auto`] grows
+//! with pixels, light, stars, galaxies and frames ([`WorkGroup`]).
+//!
 //! ```
 //! use psfield_lab::bench::{BenchCase, BenchOptions, Contender, lit_scene, run, stretched};
 //! # use ndarray::Array3;
@@ -28,8 +31,10 @@
 
 mod case;
 mod contender;
+mod real;
 mod run;
 
 pub use case::{BenchCase, lit_scene, stretched};
 pub use contender::Contender;
+pub use real::{WORK_TOLERANCE, Work, WorkGroup, WorkPsf, WorkRow, run_works};
 pub use run::{BenchOptions, BenchOutcome, BenchRow, Skipped, run};

@@ -158,6 +158,11 @@ struct Entry<T: ConvReal> {
 const MIN_SECONDS_PER_TURN: f64 = 0.02;
 const MOST_RUNS: f64 = 20.0;
 
+/// Number of runs of a turn, if a run takes this number of seconds.
+pub(super) fn runs_per_turn(seconds: f64) -> usize {
+    (MIN_SECONDS_PER_TURN / seconds.max(f64::MIN_POSITIVE)).clamp(1.0, MOST_RUNS) as usize
+}
+
 /// Plans and runs the single PSF, then the other contenders. The direct sum is skipped if it needs
 /// more than [`BenchOptions::direct_products`] products.
 ///
@@ -210,15 +215,6 @@ pub fn run<T: ConvReal>(
         .collect();
     let (direct, light) = (Direct::new(options.anchor), (case.scene.pixels(), (0, 0)));
     let exact = direct.at_pixels(model, light, frame, frame.region(), &pixels, &NoProgress)?;
-    // Returns the value of the field `relative_l2` for an image.
-    let relative_l2 = |image: &Array2<T>| {
-        let (mut error, mut norm) = (0.0, 0.0);
-        for (&(x, y), exact) in pixels.iter().zip(&exact) {
-            error += (image[[y, x]].as_f64() - exact).powi(2);
-            norm += exact * exact;
-        }
-        (norm > 0.0).then(|| (error / norm).sqrt())
-    };
     progress.advance(1);
 
     let mut image = Array2::zeros((frame.ny(), frame.nx()));
@@ -227,12 +223,11 @@ pub fn run<T: ConvReal>(
         let memory = PeakMemory::start();
         let mut contender = PlannedContender::new(contender, case, &psf, options)?;
         let warm = contender.run(&scene, &mut image)?;
-        let runs = (MIN_SECONDS_PER_TURN / warm.seconds.max(f64::MIN_POSITIVE)).clamp(1.0, MOST_RUNS);
-        contender.row.relative_l2 = relative_l2(&image);
+        contender.row.relative_l2 = relative_l2(&image, &pixels, &exact);
         contender.row.peak_memory_bytes = memory.bytes();
         entries.push(Entry {
             contender,
-            runs_per_turn: runs as usize,
+            runs_per_turn: runs_per_turn(warm.seconds),
             runs: Vec::new(),
         });
         progress.advance(1);
@@ -263,6 +258,21 @@ pub fn run<T: ConvReal>(
     Ok(outcome)
 }
 
+/// Returns `|F - E| / |E|` over some pixels `(column, row)`, between an image `F` and the exact
+/// values `E` of these pixels. None if `E` is 0 at all of them.
+pub(super) fn relative_l2<T: ConvReal>(
+    image: &Array2<T>,
+    pixels: &[(usize, usize)],
+    exact: &[f64],
+) -> Option<f64> {
+    let (mut error, mut norm) = (0.0, 0.0);
+    for (&(x, y), exact) in pixels.iter().zip(exact) {
+        error += (image[[y, x]].as_f64() - exact).powi(2);
+        norm += exact * exact;
+    }
+    (norm > 0.0).then(|| (error / norm).sqrt())
+}
+
 /// Returns the reason why a contender cannot take part, if there is one.
 fn reason_to_skip<T: ConvReal>(
     contender: Contender,
@@ -285,7 +295,7 @@ fn reason_to_skip<T: ConvReal>(
 }
 
 /// The median of ascending values.
-fn median(sorted: &[f64]) -> f64 {
+pub(super) fn median(sorted: &[f64]) -> f64 {
     let half = sorted.len() / 2;
     if sorted.len().is_multiple_of(2) {
         f64::midpoint(sorted[half - 1], sorted[half])
@@ -297,6 +307,15 @@ fn median(sorted: &[f64]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn errors_are_relative_to_the_exact_values() {
+        let image = ndarray::arr2(&[[1.0, 2.0], [3.0, 4.0]]);
+        let error = |pixels: &[(usize, usize)], exact: &[f64]| relative_l2(&image, pixels, exact);
+        assert_eq!(error(&[(1, 0)], &[2.5]), Some(0.2));
+        assert_eq!(error(&[(1, 0), (0, 1)], &[2.0, 3.0]), Some(0.0));
+        assert_eq!(error(&[(1, 1)], &[0.0]), None);
+    }
 
     #[test]
     fn medians() {

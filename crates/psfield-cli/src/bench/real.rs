@@ -1,0 +1,79 @@
+//! `psfield bench --real`.
+
+use anyhow::Context as _;
+use psfield_lab::bench::{self, WORK_TOLERANCE, Work, WorkGroup, WorkRow};
+
+use crate::bench::report::{line, mebibytes, or_dash};
+use crate::bench::settings::Settings;
+use crate::bench::{BenchArgs, JsonTo};
+use crate::context::{Context, object, without_option};
+
+impl BenchArgs {
+    pub(super) fn run_real(&self, groups: &[WorkGroup], context: &Context) -> anyhow::Result<()> {
+        let settings = Settings::of(self);
+        let options = self.bench_options(&settings);
+        let works: Vec<Work> = groups
+            .iter()
+            .flat_map(|group| group.works(&settings.sizes, self.quick))
+            .collect();
+        let grid = self.records(&settings, context)?.next().context("one grid")??;
+        let bar = context.bar("measuring");
+        let rows = bench::run_works(&works, &grid, &options, &bar).map_err(without_option)?;
+        drop(bar);
+        let threads = rayon::current_num_threads();
+        let report = object! {
+            version: env!("CARGO_PKG_VERSION"),
+            options: object! {
+                groups: groups.to_vec(),
+                sizes: settings.sizes.clone(),
+                grid: settings.grids[0],
+                rank: grid.basis().rank(),
+                tolerance: WORK_TOLERANCE,
+                tolerance_on: settings.tolerance_on,
+                repeat: settings.repeat,
+                pixels: settings.pixels,
+                seed: settings.seed,
+                threads: threads,
+            },
+            rows: rows.clone(),
+        };
+        if let Some(path) = self.json.as_ref().and_then(JsonTo::file) {
+            psf_io::write_text(path, &serde_json::to_string_pretty(&report)?, self.overwrite)?;
+        }
+        let title = format!(
+            "auto, f32, tolerance {WORK_TOLERANCE:e} on {}, {} PSF samples, threads: {threads}\n",
+            settings.tolerance_on,
+            settings.grids[0].pow(2)
+        );
+        context.report(&report, || title + &table(&rows))
+    }
+}
+
+/// The names of the columns. `single s`: seconds of one convolution with one PSF.
+const COLUMNS: [&str; 11] = [
+    "group", "PSF", "frame", "amount", "plan s", "first s", "min s", "median s", "single s", "rel. L2",
+    "memory",
+];
+const WIDTHS: [usize; 11] = [8, 15, 11, 15, 9, 9, 9, 9, 9, 8, 9];
+
+fn table(rows: &[WorkRow]) -> String {
+    let seconds = |s: f64| format!("{s:.4}");
+    let lines = rows.iter().map(|row| {
+        let cells = [
+            row.group.to_string(),
+            row.psf.clone(),
+            format!("{} x {}", row.size[0], row.size[1]),
+            format!("{} {}", row.amount, row.unit),
+            seconds(row.seconds_plan),
+            seconds(row.seconds_first),
+            seconds(row.seconds),
+            seconds(row.seconds_median),
+            or_dash(row.seconds_single.map(seconds)),
+            or_dash(row.relative_l2.map(|e| format!("{e:.1e}"))),
+            or_dash(row.peak_memory_bytes.map(mebibytes)),
+        ];
+        line(&cells, &WIDTHS)
+    });
+    let header = std::iter::once(line(&COLUMNS, &WIDTHS));
+    header.chain(lines).collect::<Vec<_>>().join("\n")
+}

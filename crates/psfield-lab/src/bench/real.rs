@@ -1,0 +1,498 @@
+//! A benchmark of real work: how the cost of the method auto grows with pixels, light, sources and
+//! frames.
+
+use std::fmt;
+use std::time::Instant;
+
+use ndarray::{Array2, s};
+use psf_types::{
+    FrameShape, ImageView, Interpolation, NoProgress, PointSource, Position, Progress, PsfModelRecord,
+    SersicProfile, SersicSource, named,
+};
+use psfield::convert::to_psfex;
+use psfield::psf_basis::RankSelection;
+use psfield::{EvaluateOptions, FitOptions, Psf, PsfieldError, Scene, Simulator, record_of_psfex};
+use rand::seq::IndexedRandom;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, LogNormal};
+use serde::Serialize;
+
+use crate::bench::contender::timed_run;
+use crate::bench::run::{median, relative_l2, runs_per_turn};
+use crate::bench::{BenchOptions, Contender, lit_scene, stretched};
+use crate::memory::PeakMemory;
+
+/// Works that differ in one amount. Written as the name in lower case.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+#[non_exhaustive]
+pub enum WorkGroup {
+    /// Frames of several sizes through every PSF. Every pixel is lit.
+    Pixels,
+    /// Frames in which a part of the pixels is lit, chosen at random one by one. No part of the
+    /// frame is empty, unless the whole frame is.
+    Light,
+    /// Stars of a catalogue between pixels.
+    Stars,
+    /// Galaxies of a catalogue, with half-light radii that are log-normal about 1.5 pixels and
+    /// Sersic indices of 0.5 to 4.
+    Galaxies,
+    /// Many small frames with one plan. Every pixel is lit.
+    Frames,
+}
+
+named!(
+    WorkGroup, "group of works", "pixels, light, stars, galaxies or frames",
+    "pixels" => Pixels, "light" => Light, "stars" => Stars, "galaxies" => Galaxies, "frames" => Frames
+);
+
+/// A PSF over a frame, made from a model on a regular grid.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum WorkPsf {
+    /// The model on its grid. It is interpolated bilinearly.
+    Grid,
+    /// The model on its grid, interpolated by bicubic splines.
+    Bicubic,
+    /// A PSFEx model of this degree, fitted to the PSFs on the grid.
+    Psfex(usize),
+    /// PSFs at 500 random positions (fewer if the grid has fewer), interpolated by natural
+    /// neighbours.
+    Scattered,
+}
+
+impl fmt::Display for WorkPsf {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Grid => f.write_str("grid"),
+            Self::Bicubic => f.write_str("grid, bicubic"),
+            Self::Psfex(degree) => write!(f, "psfex, degree {degree}"),
+            Self::Scattered => f.write_str("scattered"),
+        }
+    }
+}
+
+/// The largest number of scattered samples.
+const SCATTERED: usize = 500;
+/// The tolerance of all works.
+pub const WORK_TOLERANCE: f64 = 1e-3;
+/// A work whose first run takes more seconds does not run again.
+const LONG_SECONDS: f64 = 10.0;
+
+impl WorkPsf {
+    /// Makes the model of this PSF over a frame. `grid` is stretched to the frame.
+    fn record(
+        self,
+        grid: &PsfModelRecord,
+        frame: FrameShape,
+        rng: &mut ChaCha8Rng,
+    ) -> Result<PsfModelRecord, PsfieldError> {
+        let grid = stretched(grid, frame)?;
+        match self {
+            Self::Grid => Ok(grid),
+            Self::Bicubic => {
+                let (basis, coefficients) = (grid.basis().clone(), grid.coefficients().clone());
+                let (outside, normalisation) = (grid.outside(), grid.normalisation());
+                let bicubic = Interpolation::Bicubic;
+                Ok(PsfModelRecord::new(
+                    basis,
+                    coefficients,
+                    bicubic,
+                    outside,
+                    normalisation,
+                )?)
+            }
+            Self::Psfex(degree) => record_of_psfex(&to_psfex(&grid.into(), Some(degree))?.model),
+            Self::Scattered => {
+                let count = SCATTERED.min(grid.coefficients().positions().len());
+                let positions = (0..count).map(|_| random_position(frame, rng));
+                let positions = positions.collect::<Result<_, _>>()?;
+                let rank = grid.basis().rank();
+                let samples = Psf::from(grid).evaluate(positions, EvaluateOptions::default())?;
+                let options = FitOptions {
+                    rank: RankSelection::Full,
+                    interpolation: Interpolation::NaturalNeighbour,
+                    ..FitOptions::default()
+                };
+                Ok(Psf::new(samples, options).record()?.truncated(rank)?)
+            }
+        }
+    }
+}
+
+/// A work of the benchmark.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
+pub struct Work {
+    /// The group.
+    pub group: WorkGroup,
+    /// The PSF.
+    pub psf: WorkPsf,
+    /// Columns and rows of a frame.
+    pub side: usize,
+    /// The amount in which the works of the group differ, in the [`unit`](WorkGroup::unit) of the
+    /// group.
+    pub amount: f64,
+}
+
+impl WorkGroup {
+    /// All groups.
+    pub const ALL: [Self; 5] = [
+        Self::Pixels,
+        Self::Light,
+        Self::Stars,
+        Self::Galaxies,
+        Self::Frames,
+    ];
+
+    /// The unit of [`Work::amount`].
+    pub fn unit(self) -> &'static str {
+        match self {
+            Self::Pixels => "pixels",
+            Self::Light => "% lit",
+            Self::Stars => "stars",
+            Self::Galaxies => "galaxies",
+            Self::Frames => "frames",
+        }
+    }
+
+    /// The works of the group. `sizes` are the sides of the frames of [`Pixels`](Self::Pixels). The
+    /// frames of the other groups are at most as large as the largest of them. `quick` chooses a
+    /// few small amounts.
+    pub fn works(self, sizes: &[usize], quick: bool) -> Vec<Work> {
+        const PSFS: [WorkPsf; 5] = [
+            WorkPsf::Grid,
+            WorkPsf::Bicubic,
+            WorkPsf::Psfex(2),
+            WorkPsf::Psfex(3),
+            WorkPsf::Scattered,
+        ];
+        let (side, amounts, quick_amounts): (usize, &[f64], &[f64]) = match self {
+            Self::Pixels => {
+                let of_psf = |psf| sizes.iter().map(move |&side| (psf, side));
+                let works = PSFS.into_iter().flat_map(of_psf);
+                let work = |(psf, side)| Work {
+                    group: self,
+                    psf,
+                    side,
+                    amount: (side * side) as f64,
+                };
+                return works.map(work).collect();
+            }
+            Self::Light => (4096, &[0.0, 0.1, 1.0, 3.0, 10.0, 30.0, 100.0], &[0.0, 3.0, 100.0]),
+            Self::Stars => (9216, &[1e3, 1e4, 1e5, 1e6, 1e7], &[1e3]),
+            Self::Galaxies => (4096, &[1e3, 1e4, 1e5], &[10.0]),
+            Self::Frames => (256, &[1000.0], &[10.0]),
+        };
+        let amounts = if quick { quick_amounts } else { amounts };
+        let work = |&amount| Work {
+            group: self,
+            psf: WorkPsf::Scattered,
+            side: side.min(sizes.iter().copied().max().unwrap_or(side)),
+            amount,
+        };
+        amounts.iter().map(work).collect()
+    }
+}
+
+/// The results of a work.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[non_exhaustive]
+pub struct WorkRow {
+    /// [`Work::group`].
+    pub group: WorkGroup,
+    /// [`Work::psf`] as text.
+    pub psf: String,
+    /// Columns and rows of a frame.
+    pub size: [usize; 2],
+    /// [`Work::amount`].
+    pub amount: f64,
+    /// [`WorkGroup::unit`].
+    pub unit: &'static str,
+    /// Seconds from the model in memory to a simulator that is ready to run. The fit of the model
+    /// is not included.
+    pub seconds_plan: f64,
+    /// Seconds of the first run, of all frames. For stars and galaxies, this run also makes the
+    /// PSFs of all blocks of the frame. Later runs use them again.
+    pub seconds_first: f64,
+    /// Seconds of the fastest run after the first one. Equals `seconds_first` if this takes more
+    /// than 10 s, because the work then runs only once.
+    pub seconds: f64,
+    /// Median of the seconds of these runs.
+    pub seconds_median: f64,
+    /// Seconds of the fastest run with [`Contender::Single`]. None for stars and galaxies.
+    pub seconds_single: Option<f64>,
+    /// Relative L2 difference of the last frame from the direct sum in double precision, at random
+    /// pixels. For stars and galaxies, these are at most 3 pixels from a source along x and along
+    /// y. None if the direct sum is 0 at all these pixels.
+    pub relative_l2: Option<f64>,
+    /// The largest memory that the process held between the start of planning and the end of the
+    /// first run. None if the system does not report it. It includes the scenes.
+    pub peak_memory_bytes: Option<u64>,
+}
+
+/// Measures works one after the other, with tolerance [`WORK_TOLERANCE`] and the method auto in f32.
+/// `grid` is a model on a regular grid of samples, interpolated bilinearly.
+///
+/// For works with images, the method auto and the single PSF run in turn, as in
+/// [`run`](crate::bench::run()).
+///
+/// # Errors
+/// [`PsfieldError`] if a PSF cannot be made from `grid`, or if a simulation fails.
+pub fn run_works(
+    works: &[Work],
+    grid: &PsfModelRecord,
+    options: &BenchOptions,
+    progress: &dyn Progress,
+) -> Result<Vec<WorkRow>, PsfieldError> {
+    progress.start(works.len() as u64);
+    let mut rows = Vec::with_capacity(works.len());
+    // Works of the same PSF and frame are neighbours in the list.
+    for works in works.chunk_by(|a, b| (a.psf, a.side) == (b.psf, b.side)) {
+        let frame = FrameShape::new(works[0].side, works[0].side)?;
+        let mut rng = ChaCha8Rng::seed_from_u64(options.seed);
+        let record = works[0].psf.record(grid, frame, &mut rng)?;
+        for work in works {
+            rows.push(measured(work, &record, frame, options)?);
+            progress.advance(1);
+        }
+    }
+    Ok(rows)
+}
+
+/// A simulator with the seconds of its runs.
+struct Timed {
+    simulator: Simulator<f32>,
+    first: f64,
+    later: Vec<f64>,
+}
+
+fn measured(
+    work: &Work,
+    record: &PsfModelRecord,
+    frame: FrameShape,
+    options: &BenchOptions,
+) -> Result<WorkRow, PsfieldError> {
+    let scenes = Scenes::new(work, frame, options.seed)?;
+    let last = scenes.get(scenes.count - 1)?;
+    let mut image = conv_core::zeros((frame.ny(), frame.nx()));
+    let psf = Psf::from(record.clone());
+
+    let memory = PeakMemory::start();
+    let clock = Instant::now();
+    let auto = Contender::Auto {
+        tolerance: WORK_TOLERANCE,
+    };
+    let simulator = auto.simulator(record, &psf, frame, options)?;
+    simulator.prepare(&last, false, &NoProgress)?;
+    let seconds_plan = clock.elapsed().as_secs_f64();
+    let first = scenes.seconds(&simulator, &mut image)?;
+    let peak_memory_bytes = memory.bytes();
+
+    let pixels = scenes.pixels(options);
+    let exact = simulator.exact_at(&last, &pixels, &NoProgress)?;
+    let relative_l2 = relative_l2(&image, &pixels, &exact);
+
+    let timed = |simulator, first| Timed {
+        simulator,
+        first,
+        later: Vec::new(),
+    };
+    let mut all = vec![timed(simulator, first)];
+    if last.image().is_some() {
+        let simulator = Contender::Single.simulator(record, &psf, frame, options)?;
+        let first = scenes.seconds(&simulator, &mut image)?;
+        all.push(timed(simulator, first));
+    }
+    for _ in 0..options.repeat.max(1) {
+        for timed in all.iter_mut().filter(|timed| timed.first <= LONG_SECONDS) {
+            for _ in 0..runs_per_turn(timed.first) {
+                let seconds = scenes.seconds(&timed.simulator, &mut image)?;
+                timed.later.push(seconds);
+            }
+        }
+    }
+    for timed in &mut all {
+        if timed.later.is_empty() {
+            timed.later.push(timed.first);
+        }
+        timed.later.sort_by(f64::total_cmp);
+    }
+    Ok(WorkRow {
+        group: work.group,
+        psf: work.psf.to_string(),
+        size: [frame.nx(), frame.ny()],
+        amount: work.amount,
+        unit: work.group.unit(),
+        seconds_plan,
+        seconds_first: first,
+        seconds: all[0].later[0],
+        seconds_median: median(&all[0].later),
+        seconds_single: all.get(1).map(|single| single.later[0]),
+        relative_l2,
+        peak_memory_bytes,
+    })
+}
+
+/// The scenes of a work.
+struct Scenes {
+    frame: FrameShape,
+    count: usize,
+    /// Scene `k` has the rows of this image from `k` on. The image has `count - 1` rows more than a
+    /// frame.
+    image: Option<Array2<f32>>,
+    stars: Vec<PointSource>,
+    galaxies: Vec<SersicSource>,
+}
+
+impl Scenes {
+    fn new(work: &Work, frame: FrameShape, seed: u64) -> Result<Self, PsfieldError> {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let mut scenes = Self {
+            frame,
+            count: 1,
+            image: None,
+            stars: Vec::new(),
+            galaxies: Vec::new(),
+        };
+        let sources = 0..work.amount as usize;
+        match work.group {
+            WorkGroup::Pixels => scenes.image = Some(lit_scene(frame, seed)?.into_pixels()),
+            WorkGroup::Light => {
+                let mut image = lit_scene(frame, seed)?.into_pixels();
+                let lit = work.amount / 100.0;
+                image.mapv_inplace(|v| if rng.random_bool(lit) { v } else { 0.0 });
+                scenes.image = Some(image);
+            }
+            WorkGroup::Stars => {
+                scenes.stars = sources.map(|_| star(frame, &mut rng)).collect::<Result<_, _>>()?;
+            }
+            WorkGroup::Galaxies => {
+                scenes.galaxies = sources
+                    .map(|_| galaxy(frame, &mut rng))
+                    .collect::<Result<_, _>>()?;
+            }
+            WorkGroup::Frames => {
+                scenes.count = sources.len();
+                let rows = FrameShape::new(frame.nx(), frame.ny() + scenes.count - 1)?;
+                scenes.image = Some(lit_scene(rows, seed)?.into_pixels());
+            }
+        }
+        Ok(scenes)
+    }
+
+    fn get(&self, k: usize) -> Result<Scene<'_, f32>, PsfieldError> {
+        let scene = match &self.image {
+            Some(image) => ImageView::new(image.slice(s![k..k + self.frame.ny(), ..]))?.into(),
+            None => Scene::dark(),
+        };
+        Ok(scene
+            .with_stars(&self.stars[..])
+            .with_galaxies(&self.galaxies[..]))
+    }
+
+    /// Chooses the pixels `(column, row)` at which the image of a scene is compared.
+    fn pixels(&self, options: &BenchOptions) -> Vec<(usize, usize)> {
+        let mut rng = ChaCha8Rng::seed_from_u64(options.seed);
+        let stars = self.stars.iter().map(|star| star.position());
+        let galaxies = self.galaxies.iter().map(|galaxy| galaxy.position());
+        let sources: Vec<Position> = stars.chain(galaxies).collect();
+        let pixel = |rng: &mut ChaCha8Rng, near: Option<f64>, pixels: usize| match near {
+            Some(at) => (at.round() as usize + rng.random_range(0..=6))
+                .saturating_sub(3)
+                .min(pixels - 1),
+            None => rng.random_range(0..pixels),
+        };
+        let count = options.pixels.max(1);
+        let pixels = (0..count).map(|_| {
+            let source = sources.choose(&mut rng);
+            let x = pixel(&mut rng, source.map(|at| at.x()), self.frame.nx());
+            (x, pixel(&mut rng, source.map(|at| at.y()), self.frame.ny()))
+        });
+        pixels.collect()
+    }
+
+    /// Makes the image of each scene in the array `image`. Returns the seconds of all simulations.
+    fn seconds(&self, simulator: &Simulator<f32>, image: &mut Array2<f32>) -> Result<f64, PsfieldError> {
+        let mut seconds = 0.0;
+        for k in 0..self.count {
+            seconds += timed_run(simulator, &self.get(k)?, image)?.seconds;
+        }
+        Ok(seconds)
+    }
+}
+
+/// Returns a random position on the frame.
+fn random_position(frame: FrameShape, rng: &mut ChaCha8Rng) -> Result<Position, PsfieldError> {
+    let mut along = |pixels: usize| rng.random::<f64>() * (pixels - 1) as f64;
+    Ok(Position::new(along(frame.nx()), along(frame.ny()))?)
+}
+
+/// Returns a random flux between 10^2 and 10^5, each power of ten with equal probability.
+fn flux(rng: &mut ChaCha8Rng) -> f64 {
+    10f64.powf(rng.random_range(2.0..5.0))
+}
+
+fn star(frame: FrameShape, rng: &mut ChaCha8Rng) -> Result<PointSource, PsfieldError> {
+    Ok(PointSource::new(random_position(frame, rng)?, flux(rng))?)
+}
+
+fn galaxy(frame: FrameShape, rng: &mut ChaCha8Rng) -> Result<SersicSource, PsfieldError> {
+    let radius = LogNormal::new(1.5f64.ln(), 0.5).expect("a finite width");
+    let profile = SersicProfile::new(
+        radius.sample(rng).clamp(0.3, 8.0),
+        rng.random_range(0.5..4.0),
+        rng.random_range(0.2..1.0),
+        rng.random_range(0.0..180.0),
+    )?;
+    Ok(SersicSource::new(
+        random_position(frame, rng)?,
+        flux(rng),
+        profile,
+    )?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn scenes(group: WorkGroup, amount: f64) -> Scenes {
+        let work = Work {
+            group,
+            psf: WorkPsf::Grid,
+            side: 60,
+            amount,
+        };
+        Scenes::new(&work, FrameShape::new(60, 60).unwrap(), 1).unwrap()
+    }
+
+    #[test]
+    fn scenes_have_the_amounts_of_their_works() {
+        let lit = |percent| {
+            let scenes = scenes(WorkGroup::Light, percent);
+            scenes.image.unwrap().iter().filter(|v| **v != 0.0).count()
+        };
+        assert_eq!((lit(0.0), lit(100.0)), (0, 3600));
+        // 360 pixels on average, with a standard deviation of 18.
+        assert!((270..450).contains(&lit(10.0)));
+        assert_eq!(scenes(WorkGroup::Stars, 7.0).stars.len(), 7);
+        assert_eq!(scenes(WorkGroup::Galaxies, 5.0).galaxies.len(), 5);
+        let frames = scenes(WorkGroup::Frames, 3.0);
+        let pixels = |k| frames.get(k).unwrap().image().unwrap().pixels().to_owned();
+        assert_eq!((frames.count, pixels(2).dim()), (3, (60, 60)));
+        assert_ne!(pixels(0), pixels(2));
+    }
+
+    #[test]
+    fn frames_are_no_larger_than_the_largest_size() {
+        let sides = |sizes: &[usize]| {
+            let works = WorkGroup::ALL.map(|group| group.works(sizes, false));
+            works.map(|works| works.iter().map(|work| work.side).max().unwrap())
+        };
+        assert_eq!(sides(&[1024, 9216]), [9216, 4096, 9216, 4096, 256]);
+        assert_eq!(sides(&[200, 100]), [200; 5]);
+        let names = WorkGroup::ALL.map(|group| group.to_string().parse::<WorkGroup>());
+        assert_eq!(names.map(Result::unwrap), WorkGroup::ALL);
+    }
+}
