@@ -1,6 +1,7 @@
 """Runs psfield's command line on the same files and reads the output of `psfield bench`."""
 
 import json
+import os
 import subprocess
 import tempfile
 from pathlib import Path
@@ -51,6 +52,21 @@ def _row(entry, unit):
         "relative_l2": entry.get("relative_l2"),
         "relative_l2_own_model": None,
     }
+
+
+def real(args):
+    """The report of `psfield bench --real`. Its table appears on the terminal."""
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder) / "bench.json"
+        command = [args.psfield, "bench", f"--real={args.real}", "--threads", str(args.threads)]
+        command += ["--repeat", str(args.repeat), "--seed", str(args.seed), "--json", out]
+        command += ["--pixels", str(args.pixels)]
+        command += ["--quick"] if args.quick else []
+        command += ["--sizes", args.sizes] if args.sizes else []
+        # Without the settings of `settle`, with which freed memory stays with the process.
+        environment = {k: v for k, v in os.environ.items() if not k.startswith("MALLOC_")}
+        subprocess.run(command, check=True, env=environment)
+        return json.loads(out.read_text())
 
 
 def sample(binary, preset, grid, out):

@@ -11,6 +11,9 @@ import sys
 from pathlib import Path
 
 
+GROUPS = "pixels,light,stars,galaxies,frames"
+
+
 def arguments():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--size", type=int, default=1024, help="pixels along each axis of the frame (default 1024)")
@@ -19,6 +22,9 @@ def arguments():
     parser.add_argument("--repeat", type=int, default=3, help="timed runs of each method (default 3)")
     parser.add_argument("--methods", help="names separated by commas (default: all, with --stars all for stars)")
     parser.add_argument("--stars", action="store_true", help="2916 one-pixel stars instead of a scene")
+    parser.add_argument("--real", nargs="?", const=GROUPS, metavar="GROUP,...", help=f"real work (default {GROUPS})")
+    parser.add_argument("--sizes", help="with --real: sides of the frames, separated by commas")
+    parser.add_argument("--quick", action="store_true", help="with --real: a small version of every work")
     parser.add_argument("--scene", type=Path, help="FITS image of size x size pixels (default: random, from --seed)")
     parser.add_argument("--samples", type=Path, help="psf-samples file on a regular grid (default: made here)")
     parser.add_argument("--preset", help="psfield samples this telescope, for instance survey-2m")
@@ -31,6 +37,8 @@ def arguments():
     args = parser.parse_args()
     if args.preset and not args.psfield:
         parser.error("--preset needs --psfield")
+    if args.real and not args.psfield:
+        parser.error("--real needs --psfield")
     if args.preset and args.samples:
         parser.error("--preset and --samples exclude each other")
     return args
@@ -52,10 +60,14 @@ def settle(threads):
 def main():
     args = arguments()
     settle(args.threads)
-    import images
-    import stars
+    if args.real:
+        import real as chosen
+    elif args.stars:
+        import stars as chosen
+    else:
+        import images as chosen
 
-    ok, results = (stars if args.stars else images).benchmark(args)
+    ok, results = chosen.benchmark(args)
     print(f"peak memory of this process {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20:.1f} GiB")
     if args.json:
         args.json.write_text(json.dumps(results, indent=1) + "\n")

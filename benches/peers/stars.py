@@ -133,11 +133,11 @@ class Photutils:
 METHODS = {"matrix": Matrix, "galsim": GalSim, "photutils": Photutils}
 
 
-def draw_catalogue(size, seed):
+def draw_catalogue(size, seed, count=COUNT):
     """Integer positions y, x, all different, and fluxes."""
     rng = np.random.default_rng(seed)
-    y, x = np.divmod(rng.choice(size * size, COUNT, replace=False), size)
-    return y, x, rng.uniform(100, 1000, COUNT).astype(np.float32)
+    y, x = np.divmod(rng.choice(size * size, count, replace=False), size)
+    return y, x, rng.uniform(100, 1000, count).astype(np.float32)
 
 
 def truth(inputs, catalogue, samples=None):

@@ -1,0 +1,157 @@
+"""The benchmark of real work: psfield's rows of `psfield bench --real`, and the peers' times."""
+
+import functools
+import json
+import time
+import warnings
+
+import numpy as np
+
+import galaxies
+import plots
+import psfield
+import stars
+from inputs import Axis, Inputs, optical_samples, random_scene
+from methods import Single
+from pool import Pool
+
+STARS = 100, 1000
+"""Numbers of stars that are drawn. The difference of their times gives the time of a star."""
+GALAXIES = 300
+ORDER = "pixels", "light", "stars", "galaxies", "frames"
+
+
+class Peers:
+    """Times of the peers in seconds. Each time is measured once for each size of frame."""
+
+    def __init__(self, args):
+        self.args = args
+        kept = self._samples, self._images, self._star, self._galaxy
+        self.samples, self.images, self.star, self.galaxy = map(functools.cache, kept)
+
+    def best(self, row):
+        """The name of the fastest peer for a work, and its seconds."""
+        size, amount = row["size"][0], row["amount"]
+        if row["group"] == "stars":
+            name, seconds = min(self.star(size).items(), key=lambda item: item[1])
+            return name, seconds * amount
+        if row["group"] == "galaxies":
+            return galaxies.GalSim.name, self.galaxy(size) * amount
+        frames = int(amount) if row["group"] == "frames" else 1
+        return "fftconvolve", self.images(size, frames)
+
+    def _samples(self):
+        grid = self.args.grid
+        samples = optical_samples(grid)
+        return samples.reshape(grid, grid, *samples.shape[1:])
+
+    def inputs(self, scene):
+        size, samples = len(scene), self.samples()
+        y, x = (Axis.new(np.linspace(0, size - 1, count), size) for count in samples.shape[:2])
+        return Inputs(scene, samples, y, x)
+
+    def _images(self, size, frames):
+        """Seconds of `frames` images with one PSF."""
+        scene = random_scene(size, self.args.seed)
+        single = Single(self.inputs(scene), Pool(self.args.threads))
+
+        def run():
+            for _ in range(frames):
+                single.run()
+
+        return fastest(run, self.args.repeat)
+
+    def _star(self, size):
+        """Seconds of a star, for each peer.
+
+        GalSim and photutils use one thread. Their times are divided by the number of threads, as if
+        as many processes shared the sources.
+        """
+        warnings.filterwarnings("ignore", module="photutils")
+        inputs = self.inputs(np.zeros((size, size), dtype=np.float32))
+        out = {}
+        for peer in (stars.GalSim, stars.Photutils):
+            few, many = (
+                fastest(peer(inputs, catalogue).run, self.args.repeat)
+                for catalogue in (stars.draw_catalogue(size, self.args.seed, n) for n in STARS)
+            )
+            out[peer.name] = (many - few) / (STARS[1] - STARS[0]) / self.args.threads
+        return out
+
+    def _galaxy(self, size):
+        """Seconds of a galaxy, divided by the number of threads."""
+        inputs = self.inputs(np.zeros((size, size), dtype=np.float32))
+        peer = galaxies.GalSim(inputs, GALAXIES, self.args.seed)
+        return fastest(peer.run, self.args.repeat) / GALAXIES / self.args.threads
+
+
+def fastest(run, repeat):
+    """Seconds of the fastest of `repeat` runs, after one that is not timed."""
+    run()
+    seconds = []
+    for _ in range(repeat):
+        start = time.perf_counter()
+        run()
+        seconds.append(time.perf_counter() - start)
+    return min(seconds)
+
+
+def benchmark(args):
+    """Measures, and writes `real.json`, `real.md` and the plots in the working folder.
+
+    Rows of other groups in an earlier `real.json` are kept.
+    """
+    args.work.mkdir(parents=True, exist_ok=True)
+    rows = psfield.real(args)["rows"]
+    peers = Peers(args)
+    for row in rows:
+        row["peer"], row["seconds_peer"] = peers.best(row)
+    path = args.work / "real.json"
+    kept = json.loads(path.read_text()) if path.exists() else []
+    groups = {row["group"] for row in rows}
+    rows = [row for row in kept if row["group"] not in groups] + rows
+    rows.sort(key=lambda row: ORDER.index(row["group"]))
+    path.write_text(json.dumps(rows, indent=1) + "\n")
+    table = markdown(rows)
+    (args.work / "real.md").write_text(table)
+    print("\n" + table)
+    plots.draw(rows, args.work)
+    return True, rows
+
+
+HEAD = "work", "PSF", "plan", "first run", "run", "one PSF", "best peer", "error", "memory"
+
+
+def markdown(rows):
+    """One table. Times are in seconds."""
+    lines = [HEAD, ["---"] * len(HEAD)]
+    for row in rows:
+        seconds = (row[f"seconds{part}"] for part in ("_plan", "_first", "", "_single"))
+        error, memory = row["relative_l2"], row["peak_memory_bytes"]
+        lines.append(
+            [
+                work(row),
+                row["psf"],
+                *(number(value) for value in seconds),
+                f"{number(row['seconds_peer'])} {row['peer']}",
+                "-" if error is None else f"{error:.0e}".replace("e-0", "e-"),
+                "-" if memory is None else f"{memory / 2**30:.2f} GiB",
+            ]
+        )
+    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
+
+
+def work(row):
+    amount, unit = row["amount"], row["unit"]
+    frame = " x ".join(map(str, row["size"]))
+    if row["group"] == "pixels":
+        return frame
+    if row["group"] == "frames":
+        return f"{amount:.0f} frames of {frame}"
+    return f"{frame}, {amount:g} {unit}" if amount < 1e4 else f"{frame}, {amount:.0e} {unit}".replace("e+0", "e")
+
+
+def number(value):
+    if value is None:
+        return "-"
+    return f"{value:.0f}" if value >= 100 else f"{value:.3g}"
