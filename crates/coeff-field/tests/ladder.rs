@@ -147,7 +147,11 @@ fn the_edge_of_an_uneven_grid_follows_its_samples() {
     for (angle, jitter) in [(0.0, 0.0), (0.4, 0.0), (0.0, 1e-9), (0.0, 0.004), (0.9, 0.002)] {
         let positions = common::grid(21, 21, 10.0, angle, jitter);
         let (s, c) = angle.sin_cos();
-        for method in [&Delaunay as &dyn FieldInterpolation, &NaturalNeighbour] {
+        // The cells of natural neighbours' quadtree are up to 4.5 wide and do not follow a turned edge.
+        for (method, bound) in [
+            (&Delaunay as &dyn FieldInterpolation, 0.3),
+            (&NaturalNeighbour, 0.6),
+        ] {
             for outside in [OutsidePolicy::Nearest, OutsidePolicy::Extend] {
                 let field = field(&samples_of(&positions, 1, curve), method, outside);
                 // Along the first row: just outside, on it, and just inside.
@@ -157,9 +161,11 @@ fn the_edge_of_an_uneven_grid_follows_its_samples() {
                         let p = at(along * c - off * s, along * s + off * c);
                         let error = (value(&field, p) - curve(p, 0)).abs();
                         // 0.25 from linear interpolation between neighbours 10 apart with second
-                        // derivative 0.02, and a slope of 4 over 0.01. The cells of a quadtree are up
-                        // to 4.5 wide: both second derivatives add 0.05.
-                        assert!(error < 0.4, "{method:?} {outside} {angle} {jitter} {p}: {error}");
+                        // derivative 0.02, and a slope of 4 over 0.01.
+                        assert!(
+                            error < bound,
+                            "{method:?} {outside} {angle} {jitter} {p}: {error}"
+                        );
                     }
                 }
             }
