@@ -78,6 +78,10 @@ fn lit_pixels<T: ConvReal>(plane: &[T], pitch: usize, (rows, columns): (usize, u
     pixels
 }
 
+/// A pixel stays in the transform if it exceeds the mean of the other *lit* pixels by less than this
+/// fraction of [`brightest_allowed`]. The noise is then below a few 1e-6 of a faint star's PSF.
+const OF_LIT: f64 = 0.1;
+
 /// Removes very bright pixels from a tile's light and returns them. The rounding noise of their
 /// transform would hide faint light. At most `most` pixels are removed, the brightest first.
 ///
@@ -96,12 +100,12 @@ fn take_bright<T: ConvReal>(
     if light.largest <= contrast * (light.total - most as f64 * light.largest) / pixels {
         return Vec::new();
     }
-    let rest = match total_of_faint(plane, pitch, (rows, columns), most) {
-        rest if rest > 0.0 => rest,
+    let (rest, lit) = match faint_light(plane, pitch, (rows, columns), most) {
+        (rest, lit) if rest > 0.0 => (rest, lit),
         // No other pixels are lit. The bright pixels are compared with their own mean.
-        _ => light.total,
+        _ => (light.total, light.lit),
     };
-    let limit = contrast * rest / pixels;
+    let limit = contrast * (rest / pixels).max(OF_LIT * rest / lit as f64);
     let mut taken: Vec<LitPixel<T>> = Vec::new();
     if light.lit <= 1 || light.largest <= limit {
         return taken;
@@ -122,19 +126,22 @@ fn take_bright<T: ConvReal>(
     taken
 }
 
-/// The sum of the absolute values of the faint pixels. At most `most` pixels are bright, and the
-/// limit between faint and bright is a power of 2.
-fn total_of_faint<T: ConvReal>(
+/// The sum of the absolute values of the faint lit pixels, and their number. At most `most` pixels
+/// are bright, and the limit between faint and bright is a power of 2.
+fn faint_light<T: ConvReal>(
     plane: &[T],
     pitch: usize,
     (rows, columns): (usize, usize),
     most: usize,
-) -> f64 {
+) -> (f64, usize) {
     const EXPONENTS: usize = 1 << 11;
     let mut by_exponent = vec![(0_usize, 0.0_f64); EXPONENTS];
     for values in plane.chunks(pitch).take(rows) {
         for value in &values[..columns] {
             let value = value.abs().as_f64();
+            if value == 0.0 {
+                continue;
+            }
             let bin = &mut by_exponent[(value.to_bits() >> 52) as usize % EXPONENTS];
             bin.0 += 1;
             bin.1 += value;
@@ -145,7 +152,7 @@ fn total_of_faint<T: ConvReal>(
         bright += count;
         bright <= most
     });
-    faint.map(|(_, sum)| sum).sum()
+    faint.fold((0.0, 0), |(total, lit), (count, sum)| (total + sum, lit + count))
 }
 
 /// The treatment of a tile.

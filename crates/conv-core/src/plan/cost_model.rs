@@ -30,7 +30,7 @@ const READ_OR_ADD_PIXEL: f64 = 0.15e-9;
 /// Adding a tile's plane to the image, per value of the plane.
 const ADD: f64 = 0.20e-9;
 /// Drawing a stamp and adding it to the image, per stamp pixel and mode.
-const DRAW: f64 = 0.05e-9;
+const DRAW: f64 = 0.08e-9;
 /// Factor on [`DRAW`] if every pixel that receives light has its own coefficients.
 const DRAW_GATHERED: f64 = 6.0;
 /// Computing a local stamp, per stamp pixel and per stamp of the model.
