@@ -40,6 +40,16 @@ impl Reach {
             above: grid.ny() - 1 - cy,
         })
     }
+
+    /// The reach of the stamps turned by 180 degrees.
+    pub(crate) fn turned(self) -> Self {
+        Self {
+            left: self.right,
+            right: self.left,
+            below: self.above,
+            above: self.below,
+        }
+    }
 }
 
 /// The shape of the light, and the frame: the part of the light that the image shows.
@@ -110,6 +120,15 @@ impl View {
         };
         Ok((cut, light.pixels().slice_move(s![rows, columns]), reach))
     }
+}
+
+/// The region of `nx x ny` pixels from pixel `(x0, y0)` on.
+///
+/// # Panics
+/// If there are no pixels.
+pub(crate) fn region(x0: i64, y0: i64, (nx, ny): (usize, usize)) -> PixelRegion {
+    let shape = FrameShape::new(nx, ny).expect("regions are not empty");
+    PixelRegion::new(x0, y0, shape)
 }
 
 pub(crate) fn in_words(region: PixelRegion) -> String {

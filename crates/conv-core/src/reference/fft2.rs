@@ -1,17 +1,16 @@
-//! Real two-dimensional transforms. Their spectra stay transposed.
+//! Convolutions by real two-dimensional transforms. Their spectra stay transposed.
 //!
 //! A plane of `rows x columns` real values has the half spectrum `[columns / 2 + 1, rows]`. So the
 //! transforms along the plane's columns run over contiguous memory. No plane is ever transposed as
 //! a whole, because that takes 10 to 40 % more time. Rows are read and written in blocks of
 //! [`BLOCK`], so that the transposed side is accessed in whole cache lines. Rows without light are
-//! never transformed. Nothing is normalised: a forward and an inverse transform together multiply a
-//! plane by `rows * columns`.
+//! never transformed.
 
 use std::sync::Arc;
 
 use ndarray::parallel::prelude::*;
-use ndarray::{Array2, ArrayView2, ArrayViewMut2, Axis};
-use rayon::slice::ParallelSliceMut;
+use ndarray::{Array2, ArrayView1, ArrayView2, ArrayViewMut1, Axis, s};
+use psf_types::{Cancelled, Progress};
 use realfft::{ComplexToReal, RealFftPlanner, RealToComplex};
 use rustfft::num_complex::Complex;
 use rustfft::{Fft, FftPlanner};
@@ -25,36 +24,23 @@ const BLOCK: usize = 16;
 /// planes in parallel.
 const PARALLEL_FROM: usize = 1 << 18;
 
-pub(crate) struct RealFft2<T: ConvReal> {
-    pub(crate) rows: usize,
-    pub(crate) columns: usize,
+/// `[columns / 2 + 1, rows]`: a column of a plane's spectrum is contiguous.
+pub(crate) type Spectrum<T> = Array2<Complex<T>>;
+
+pub(crate) struct RealFft2<'a, T: ConvReal> {
+    rows: usize,
+    columns: usize,
     row_forward: Arc<dyn RealToComplex<T>>,
     row_inverse: Arc<dyn ComplexToReal<T>>,
     column_forward: Arc<dyn Fft<T>>,
     column_inverse: Arc<dyn Fft<T>>,
+    /// After a cancellation, transforms are skipped.
+    progress: &'a dyn Progress,
 }
 
-/// A block of rows being read or written, and the buffers for transforms of single rows.
-struct Block<T> {
-    real: Vec<T>,
-    /// The half spectra of [`BLOCK`] rows, one after the other.
-    rows: Vec<Complex<T>>,
-    scratch: Vec<Complex<T>>,
-}
-
-/// One column of the spectrum and the buffers that its transforms need.
-pub(crate) struct Column<'a, T> {
-    pub(crate) index: usize,
-    pub(crate) values: &'a mut [Complex<T>],
-    /// Two buffers, each as long as `values`. Their content is undefined.
-    pub(crate) spare: [&'a mut [Complex<T>]; 2],
-    /// Buffer for the transforms. The content is undefined.
-    pub(crate) scratch: &'a mut [Complex<T>],
-}
-
-impl<T: ConvReal> RealFft2<T> {
+impl<'a, T: ConvReal> RealFft2<'a, T> {
     /// Transforms of planes of at least `rows x columns`, enlarged to sizes with fast transforms.
-    pub(crate) fn at_least(rows: usize, columns: usize) -> Self {
+    pub(crate) fn at_least(rows: usize, columns: usize, progress: &'a dyn Progress) -> Self {
         let (rows, columns) = (fast_size(rows), fast_size(columns));
         let mut real = RealFftPlanner::new();
         let mut complex = FftPlanner::new();
@@ -65,177 +51,136 @@ impl<T: ConvReal> RealFft2<T> {
             row_inverse: real.plan_fft_inverse(columns),
             column_forward: complex.plan_fft_forward(rows),
             column_inverse: complex.plan_fft_inverse(rows),
+            progress,
         }
     }
 
-    /// The factor by which a forward and an inverse transform multiply a plane.
-    pub(crate) fn gain(&self) -> f64 {
-        self.rows as f64 * self.columns as f64
-    }
-
-    /// A spectrum `[columns / 2 + 1, rows]` of zeros.
-    pub(crate) fn spectrum(&self) -> Array2<Complex<T>> {
+    /// A spectrum of zeros.
+    pub(crate) fn zeros(&self) -> Spectrum<T> {
         Array2::zeros((self.columns / 2 + 1, self.rows))
     }
 
-    pub(crate) fn forward(&self, column: &mut [Complex<T>], scratch: &mut [Complex<T>]) {
-        self.column_forward.process_with_scratch(
-            column,
-            &mut scratch[..self.column_forward.get_inplace_scratch_len()],
-        );
-    }
-
-    pub(crate) fn inverse(&self, column: &mut [Complex<T>], scratch: &mut [Complex<T>]) {
-        self.column_inverse.process_with_scratch(
-            column,
-            &mut scratch[..self.column_inverse.get_inplace_scratch_len()],
-        );
-    }
-
-    /// Transforms rows into the spectrum. `fill(row, values)` gets zeros, writes the light of the
-    /// row into them and returns whether the row has any light. The transforms of the columns are
-    /// not done here.
-    pub(crate) fn rows_forward(
+    /// Computes the spectrum of a plane that holds light from pixel `(column, row)` on, and zeros
+    /// elsewhere.
+    pub(crate) fn forward(
         &self,
-        spectrum: &mut Array2<Complex<T>>,
-        fill: impl Fn(usize, &mut [T]) -> bool + Send + Sync,
+        light: ArrayView2<'_, T>,
+        (column, row): (usize, usize),
+        spectrum: &mut Spectrum<T>,
     ) {
-        let half = self.columns / 2 + 1;
-        let zero = Complex::new(T::zero(), T::zero());
-        let buffers = || self.block(self.row_forward.get_scratch_len());
-        let work = |Block { real, rows, scratch }: &mut Block<T>,
-                    block: usize,
-                    mut target: ArrayViewMut2<'_, Complex<T>>| {
-            let mut lit = false;
-            for (row, transformed) in rows.chunks_exact_mut(half).take(target.ncols()).enumerate() {
-                real.fill(T::zero());
-                if fill(block * BLOCK + row, real) {
-                    lit = true;
+        let columns = column..column + light.ncols();
+        self.transform(spectrum, |plane_row, mut values| {
+            let y = plane_row.checked_sub(row).filter(|&y| y < light.nrows());
+            y.map(|y| light.row(y)).is_some_and(|line| {
+                values.slice_mut(s![columns.clone()]).assign(&line);
+                line.iter().any(|v| !v.is_zero())
+            })
+        });
+    }
+
+    /// Computes the spectrum of a stamp for cyclic convolution. The stamp's central pixel is at
+    /// pixel (0, 0) of the plane, and pixels to the left or below are wrapped around. The stamp is
+    /// divided by the gain of the transforms, so a convolution needs no further normalisation.
+    pub(crate) fn kernel(&self, stamp: ArrayView2<'_, f64>, reach: Reach, spectrum: &mut Spectrum<T>) {
+        let gain = self.rows as f64 * self.columns as f64;
+        self.transform(spectrum, |row, mut values| {
+            // A stamp that is larger than the plane overlaps itself. The plane is large enough that
+            // the overlap does not reach the result.
+            let first = (row + reach.below) % self.rows;
+            for j in (first..stamp.nrows()).step_by(self.rows) {
+                for (i, &value) in stamp.row(j).iter().enumerate() {
+                    values[(i + self.columns - reach.left) % self.columns] += T::nearest(value / gain);
+                }
+            }
+            first < stamp.nrows()
+        });
+    }
+
+    /// Transforms a plane. `fill(row, values)` gets zeros, writes the values of the row and returns
+    /// whether there are any.
+    fn transform(
+        &self,
+        spectrum: &mut Spectrum<T>,
+        fill: impl Fn(usize, ArrayViewMut1<'_, T>) -> bool + Sync,
+    ) {
+        let blocks = spectrum.axis_chunks_iter_mut(Axis(1), BLOCK).into_par_iter();
+        let blocks = blocks.enumerate().with_min_len(self.least_per_task());
+        blocks.for_each(|(block, mut target)| {
+            if self.progress.cancelled() {
+                return;
+            }
+            let mut rows = Array2::zeros((target.ncols(), self.columns));
+            let mut transformed = Array2::zeros((target.ncols(), target.nrows()));
+            let lines = rows.outer_iter_mut().zip(transformed.outer_iter_mut());
+            for (row, (mut values, mut transformed)) in lines.enumerate() {
+                if fill(block * BLOCK + row, values.view_mut()) {
+                    let values = values.as_slice_mut().expect("row-major");
+                    let transformed = transformed.as_slice_mut().expect("row-major");
                     self.row_forward
-                        .process_with_scratch(real, transformed, scratch)
-                        .expect("buffers of the plan's size");
-                } else {
-                    transformed.fill(zero);
+                        .process(values, transformed)
+                        .expect("lines of the plan's lengths");
                 }
             }
-            if lit {
-                for (column, mut values) in target.outer_iter_mut().enumerate() {
-                    for (row, value) in values.iter_mut().enumerate() {
-                        *value = rows[row * half + column];
-                    }
-                }
-            } else {
-                target.fill(zero);
-            }
-        };
-        self.for_blocks(spectrum.view_mut(), Axis(1), buffers, work);
+            target.assign(&transformed.t());
+        });
+        self.along_columns(spectrum, &*self.column_forward);
     }
 
-    /// Calls `work` with each block of [`BLOCK`] neighbouring rows (axis 0) or columns (axis 1) of
-    /// an array, on many threads if the plane is large.
-    fn for_blocks<E: Send + Sync>(
+    /// Computes the values `[y, x]` of a plane from pixel `(column, row)` on. The spectrum is
+    /// overwritten. The results of [`forward`](Self::forward) and this function together are
+    /// `rows * columns` times as large as the light.
+    ///
+    /// # Errors
+    /// [`Cancelled`] if the progress object has cancelled this or an earlier step.
+    pub(crate) fn inverse(
         &self,
-        mut array: ArrayViewMut2<'_, E>,
-        axis: Axis,
-        buffers: impl Fn() -> Block<T> + Send + Sync,
-        work: impl Fn(&mut Block<T>, usize, ArrayViewMut2<'_, E>) + Send + Sync,
-    ) {
+        spectrum: &mut Spectrum<T>,
+        (column, row): (usize, usize),
+        shape: (usize, usize),
+    ) -> Result<Array2<T>, Cancelled> {
+        self.along_columns(spectrum, &*self.column_inverse);
+        let mut output = Array2::zeros(shape);
+        let blocks = output.axis_chunks_iter_mut(Axis(0), BLOCK).into_par_iter();
+        let blocks = blocks.enumerate().with_min_len(self.least_per_task());
+        blocks.for_each(|(block, mut target)| {
+            if self.progress.cancelled() {
+                return;
+            }
+            let rows = row + block * BLOCK..row + block * BLOCK + target.nrows();
+            let mut lines = spectrum.slice(s![.., rows]).t().as_standard_layout().into_owned();
+            let mut values = self.row_inverse.make_output_vec();
+            for (mut line, mut out) in lines.outer_iter_mut().zip(target.outer_iter_mut()) {
+                let line = line.as_slice_mut().expect("row-major");
+                // For a real plane, these two values are real. `realfft` would reject rounding
+                // errors in their imaginary parts, which are therefore set to 0.
+                line[0].im = T::zero();
+                line[self.columns / 2].im = T::zero();
+                self.row_inverse
+                    .process(line, &mut values)
+                    .expect("lines of the plan's lengths");
+                out.assign(&ArrayView1::from(&values[column..column + shape.1]));
+            }
+        });
+        self.progress.check_cancelled().map(|()| output)
+    }
+
+    fn along_columns(&self, spectrum: &mut Spectrum<T>, transform: &dyn Fft<T>) {
+        let columns = spectrum.axis_iter_mut(Axis(0)).into_par_iter();
+        let columns = columns.with_min_len(self.least_per_task());
+        columns.for_each(|mut column| {
+            if !self.progress.cancelled() {
+                transform.process(column.as_slice_mut().expect("row-major"));
+            }
+        });
+    }
+
+    /// The least number of blocks or columns that one task transforms.
+    fn least_per_task(&self) -> usize {
         if self.rows * self.columns < PARALLEL_FROM {
-            let mut buffers = buffers();
-            for (block, lanes) in array.axis_chunks_iter_mut(axis, BLOCK).enumerate() {
-                work(&mut buffers, block, lanes);
-            }
+            usize::MAX
         } else {
-            let blocks = array
-                .axis_chunks_iter_mut(axis, BLOCK)
-                .into_par_iter()
-                .enumerate();
-            blocks.for_each_init(buffers, |buffers, (block, lanes)| work(buffers, block, lanes));
+            1
         }
-    }
-
-    fn block(&self, scratch_len: usize) -> Block<T> {
-        let zero = Complex::new(T::zero(), T::zero());
-        Block {
-            real: vec![T::zero(); self.columns],
-            rows: vec![zero; (self.columns / 2 + 1) * BLOCK],
-            scratch: vec![zero; scratch_len],
-        }
-    }
-
-    /// Calls `work` on every column of the spectrum.
-    pub(crate) fn for_columns(
-        &self,
-        spectrum: &mut Array2<Complex<T>>,
-        work: impl Fn(Column<'_, T>) + Send + Sync,
-    ) {
-        let scratch_len = self
-            .column_forward
-            .get_inplace_scratch_len()
-            .max(self.column_inverse.get_inplace_scratch_len());
-        let zero = Complex::new(T::zero(), T::zero());
-        let buffers = || (vec![zero; 2 * self.rows], vec![zero; scratch_len]);
-        let rows = self.rows;
-        let one = |(spare, scratch): &mut (Vec<_>, Vec<_>), (index, values)| {
-            let (first, second) = spare.split_at_mut(rows);
-            work(Column {
-                index,
-                values,
-                spare: [first, second],
-                scratch,
-            });
-        };
-        let values = spectrum.as_slice_mut().expect("spectra are row-major");
-        if self.rows * self.columns < PARALLEL_FROM {
-            let mut buffers = buffers();
-            let columns = values.chunks_exact_mut(rows).enumerate();
-            columns.for_each(|column| one(&mut buffers, column));
-        } else {
-            let columns = values.par_chunks_exact_mut(rows).enumerate();
-            columns.for_each_init(buffers, one);
-        }
-    }
-
-    /// Transforms rows `first_row ..` back from a spectrum whose columns are already transformed
-    /// back. `store(row, out, values)` gets a full row of the plane in `values`. It writes or adds
-    /// the values that it needs to `out`, which is row `row` of `output`.
-    pub(crate) fn rows_inverse(
-        &self,
-        spectrum: &Array2<Complex<T>>,
-        first_row: usize,
-        output: ArrayViewMut2<'_, T>,
-        store: impl Fn(usize, &mut [T], &[T]) + Send + Sync,
-    ) {
-        let half = self.columns / 2 + 1;
-        let buffers = || self.block(self.row_inverse.get_scratch_len());
-        let work =
-            |Block { real, rows, scratch }: &mut Block<T>, block: usize, mut target: ArrayViewMut2<'_, T>| {
-                let first = block * BLOCK;
-                for (column, values) in spectrum.outer_iter().enumerate() {
-                    let values = &values.to_slice().expect("spectra are row-major")[first_row + first..];
-                    for (row, &value) in values.iter().take(target.nrows()).enumerate() {
-                        rows[row * half + column] = value;
-                    }
-                }
-                for (row, mut out) in target.outer_iter_mut().enumerate() {
-                    let transformed = &mut rows[row * half..(row + 1) * half];
-                    // For a real plane, these two values are real. `realfft` would reject rounding
-                    // errors in their imaginary parts, which are therefore set to 0.
-                    transformed[0].im = T::zero();
-                    if self.columns.is_multiple_of(2) {
-                        transformed[half - 1].im = T::zero();
-                    }
-                    self.row_inverse
-                        .process_with_scratch(transformed, real, scratch)
-                        .expect("buffers of the plan's size");
-                    store(
-                        first + row,
-                        out.as_slice_mut().expect("rows of the output are contiguous"),
-                        real,
-                    );
-                }
-            };
-        self.for_blocks(output, Axis(0), buffers, work);
     }
 }
 
@@ -256,54 +201,10 @@ fn fast_size(n: usize) -> usize {
     size
 }
 
-/// The row transforms of a stamp laid out for circular convolution: its central pixel is at index
-/// (0, 0), and pixels to the left or below are wrapped around. Only the stamp's own rows are
-/// stored, because all other rows are zero. The columns are transformed when they are needed.
-pub(crate) struct KernelRows<T> {
-    /// `[spectral column, stamp row]`.
-    transformed: Array2<Complex<T>>,
-    below: usize,
-}
-
-impl<T: ConvReal> KernelRows<T> {
-    /// The transforms of `stamp / fft.gain()`, so that a convolution needs no further
-    /// normalisation.
-    pub(crate) fn new(fft: &RealFft2<T>, stamp: ArrayView2<'_, f64>, reach: Reach) -> Self {
-        let columns = fft.columns;
-        let mut transformed = Array2::zeros((columns / 2 + 1, stamp.nrows()));
-        fft.rows_forward(&mut transformed, |row, values| {
-            for (i, &value) in stamp.row(row).iter().enumerate() {
-                // A stamp that is wider than the plane overlaps itself. The plane is large enough
-                // that the overlap does not reach the result.
-                values[(i + columns - reach.left) % columns] += T::nearest(value / fft.gain());
-            }
-            true
-        });
-        Self {
-            transformed,
-            below: reach.below,
-        }
-    }
-
-    /// Writes column `index` of the stamp's spectrum.
-    pub(crate) fn column_into(
-        &self,
-        fft: &RealFft2<T>,
-        index: usize,
-        column: &mut [Complex<T>],
-        scratch: &mut [Complex<T>],
-    ) {
-        let rows = fft.rows;
-        column.fill(Complex::new(T::zero(), T::zero()));
-        for (j, &value) in self.transformed.row(index).iter().enumerate() {
-            column[(j + rows - self.below) % rows] += value;
-        }
-        fft.forward(column, scratch);
-    }
-}
-
 #[cfg(test)]
 mod tests {
+    use psf_types::NoProgress;
+
     use super::*;
 
     #[test]
@@ -321,57 +222,45 @@ mod tests {
         }
     }
 
-    /// Sizes below and above the limit for threads, with dirty buffers.
+    /// Sizes below and above the limit for threads, with a dirty spectrum.
     #[test]
     fn a_plane_comes_back_times_the_gain() {
         for (rows, columns) in [(6, 10), (35, 18), (600, 500)] {
-            let fft = RealFft2::<f64>::at_least(rows, columns);
+            let fft = RealFft2::<f64>::at_least(rows, columns, &NoProgress);
             let plane = Array2::from_shape_fn((fft.rows, fft.columns), |(y, x)| {
                 ((y * 31 + x * 17) % 23) as f64 - 9.0
             });
-            let mut spectrum = fft.spectrum();
+            let mut spectrum = fft.zeros();
             spectrum.fill(Complex::new(f64::NAN, f64::NAN));
-            fft.rows_forward(&mut spectrum, |row, values| {
-                values.copy_from_slice(plane.row(row).to_slice().unwrap());
-                true
-            });
-            fft.for_columns(&mut spectrum, |c| {
-                for spare in c.spare {
-                    spare.fill(Complex::new(f64::NAN, f64::NAN));
-                }
-                c.scratch.fill(Complex::new(f64::NAN, f64::NAN));
-                fft.forward(c.values, c.scratch);
-                c.scratch.fill(Complex::new(f64::NAN, f64::NAN));
-                fft.inverse(c.values, c.scratch);
-            });
-            let first = 3;
-            let mut back = Array2::from_elem((fft.rows - first, fft.columns), f64::NAN);
-            fft.rows_inverse(&spectrum, first, back.view_mut(), |_, out, values| {
-                out.copy_from_slice(values);
-            });
+            fft.forward(plane.view(), (0, 0), &mut spectrum);
+            let [row, column] = [3, 2];
+            let shape = (fft.rows - row, fft.columns - column);
+            let back = fft.inverse(&mut spectrum, (column, row), shape).unwrap();
             for ((y, x), value) in back.indexed_iter() {
-                assert!((value / fft.gain() - plane[[y + first, x]]).abs() < 1e-12);
+                let gain = (fft.rows * fft.columns) as f64;
+                assert!((value / gain - plane[[y + row, x + column]]).abs() < 1e-12);
             }
         }
     }
 
     #[test]
     fn the_spectrum_is_the_sum_it_stands_for() {
-        let fft = RealFft2::<f64>::at_least(6, 10);
-        let plane = Array2::from_shape_fn((6, 10), |(y, x)| ((y * 7 + x * 5) % 11) as f64);
-        let mut spectrum = fft.spectrum();
-        // Row 4 is dark.
-        fft.rows_forward(&mut spectrum, |row, values| {
-            values.copy_from_slice(plane.row(row).to_slice().unwrap());
-            row != 4
+        let fft = RealFft2::<f64>::at_least(6, 10, &NoProgress);
+        // Row 1 is dark.
+        let light = Array2::from_shape_fn((4, 7), |(y, x)| {
+            if y == 1 {
+                0.0
+            } else {
+                ((y * 7 + x * 5) % 11) as f64
+            }
         });
-        fft.for_columns(&mut spectrum, |c| fft.forward(c.values, c.scratch));
+        let mut spectrum = fft.zeros();
+        fft.forward(light.view(), (3, 2), &mut spectrum);
         for ((kx, ky), value) in spectrum.indexed_iter() {
             let mut sum = Complex::new(0.0, 0.0);
-            for ((y, x), &v) in plane.indexed_iter().filter(|((y, _), _)| *y != 4) {
-                let phase =
-                    -std::f64::consts::TAU * (kx as f64 * x as f64 / 10.0 + ky as f64 * y as f64 / 6.0);
-                sum += Complex::from_polar(v, phase);
+            for ((y, x), &v) in light.indexed_iter() {
+                let turns = kx as f64 * (x + 3) as f64 / 10.0 + ky as f64 * (y + 2) as f64 / 6.0;
+                sum += Complex::from_polar(v, -std::f64::consts::TAU * turns);
             }
             assert!((sum - value).norm() < 1e-11, "{kx}, {ky}");
         }

@@ -1,12 +1,13 @@
 //! The classical method: a constant PSF in each patch.
 
-use ndarray::{Array2, ArrayView2, Axis, s};
+use ndarray::{Array2, ArrayView2, s};
 use psf_types::{Anchor, Image, ImageView, PixelRegion, Position, Progress, PsfModel};
+use rustfft::num_traits::Zero;
 
 use super::ConvolutionMethod;
-use super::fft2::{KernelRows, RealFft2};
+use super::fft2::RealFft2;
 use crate::overlap::{Piece, add_in_order, overlap};
-use crate::view::{Reach, View};
+use crate::view::{Reach, View, region};
 use crate::working_range::{Rescaling, take_back};
 use crate::{ConvError, ConvReal};
 
@@ -72,31 +73,29 @@ impl<T: ConvReal> ConvolutionMethod<T> for PatchConvolution {
         let (height, width) = model.grid().dim();
         let work = Work {
             model,
+            anchor: self.anchor,
             reach,
-            fft: RealFft2::<T>::at_least(patch + height - 1, patch + width - 1),
+            fft: RealFft2::<T>::at_least(patch + height - 1, patch + width - 1, progress),
             light: light.view(),
             field: view.field_region(),
             frame: view.frame,
         };
         // The region that is divided into patches, and the frame's first pixel in it. This region
         // is the frame if each output pixel has its own PSF, otherwise all light.
-        let (region, origin) = match self.anchor {
+        let (whole, origin) = match self.anchor {
             Anchor::Output => (view.frame, (0, 0)),
             _ => (view.shape.region(), view.first_pixel()),
         };
-        let columns = self.cut(origin.0, region.shape().nx());
-        let rows = self.cut(origin.1, region.shape().ny());
+        let columns = self.cut(origin.0, whole.shape().nx());
+        let rows = self.cut(origin.1, whole.shape().ny());
         let mut result = Array2::zeros((frame.shape().ny(), frame.shape().nx()));
         add_in_order(result.view_mut(), rows.len(), progress, |row| {
             let (y, height) = rows[row];
             let mut pieces = Vec::new();
             for &(x, width) in &columns {
                 progress.check_cancelled()?;
-                let corner = (x + region.x0() as usize, y + region.y0() as usize);
-                pieces.extend(match self.anchor {
-                    Anchor::Output => work.gather(corner, (width, height))?,
-                    _ => work.scatter(corner, (width, height))?,
-                });
+                let corner = (whole.x0() + x as i64, whole.y0() + y as i64);
+                pieces.extend(work.convolve(region(corner.0, corner.1, (width, height)))?);
             }
             Ok(pieces)
         })?;
@@ -107,109 +106,60 @@ impl<T: ConvReal> ConvolutionMethod<T> for PatchConvolution {
 
 struct Work<'a, T: ConvReal> {
     model: &'a PsfModel,
+    anchor: Anchor,
     reach: Reach,
-    fft: RealFft2<T>,
+    fft: RealFft2<'a, T>,
     light: ArrayView2<'a, T>,
     field: PixelRegion,
     frame: PixelRegion,
 }
 
 impl<T: ConvReal> Work<'_, T> {
-    /// Spreads the light of a patch over the patch and a margin of the stamp's reach.
-    fn scatter(
-        &self,
-        (x, y): (usize, usize),
-        (nx, ny): (usize, usize),
-    ) -> Result<Option<Piece<T>>, ConvError> {
-        let window = (x as i64, y as i64, nx, ny);
+    /// Convolves the light of a patch, or the light that reaches it, with the PSF at the patch's
+    /// centre. Returns `None` if this light is dark.
+    fn convolve(&self, patch: PixelRegion) -> Result<Option<Piece<T>>, ConvError> {
+        let gathers = self.anchor == Anchor::Output;
+        // The patch and a margin, which fill the plane of the transforms.
+        let reach = if gathers { self.reach.turned() } else { self.reach };
         let (height, width) = self.model.grid().dim();
-        let whole = self.convolve(window, (x, y), (nx, ny))?;
-        Ok(whole.map(|whole| Piece {
-            first_column: x as i64 - self.reach.left as i64 - self.frame.x0(),
-            first_row: y as i64 - self.reach.below as i64 - self.frame.y0(),
-            // The plane is circular: rows below the first row of the patch are at the plane's end.
-            values: Array2::from_shape_fn((ny + height - 1, nx + width - 1), |(j, i)| {
-                let row = (j + self.fft.rows - self.reach.below) % self.fft.rows;
-                let column = (i + self.fft.columns - self.reach.left) % self.fft.columns;
-                whole[[row, column]]
-            }),
-        }))
-    }
-
-    /// The image of a patch, from the light of the patch and a margin of the mirrored stamp's
-    /// reach.
-    fn gather(
-        &self,
-        (x, y): (usize, usize),
-        (nx, ny): (usize, usize),
-    ) -> Result<Option<Piece<T>>, ConvError> {
-        let (height, width) = self.model.grid().dim();
-        let (right, above) = (self.reach.right, self.reach.above);
-        let window = (
-            x as i64 - right as i64,
-            y as i64 - above as i64,
-            nx + width - 1,
-            ny + height - 1,
+        let plane = region(
+            patch.x0() - reach.left as i64,
+            patch.y0() - reach.below as i64,
+            (patch.shape().nx() + width - 1, patch.shape().ny() + height - 1),
         );
-        let whole = self.convolve(window, (x, y), (nx, ny))?;
-        Ok(whole.map(|whole| Piece {
-            first_column: x as i64 - self.frame.x0(),
-            first_row: y as i64 - self.frame.y0(),
-            values: whole.slice(s![above..above + ny, right..right + nx]).to_owned(),
-        }))
-    }
-
-    /// The circular convolution of a window of the light with the PSF at the centre of a patch.
-    /// Returns `None` if the window is dark.
-    fn convolve(
-        &self,
-        (x, y, nx, ny): (i64, i64, usize, usize),
-        corner: (usize, usize),
-        patch: (usize, usize),
-    ) -> Result<Option<Array2<T>>, ConvError> {
-        let (Some((to_x, x, nx)), Some((to_y, y, ny))) = (
-            overlap(x, nx, self.light.ncols()),
-            overlap(y, ny, self.light.nrows()),
+        let (from, to) = if gathers { (plane, patch) } else { (patch, plane) };
+        let in_plane = |x: i64, y: i64| ((x - plane.x0()) as usize, (y - plane.y0()) as usize);
+        let (Some((_, x, nx)), Some((_, y, ny))) = (
+            overlap(from.x0(), from.shape().nx(), self.light.ncols()),
+            overlap(from.y0(), from.shape().ny(), self.light.nrows()),
         ) else {
             return Ok(None);
         };
-        let window = self.light.slice(s![y..y + ny, x..x + nx]);
-        if window.iter().all(rustfft::num_traits::Zero::is_zero) {
+        let light = self.light.slice(s![y..y + ny, x..x + nx]);
+        if light.iter().all(Zero::is_zero) {
             return Ok(None);
         }
-        let psf = self.model.psf_at(self.centre(corner, patch))?;
-        let kernel = KernelRows::new(&self.fft, psf.values(), self.reach);
-        let mut spectrum = self.fft.spectrum();
-        self.fft.rows_forward(&mut spectrum, |row, values| {
-            let Some(row) = row.checked_sub(to_y).filter(|&r| r < ny) else {
-                return false;
-            };
-            values[to_x..]
-                .iter_mut()
-                .zip(window.index_axis(Axis(0), row))
-                .for_each(|(value, &f)| *value = f);
-            true
-        });
-        self.fft.for_columns(&mut spectrum, |column| {
-            let [stamp, _] = column.spare;
-            self.fft.forward(column.values, column.scratch);
-            kernel.column_into(&self.fft, column.index, stamp, column.scratch);
-            column.values.iter_mut().zip(&*stamp).for_each(|(f, b)| *f *= b);
-            self.fft.inverse(column.values, column.scratch);
-        });
-        let mut whole = Array2::zeros((self.fft.rows, self.fft.columns));
+        let psf = self.model.psf_at(self.centre(patch))?;
+        let [mut spectrum, mut kernel] = [self.fft.zeros(), self.fft.zeros()];
         self.fft
-            .rows_inverse(&spectrum, 0, whole.view_mut(), |_, out, values| {
-                out.copy_from_slice(values);
-            });
-        Ok(Some(whole))
+            .forward(light, in_plane(x as i64, y as i64), &mut spectrum);
+        self.fft.kernel(psf.values(), self.reach, &mut kernel);
+        spectrum *= &kernel;
+        let shape = (to.shape().ny(), to.shape().nx());
+        Ok(Some(Piece {
+            first_column: to.x0() - self.frame.x0(),
+            first_row: to.y0() - self.frame.y0(),
+            values: self
+                .fft
+                .inverse(&mut spectrum, in_plane(to.x0(), to.y0()), shape)?,
+        }))
     }
 
     /// The field position of the centre of a patch.
-    fn centre(&self, (x, y): (usize, usize), (nx, ny): (usize, usize)) -> Position {
-        self.field
-            .position(x, y)
-            .midpoint(self.field.position(x + nx - 1, y + ny - 1))
+    fn centre(&self, patch: PixelRegion) -> Position {
+        let field = patch.shifted(self.field.x0(), self.field.y0());
+        let (nx, ny) = (patch.shape().nx(), patch.shape().ny());
+        field.position(0, 0).midpoint(field.position(nx - 1, ny - 1))
     }
 }
 

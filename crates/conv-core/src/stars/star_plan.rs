@@ -1,7 +1,7 @@
 //! Plans for stars.
 
 use ndarray::{Array1, ArrayViewMut2};
-use psf_types::{Anchor, FieldError, FrameShape, PixelRegion, PointSource, Position, Progress, PsfModel};
+use psf_types::{Anchor, FieldError, PixelRegion, PointSource, Position, Progress, PsfModel};
 use rayon::prelude::*;
 
 use super::draw::{DrawGroups, Group, StarKey};
@@ -14,6 +14,7 @@ use crate::kept::Kept;
 use crate::plan::PlanOptions;
 use crate::plan::local_modes::{LocalModes, PsfSpace};
 use crate::stamp_interpolator::Kernel;
+use crate::view::region;
 use crate::{ConvError, ConvReal};
 
 /// A plan for drawing point sources through one model.
@@ -120,12 +121,7 @@ impl<T: ConvReal> StarPlan<T> {
     /// [`ConvError::StampSize`] if `size` is 0.
     #[inline(never)]
     pub fn new(model: &PsfModel, options: PlanOptions, size: Option<usize>) -> Result<Self, ConvError> {
-        let painter = StarPainter::new(
-            model,
-            FrameShape::new(1, 1).map_err(ConvError::Result)?.region(),
-            options.anchor(),
-            size,
-        )?;
+        let painter = StarPainter::new(model, region(0, 0, (1, 1)), options.anchor(), size)?;
         let axes = PhasedAxis::both(model.grid(), painter.kernel, painter.window())
             .filter(|_| options.anchor() != Anchor::Output);
         Ok(Self {
@@ -370,8 +366,7 @@ pub(crate) fn block_of((column, row): (i64, i64), side: i64) -> BlockKey {
 
 /// The pixels of such a block.
 pub(crate) fn region_of((row, column): BlockKey, side: i64) -> PixelRegion {
-    let shape = FrameShape::new(side as usize, side as usize).expect("blocks have pixels");
-    PixelRegion::new(column * side, row * side, shape)
+    region(column * side, row * side, (side as usize, side as usize))
 }
 
 /// Computes the vectors of stars' PSFs in [`PsfSpace`], one star at a time. All stars use the same
