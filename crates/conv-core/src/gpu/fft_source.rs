@@ -32,13 +32,6 @@ pub(super) struct FftSource {
     padded: bool,
 }
 
-/// A register, and the place of its value: the line, and the index along this line.
-pub(super) struct Register<'a> {
-    pub(super) number: usize,
-    pub(super) line: &'a str,
-    pub(super) index: &'a str,
-}
-
 /// The most values per workgroup, unless a single transform is longer. They are enough to hide
 /// memory latency, and few enough for several workgroups to share one core of the GPU.
 const VALUES: usize = 2048;
@@ -110,24 +103,16 @@ impl FftSource {
 
     /// Declares registers with a given name, set to zero.
     pub(super) fn registers(&self, name: &str) -> String {
-        (0..self.register_count()).fold(String::new(), |mut text, i| {
-            let _ = writeln!(text, "var {name}{i} = vec2f(0.0);");
-            text
-        })
-    }
-
-    fn register_count(&self) -> usize {
         let of_stage = |&radix: &usize| (self.lines * self.n / radix).div_ceil(self.threads) * radix;
-        self.radices.iter().map(of_stage).max().unwrap_or(0)
+        let count = self.radices.iter().map(of_stage).max().unwrap_or(0);
+        let register = |i: usize| format!("var {name}{i} = vec2f(0.0);\n");
+        (0..count).map(register).collect()
     }
 
-    /// The code of a transform in registers `v`. `load` returns the expression of an input value at
-    /// a line and an index.
-    pub(super) fn forward(&self, load: impl Fn(&str, &str) -> String) -> String {
-        let input = self.at_each(self.radices[0], |register| {
-            format!("v{} = {};", register.number, load(register.line, register.index))
-        });
-        input + &self.stages(self.radices.iter().copied())
+    /// The code of a transform in registers `v`. The shader's `load(line, index)` returns an input
+    /// value.
+    pub(super) fn forward(&self) -> String {
+        self.at_each(self.radices[0], "v# = load(line, index);") + &self.stages(self.radices.iter().copied())
     }
 
     /// The code of the transform back. It begins with values in the registers `v`, in the places
@@ -138,14 +123,14 @@ impl FftSource {
         self.stages(self.radices.iter().rev().copied())
     }
 
-    /// Code for each result of a transform.
-    pub(super) fn each_result(&self, text: impl Fn(Register<'_>) -> String) -> String {
-        self.at_each(self.radices[self.radices.len() - 1], text)
+    /// A statement for each result of a transform, as for [`at_each`](Self::at_each).
+    pub(super) fn each_result(&self, statement: &str) -> String {
+        self.at_each(self.radices[self.radices.len() - 1], statement)
     }
 
-    /// Code for each result of a transform back.
-    pub(super) fn each_result_back(&self, text: impl Fn(Register<'_>) -> String) -> String {
-        self.at_each(self.radices[0], text)
+    /// A statement for each result of a transform back.
+    pub(super) fn each_result_back(&self, statement: &str) -> String {
+        self.at_each(self.radices[0], statement)
     }
 
     fn stages(&self, radices: impl Iterator<Item = usize>) -> String {
@@ -153,25 +138,18 @@ impl FftSource {
         let mut done = 1;
         for radix in radices {
             let length = done * radix;
-            let last = length == self.n;
             if done > 1 {
                 // Reads the values that the stage before wrote.
-                text += &self.at_each(radix, |r| {
-                    format!("v{} = shared_values[slot({}, {})];", r.number, r.line, r.index)
-                });
+                text += &self.at_each(radix, "v# = shared_values[slot(line, index)];");
             }
             text += &self.butterflies(radix, done);
-            if !last {
+            if length < self.n {
                 text += "workgroupBarrier();\n";
-                text += &self.at_each_butterfly(radix, |first, line, b| {
-                    let mut text = format!("let to = ({b} / {done}u) * {length}u + {b} % {done}u;\n");
+                text += &self.at_each_butterfly(radix, |first| {
+                    let mut text = format!("let to = (b / {done}u) * {length}u + b % {done}u;\n");
                     for r in 0..radix {
-                        let _ = writeln!(
-                            text,
-                            "shared_values[slot({line}, to + {}u)] = v{};",
-                            r * done,
-                            first + r
-                        );
+                        let (from, place) = (first + r, r * done);
+                        let _ = writeln!(text, "shared_values[slot(line, to + {place}u)] = v{from};");
                     }
                     text
                 });
@@ -186,10 +164,10 @@ impl FftSource {
     /// by its root of unity. `done` is the product of the radices of the earlier stages.
     fn butterflies(&self, radix: usize, done: usize) -> String {
         let step = self.n / (done * radix);
-        self.at_each_butterfly(radix, |first, _, b| {
+        self.at_each_butterfly(radix, |first| {
             let mut text = String::new();
             if done > 1 {
-                let _ = writeln!(text, "let turn = ({b} % {done}u) * {step}u;");
+                let _ = writeln!(text, "let turn = (b % {done}u) * {step}u;");
                 for r in 1..radix {
                     let _ = writeln!(text, "v{0} = times(v{0}, roots[{r}u * turn]);", first + r);
                 }
@@ -199,49 +177,40 @@ impl FftSource {
         })
     }
 
-    /// Code for each value of each butterfly of a radix.
-    fn at_each(&self, radix: usize, text: impl Fn(Register<'_>) -> String) -> String {
+    /// A statement for each value of each butterfly of a radix. In the statement, `line` and `index`
+    /// are the place of the value, and `#` stands for the number of its register.
+    fn at_each(&self, radix: usize, statement: &str) -> String {
         let step = self.n / radix;
-        self.at_each_butterfly(radix, |first, line, b| {
-            (0..radix).fold(String::new(), |mut all, r| {
-                let register = Register {
-                    number: first + r,
-                    line,
-                    index: &format!("({b} + {}u)", r * step),
-                };
-                all += &text(register);
-                all.push('\n');
-                all
-            })
+        self.at_each_butterfly(radix, |first| {
+            let value = |r: usize| {
+                let statement = statement.replace('#', &(first + r).to_string());
+                format!("{{ let index = b + {}u; {statement} }}\n", r * step)
+            };
+            (0..radix).map(value).collect()
         })
     }
 
     /// Code with which each thread computes its butterflies. `text` gets the number of the first
-    /// register, the line, and the number of the butterfly along the line.
-    fn at_each_butterfly(&self, radix: usize, text: impl Fn(usize, &str, &str) -> String) -> String {
+    /// register. In the text, `b` is the number of the butterfly along the line `line`.
+    fn at_each_butterfly(&self, radix: usize, text: impl Fn(usize) -> String) -> String {
         let along = self.n / radix;
         let count = self.lines * along;
-        let rounds = count.div_ceil(self.threads);
-        let mut all = String::new();
-        for round in 0..rounds {
+        let (line, b) = if self.interleaved {
+            (format!("u % {}u", self.lines), format!("u / {}u", self.lines))
+        } else {
+            (format!("u / {along}u"), format!("u % {along}u"))
+        };
+        let round = |round: usize| {
             let first = round * self.threads;
-            let open = if first + self.threads > count {
-                format!("if (thread + {first}u < {count}u) {{\n")
+            let condition = if first + self.threads > count {
+                format!("if (thread + {first}u < {count}u) ")
             } else {
-                "{\n".to_owned()
+                String::new()
             };
-            let (line, b) = if self.interleaved {
-                (format!("u % {}u", self.lines), format!("u / {}u", self.lines))
-            } else {
-                (format!("u / {along}u"), format!("u % {along}u"))
-            };
-            let _ = write!(
-                all,
-                "{open}let u = thread + {first}u;\nlet line = {line};\nlet b = {b};\n{}}}\n",
-                text(round * radix, "line", "b")
-            );
-        }
-        all
+            let text = text(round * radix);
+            format!("{condition}{{\nlet u = thread + {first}u;\nlet line = {line};\nlet b = {b};\n{text}}}\n")
+        };
+        (0..count.div_ceil(self.threads)).map(round).collect()
     }
 }
 

@@ -95,110 +95,45 @@ impl PlaneSource {
         if transforms {
             text += &fft.declarations();
         }
-        text += shader.text();
+        text += &expanded(shader.text(), fft);
         if shader.is_of_columns() {
             text += include_str!("shaders/columns.wgsl");
         }
         if shader.adds_to_panel() {
             text += include_str!("shaders/panel.wgsl");
         }
-        let half = self.half();
         let threads = if transforms { fft.threads } else { DRAWING_THREADS };
-        let mut fill = |name: &str, value: &str| text = text.replace(&format!("{{{{{name}}}}}"), value);
-        fill("NX", &self.nx.to_string());
-        fill("HALF", &half.to_string());
-        fill("THREADS", &threads.to_string());
-        fill("STRIP", &STRIP.to_string());
-        if transforms {
-            for (name, value) in parts(shader, fft) {
-                fill(name, &value);
-            }
+        for (name, number) in [
+            ("{{NX}}", self.nx),
+            ("{{HALF}}", self.half()),
+            ("{{THREADS}}", threads),
+            ("{{STRIP}}", STRIP),
+        ] {
+            text = text.replace(name, &number.to_string());
         }
         text
     }
 }
 
-/// The parts of a shader that depend on the size of its transforms.
-fn parts(shader: Shader, fft: &FftSource) -> Vec<(&'static str, String)> {
-    let forward = fft.forward(|line, index| format!("load({line}, {index})"));
-    let mut parts = vec![("REGISTERS", fft.registers("v")), ("FORWARD", forward)];
-    let result =
-        |text: &dyn Fn(usize, &str, &str) -> String| fft.each_result(|r| text(r.number, r.line, r.index));
-    let result_back = |text: &dyn Fn(usize, &str, &str) -> String| {
-        fft.each_result_back(|r| text(r.number, r.line, r.index))
+/// Replaces the lines in double braces, which `common.wgsl` explains, by code for the size of the
+/// transforms.
+fn expanded(text: &str, fft: &FftSource) -> String {
+    let expand = |line: &str| {
+        let braced = line
+            .trim()
+            .strip_prefix("{{")
+            .and_then(|text| text.strip_suffix("}}"));
+        let (name, rest) = braced.map_or(("", line), |text| text.split_once(' ').unwrap_or((text, "")));
+        match name {
+            "REGISTERS" => fft.registers(rest),
+            "FORWARD" => fft.forward(),
+            "BACK" => fft.back_of_swapped(),
+            "EACH_RESULT" => fft.each_result(rest),
+            "EACH_RESULT_BACK" => fft.each_result_back(rest),
+            _ => line.to_owned() + "\n",
+        }
     };
-    let place = "first_column + line";
-    let untwisted = |i: usize, _: &str, index: &str| {
-        format!("planes[(into + {index}) * NX + {place}] = times(v{i}.yx, roots[UNTWIST + {index}]);")
-    };
-    match shader {
-        Shader::WeighRows => parts.push((
-            "STORE",
-            result(&|i, line, index| format!("planes[(plane + {line}) * NX + {index}] = v{i};")),
-        )),
-        Shader::SpectrumColumns => parts.push((
-            "STORE",
-            result(&|i, _, index| {
-                format!("spectra[(tile.spectrum * HALF + {index}) * NX + {place}] = v{i};")
-            }),
-        )),
-        Shader::SumColumns => parts.extend([
-            ("SUMS", fft.registers("sum")),
-            (
-                "ADD",
-                result(&|i, _, index| {
-                    format!("sum{i} += times(v{i}, spectra[(spectrum + {index}) * NX + {place}]);")
-                }),
-            ),
-            ("SWAP", result(&|i, _, _| format!("v{i} = sum{i}.yx;"))),
-            ("BACK", fft.back_of_swapped()),
-            ("STORE", result_back(&untwisted)),
-        ]),
-        Shader::SpreadColumns => parts.extend([
-            (
-                "SPECTRUM",
-                fft.registers("light") + &result(&|i, _, _| format!("light{i} = v{i};")),
-            ),
-            (
-                "MULTIPLY",
-                result(&|i, _, index| {
-                    format!("v{i} = times(light{i}, spectra[(spectrum + {index}) * NX + {place}]).yx;")
-                }),
-            ),
-            ("BACK", fft.back_of_swapped()),
-            ("STORE", result_back(&untwisted)),
-        ]),
-        Shader::AddRows => parts.push((
-            "STORE",
-            result(&|i, line, index| {
-                format!(
-                    "add(first_row + {line}, {index}, v{i}.y);\nadd(first_row + {line} + HALF, {index}, v{i}.x);"
-                )
-            }),
-        )),
-        Shader::GatherRows => parts.extend([
-            ("SUMS", fft.registers("sum")),
-            (
-                "ADD",
-                result(&|i, line, index| {
-                    format!(
-                        "sum{i} += v{i}.yx * vec2f(coefficient(kernel, first_row + {line}, {index}), \
-                         coefficient(kernel, first_row + {line} + HALF, {index}));"
-                    )
-                }),
-            ),
-            (
-                "STORE",
-                result(&|i, line, index| {
-                    format!(
-                        "add(first_row + {line}, {index}, sum{i}.x);\nadd(first_row + {line} + HALF, {index}, sum{i}.y);"
-                    )
-                }),
-            ),
-        ]),
-        Shader::DrawStamps => {}
-    }
-    parts
+    text.lines().map(expand).collect()
 }
 
 /// `exp(-2 pi i m / n)` divided by `gain`, for `m` from 0 to `count - 1`.

@@ -1,52 +1,42 @@
 //! The shaders by name, and the data that they read.
 
-/// The shaders. Each has a file in `shaders`, with the name that [`Shader::name`] returns.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Shader {
-    WeighRows,
-    SpectrumColumns,
-    SumColumns,
-    SpreadColumns,
-    AddRows,
-    GatherRows,
-    DrawStamps,
+/// Defines the shaders with their names. Each has a file of this name in `shaders`.
+macro_rules! shaders {
+    ($count:literal: $($shader:ident = $name:literal),+) => {
+        #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+        pub(super) enum Shader {
+            $($shader),+
+        }
+
+        impl Shader {
+            pub(super) const ALL: [Self; $count] = [$(Self::$shader),+];
+
+            pub(super) fn name(self) -> &'static str {
+                match self {
+                    $(Self::$shader => $name),+
+                }
+            }
+
+            pub(super) fn text(self) -> &'static str {
+                match self {
+                    $(Self::$shader => include_str!(concat!("shaders/", $name, ".wgsl"))),+
+                }
+            }
+        }
+    };
 }
 
+shaders!(7:
+    WeighRows = "weigh_rows",
+    SpectrumColumns = "spectrum_columns",
+    SumColumns = "sum_columns",
+    SpreadColumns = "spread_columns",
+    AddRows = "add_rows",
+    GatherRows = "gather_rows",
+    DrawStamps = "draw_stamps"
+);
+
 impl Shader {
-    pub(super) const ALL: [Self; 7] = [
-        Self::WeighRows,
-        Self::SpectrumColumns,
-        Self::SumColumns,
-        Self::SpreadColumns,
-        Self::AddRows,
-        Self::GatherRows,
-        Self::DrawStamps,
-    ];
-
-    pub(super) fn name(self) -> &'static str {
-        match self {
-            Self::WeighRows => "weigh_rows",
-            Self::SpectrumColumns => "spectrum_columns",
-            Self::SumColumns => "sum_columns",
-            Self::SpreadColumns => "spread_columns",
-            Self::AddRows => "add_rows",
-            Self::GatherRows => "gather_rows",
-            Self::DrawStamps => "draw_stamps",
-        }
-    }
-
-    pub(super) fn text(self) -> &'static str {
-        match self {
-            Self::WeighRows => include_str!("shaders/weigh_rows.wgsl"),
-            Self::SpectrumColumns => include_str!("shaders/spectrum_columns.wgsl"),
-            Self::SumColumns => include_str!("shaders/sum_columns.wgsl"),
-            Self::SpreadColumns => include_str!("shaders/spread_columns.wgsl"),
-            Self::AddRows => include_str!("shaders/add_rows.wgsl"),
-            Self::GatherRows => include_str!("shaders/gather_rows.wgsl"),
-            Self::DrawStamps => include_str!("shaders/draw_stamps.wgsl"),
-        }
-    }
-
     pub(super) fn is_of_columns(self) -> bool {
         matches!(
             self,

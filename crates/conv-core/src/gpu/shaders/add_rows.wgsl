@@ -21,6 +21,12 @@ fn add(row: u32, column: u32, value: f32) {
     add_to_panel(tile.out_row, tile.out_column, row, column, value * tile.back);
 }
 
+// Adds a value of the lower half of the rows and one of the upper half.
+fn add_both(row: u32, column: u32, values: vec2f) {
+    add(row, column, values.x);
+    add(row + HALF, column, values.y);
+}
+
 @compute @workgroup_size({{THREADS}})
 fn add_rows(@builtin(local_invocation_index) thread: u32, @builtin(workgroup_id) group: vec3u) {
     let this_tile = tiles[params.first + group.y];
@@ -30,7 +36,7 @@ fn add_rows(@builtin(local_invocation_index) thread: u32, @builtin(workgroup_id)
     if (group.x * LINES >= min(this_tile.out_height, HALF)) {
         return;
     }
-    {{REGISTERS}}
+    {{REGISTERS v}}
     {{FORWARD}}
-    {{STORE}}
+    {{EACH_RESULT add_both(first_row + line, index, v#.yx);}}
 }

@@ -1,5 +1,13 @@
-// Code that all shaders share. Names in double braces are replaced by numbers or code for the sizes
-// of a plan.
+// Code that all shaders share. Names in double braces are replaced by numbers for the sizes of a
+// plan. A line in double braces is replaced by code: a name, and what it applies to.
+//
+// REGISTERS v: declares the registers v0, v1 ... of a thread, set to zero.
+// FORWARD: transforms values in the registers v. `load(line, index)` gives the values.
+// BACK: transforms the results of a forward transform back, from the registers where they are. Real
+//   and imaginary parts must be swapped before, and are swapped in the result.
+// EACH_RESULT: a statement for each result of the forward transform on a line (a row or column of
+//   the plane) at an index along it. `#` stands for the number of its register.
+// EACH_RESULT_BACK: the same after a transform back.
 
 // The columns of a plane, and half its rows: the upper half of the rows is the imaginary part of
 // the lower.

@@ -37,17 +37,28 @@ fn add(row: u32, column: u32, value: f32) {
     add_to_panel(tile.out_row, tile.out_column, y, x, value * tile.back);
 }
 
+// The coefficients of a pixel of the lower half of the rows and of one of the upper half.
+fn coefficients(kernel: u32, row: u32, column: u32) -> vec2f {
+    return vec2f(coefficient(kernel, row, column), coefficient(kernel, row + HALF, column));
+}
+
+// Adds a value of the lower half of the rows and one of the upper half.
+fn add_both(row: u32, column: u32, values: vec2f) {
+    add(row, column, values.x);
+    add(row + HALF, column, values.y);
+}
+
 @compute @workgroup_size({{THREADS}})
 fn gather_rows(@builtin(local_invocation_index) thread: u32, @builtin(workgroup_id) group: vec3u) {
     let this_tile = tiles[params.first + group.y];
     tile = this_tile;
     first_row = group.x * LINES;
-    {{REGISTERS}}
-    {{SUMS}}
+    {{REGISTERS v}}
+    {{REGISTERS sum}}
     for (var kernel = 0u; kernel < this_tile.kernels; kernel++) {
         plane = tile.plane + 1u + kernel;
         {{FORWARD}}
-        {{ADD}}
+        {{EACH_RESULT sum# += v#.yx * coefficients(kernel, first_row + line, index);}}
     }
-    {{STORE}}
+    {{EACH_RESULT add_both(first_row + line, index, sum#);}}
 }

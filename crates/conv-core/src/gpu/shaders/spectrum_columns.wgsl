@@ -12,7 +12,8 @@ fn spectrum_columns(@builtin(local_invocation_index) thread: u32, @builtin(workg
     tile = tiles[params.first + group.y];
     plane = tile.plane;
     first_column = group.x * LINES;
-    {{REGISTERS}}
+    {{REGISTERS v}}
     {{FORWARD}}
-    {{STORE}}
+    let spectrum = tile.spectrum * HALF;
+    {{EACH_RESULT spectra[(spectrum + index) * NX + first_column + line] = v#;}}
 }

@@ -14,14 +14,15 @@ fn spread_columns(@builtin(local_invocation_index) thread: u32, @builtin(workgro
     tile = this_tile;
     plane = tile.plane;
     first_column = group.x * LINES;
-    {{REGISTERS}}
+    {{REGISTERS v}}
+    {{REGISTERS light}}
     {{FORWARD}}
-    {{SPECTRUM}}
+    {{EACH_RESULT light# = v#;}}
     for (var kernel = 0u; kernel < this_tile.kernels; kernel++) {
         let spectrum = (tile.spectrum + kernel) * HALF;
         let into = (tile.plane + 1u + kernel) * HALF;
-        {{MULTIPLY}}
+        {{EACH_RESULT v# = times(light#, spectra[(spectrum + index) * NX + first_column + line]).yx;}}
         {{BACK}}
-        {{STORE}}
+        {{EACH_RESULT_BACK planes[(into + index) * NX + first_column + line] = times(v#.yx, roots[UNTWIST + index]);}}
     }
 }

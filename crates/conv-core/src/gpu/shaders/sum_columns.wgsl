@@ -13,19 +13,19 @@ fn sum_columns(@builtin(local_invocation_index) thread: u32, @builtin(workgroup_
     let this_tile = tiles[params.first + group.y];
     tile = this_tile;
     first_column = group.x * LINES;
-    {{REGISTERS}}
-    {{SUMS}}
+    {{REGISTERS v}}
+    {{REGISTERS sum}}
     for (var kernel = 0u; kernel < this_tile.kernels; kernel++) {
         plane = tile.plane + kernel;
         let spectrum = (tile.spectrum + kernel) * HALF;
         {{FORWARD}}
-        {{ADD}}
+        {{EACH_RESULT sum# += times(v#, spectra[(spectrum + index) * NX + first_column + line]);}}
     }
-    {{SWAP}}
+    {{EACH_RESULT v# = sum#.yx;}}
     {{BACK}}
     let into = tile.plane * HALF;
     // All threads must have read the first plane, which is part of the sum, before it is
     // overwritten.
     storageBarrier();
-    {{STORE}}
+    {{EACH_RESULT_BACK planes[(into + index) * NX + first_column + line] = times(v#.yx, roots[UNTWIST + index]);}}
 }

@@ -45,7 +45,7 @@ fn weigh_rows(@builtin(local_invocation_index) thread: u32, @builtin(workgroup_i
         return;
     }
     let plane = (tile.plane + kernel) * HALF + first_row;
-    {{REGISTERS}}
+    {{REGISTERS v}}
     {{FORWARD}}
-    {{STORE}}
+    {{EACH_RESULT planes[(plane + line) * NX + index] = v#;}}
 }
