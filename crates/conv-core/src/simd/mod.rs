@@ -142,6 +142,9 @@ pub trait WithIsa<T> {
 pub trait SimdReal: Pod {
     /// Runs `work` with the best instruction set of this machine.
     fn dispatch<W: WithIsa<Self>>(work: W) -> W::Output;
+    /// Runs a test with every instruction set that this machine has.
+    #[cfg(test)]
+    fn dispatch_to_all<W: WithIsa<Self, Output = ()> + Copy>(work: W);
 }
 
 macro_rules! simd_real {
@@ -163,6 +166,16 @@ macro_rules! simd_real {
                 }
                 work.run(pulp::Scalar)
             }
+
+            #[cfg(test)]
+            fn dispatch_to_all<W: WithIsa<Self, Output = ()> + Copy>(work: W) {
+                work.run(pulp::Scalar);
+                #[cfg(target_arch = "x86_64")]
+                if let Some(simd) = pulp::x86::V3::try_new() {
+                    work.run(simd);
+                }
+                Self::dispatch(work);
+            }
         }
     };
 }
@@ -170,33 +183,6 @@ macro_rules! simd_real {
 simd_real!(f32);
 simd_real!(f64);
 
-/// Runs a test with every instruction set that this machine has.
-#[cfg(all(test, target_arch = "x86_64"))]
-pub(crate) fn with_every_isa<T: SimdReal, W: WithIsa<T, Output = ()> + Copy>(work: W)
-where
-    pulp::Scalar: Lanes<T>,
-    pulp::x86::V3: Lanes<T>,
-    pulp::x86::V4: Lanes<T>,
-{
-    work.run(pulp::Scalar);
-    if let Some(simd) = pulp::x86::V3::try_new() {
-        work.run(simd);
-    }
-    if let Some(simd) = pulp::x86::V4::try_new() {
-        work.run(simd);
-    }
-    T::dispatch(work);
-}
-
-/// Runs a test with every instruction set that this machine has.
-#[cfg(all(test, not(target_arch = "x86_64")))]
-pub(crate) fn with_every_isa<T: SimdReal, W: WithIsa<T, Output = ()> + Copy>(work: W)
-where
-    pulp::Scalar: Lanes<T>,
-{
-    work.run(pulp::Scalar);
-    T::dispatch(work);
-}
 /// A list of values that begins at a cache line.
 #[derive(Debug)]
 pub struct Aligned<T> {

@@ -147,7 +147,7 @@ mod x86 {
 
 #[cfg(test)]
 mod tests {
-    use super::super::{Lanes, Pair, WithIsa, with_every_isa};
+    use super::super::{Lanes, Pair, SimdReal, WithIsa};
     use pulp::bytemuck;
 
     #[derive(Clone, Copy)]
@@ -180,7 +180,7 @@ mod tests {
 
     #[test]
     fn every_instruction_set_of_this_machine_transposes() {
-        with_every_isa::<f32, _>(Check);
-        with_every_isa::<f64, _>(Check);
+        f32::dispatch_to_all(Check);
+        f64::dispatch_to_all(Check);
     }
 }

@@ -205,7 +205,7 @@ fn radices(len: usize) -> Vec<usize> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::simd::{WithIsa, with_every_isa};
+    use crate::simd::{SimdReal, WithIsa};
     use pulp::bytemuck;
 
     #[test]
@@ -279,7 +279,7 @@ mod tests {
 
     #[test]
     fn transforms_are_the_sums_they_stand_for() {
-        with_every_isa::<f32, _>(RoundTrip(1e-6));
-        with_every_isa::<f64, _>(RoundTrip(1e-14));
+        f32::dispatch_to_all(RoundTrip(1e-6));
+        f64::dispatch_to_all(RoundTrip(1e-14));
     }
 }

@@ -272,7 +272,7 @@ fn load<T: ConvReal, S: Lanes<T>>(_: S, plane: &[T], pitch: usize, row: usize, b
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::simd::{WithIsa, with_every_isa};
+    use crate::simd::{SimdReal, WithIsa};
 
     #[derive(Clone, Copy)]
     struct Convolves(f64);
@@ -348,7 +348,7 @@ mod tests {
 
     #[test]
     fn products_of_spectra_are_convolutions() {
-        with_every_isa::<f32, _>(Convolves(1e-7));
-        with_every_isa::<f64, _>(Convolves(1e-16));
+        f32::dispatch_to_all(Convolves(1e-7));
+        f64::dispatch_to_all(Convolves(1e-16));
     }
 }
