@@ -2,7 +2,7 @@
 //! Divides images into disjoint parts to which threads write at the same time.
 
 use ndarray::{Array2, ArrayViewMut2, Axis, s};
-use psf_types::Progress;
+use psf_types::{PixelRegion, Progress};
 use rayon::prelude::*;
 
 use crate::{ConvError, ConvReal};
@@ -17,7 +17,7 @@ pub(crate) struct Piece<T> {
 impl<T: ConvReal> Piece<T> {
     /// Adds the part of the piece that lies on the output. The output's first pixel is at
     /// `(first_column, first_row)`.
-    pub(crate) fn add_to(&self, output: &mut ArrayViewMut2<'_, T>, (first_column, first_row): (i64, i64)) {
+    fn add_to(&self, output: &mut ArrayViewMut2<'_, T>, (first_column, first_row): (i64, i64)) {
         let (ny, nx) = output.dim();
         let (rows, columns) = self.values.dim();
         let (Some((from_row, to_row, height)), Some((from_column, to_column, width))) = (
@@ -35,6 +35,35 @@ impl<T: ConvReal> Piece<T> {
             target += &values;
         }
     }
+}
+
+/// Adds pieces to an image in order. `first` is the image's first pixel `(column, row)`. Each task
+/// adds to `band` rows of the image.
+pub(crate) fn add_pieces<'a, T: ConvReal>(
+    pieces: impl Iterator<Item = &'a Piece<T>> + Clone + Sync,
+    mut image: ArrayViewMut2<'_, T>,
+    first: (i64, i64),
+    band: usize,
+) {
+    let bands = image.axis_chunks_iter_mut(Axis(0), band).into_par_iter();
+    bands.enumerate().for_each(|(number, mut rows)| {
+        for piece in pieces.clone() {
+            piece.add_to(&mut rows, (first.0, first.1 + (number * band) as i64));
+        }
+    });
+}
+
+/// Finds the pixels that two regions share. For x and for y, returns the values of [`overlap`] for
+/// the pixels of `part` on `whole`. `None` if there are none.
+pub(crate) fn shared(part: PixelRegion, whole: PixelRegion) -> Option<[(usize, usize, usize); 2]> {
+    let along = |first: i64, length: usize, start: i64, limit: usize| {
+        overlap(first.saturating_sub(start), length, limit)
+    };
+    let (shape, of_whole) = (part.shape(), whole.shape());
+    Some([
+        along(part.x0(), shape.nx(), whole.x0(), of_whole.nx())?,
+        along(part.y0(), shape.ny(), whole.y0(), of_whole.ny())?,
+    ])
 }
 
 /// Finds the values that lie on an axis of length `limit`. There are `length` values, and the first

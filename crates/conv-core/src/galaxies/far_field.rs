@@ -3,11 +3,11 @@
 //! There the light hardly changes over the extent of the PSF. So the image is the light at the
 //! PSF's centroid, plus its second derivatives times half the PSF's covariance.
 
-use ndarray::{Array2, ArrayViewMut2, Axis};
+use ndarray::{Array2, ArrayViewMut2};
 use psf_types::{LightProfile, Progress};
 use rayon::prelude::*;
 
-use crate::overlap::Piece;
+use crate::overlap::{Piece, add_pieces};
 use crate::{ConvError, ConvReal};
 
 /// Pixels along each side of a tile. Tiles, their blocks and the windows of galaxies begin at
@@ -187,15 +187,7 @@ pub(super) fn add_far_light<T: ConvReal>(
             })
             .filter_map(Result::transpose)
             .collect::<Result<_, ConvError>>()?;
-        let bands = image
-            .axis_chunks_iter_mut(Axis(0), SMALLEST)
-            .into_par_iter()
-            .enumerate();
-        bands.for_each(|(band, mut rows)| {
-            for tile in &drawn {
-                tile.add_to(&mut rows, (first.0, first.1 + (band * SMALLEST) as i64));
-            }
-        });
+        add_pieces(drawn.iter(), image.view_mut(), first, SMALLEST);
     }
     Ok(())
 }

@@ -2,7 +2,7 @@
 
 use std::sync::{Arc, OnceLock};
 
-use ndarray::{Array1, Array2, ArrayViewMut2, Axis, s};
+use ndarray::{Array1, Array2, ArrayViewMut2, s};
 use psf_types::{Anchor, LightProfile, PixelRegion, Position, Progress, PsfModel, SersicSource};
 use rayon::prelude::*;
 
@@ -13,10 +13,11 @@ use super::power_spectrum::Outline;
 use super::window::{Drawn, Spectra, WindowDrawer};
 use crate::image_memory::{check_shape, with_rows_in_memory};
 use crate::kept::Kept;
-use crate::overlap::{Piece, overlap};
+use crate::overlap::{Piece, add_pieces, shared};
 use crate::plan::PlanOptions;
 use crate::plan::local_modes::{LocalModes, PsfSpace};
 use crate::stars::{BlockKey, StarVectors, block_of, check_stamps, region_of};
+use crate::view;
 use crate::{ConvError, ConvReal};
 
 /// A galaxy's light, made when it is drawn.
@@ -216,6 +217,7 @@ impl<T: ConvReal> GalaxyPlan<T> {
             .chunk_by(|a, b| a.key == b.key)
             .flat_map(|group| group.chunks((PIXELS_PER_GROUP / group[0].key.0.pow(2)).clamp(1, PER_GROUP)))
             .collect();
+        let first = (region.x0(), region.y0());
         let mut far = Vec::new();
         for some in groups.chunks(GROUPS_AT_ONCE) {
             catalogue.progress.check_cancelled()?;
@@ -223,18 +225,10 @@ impl<T: ConvReal> GalaxyPlan<T> {
                 .par_iter()
                 .map(|group| self.draw_group(catalogue, group, region))
                 .collect::<Result<_, _>>()?;
-            let bands = image
-                .axis_chunks_iter_mut(Axis(0), BAND)
-                .into_par_iter()
-                .enumerate();
-            bands.for_each(|(band, mut rows)| {
-                for piece in drawn.iter().flat_map(|(pieces, _)| pieces) {
-                    piece.add_to(&mut rows, (region.x0(), region.y0() + (band * BAND) as i64));
-                }
-            });
+            let pieces = drawn.iter().flat_map(|(pieces, _)| pieces);
+            add_pieces(pieces, image.view_mut(), first, BAND);
             far.extend(drawn.into_iter().flat_map(|(_, far)| far));
         }
-        let first = (region.x0(), region.y0());
         add_far_light(&far, image, first, catalogue.progress)
     }
 
@@ -260,19 +254,11 @@ impl<T: ConvReal> GalaxyPlan<T> {
             let window = window_at((x, y), side);
             let centre = (x - window.0 as f64, y - window.1 as f64);
             let psf = self.psf(local.as_ref(), position, galaxy.flux())?;
-            // The light outside is kept until all galaxies are drawn, without a transform.
-            let outside = placed.reach.and_then(|reach| {
-                let moments = match &psf {
-                    Psf::Local(local, coefficients) => local.block.kernels.moments_of(coefficients),
-                    Psf::Exact(psf) => self.stamps().moments_of(psf.view()),
-                };
-                self.far_light(moments, (catalogue.light)(galaxy), (x, y), window, reach)
-            });
-            let rows = overlap(window.1 - region.y0(), side, region.shape().ny());
-            let columns = overlap(window.0 - region.x0(), side, region.shape().nx());
-            if let (Some((row, _, count)), Some((column, _, width))) = (rows, columns) {
-                let light = (catalogue.light)(galaxy);
-                let mut values = match &psf {
+            let light = (catalogue.light)(galaxy);
+            let on_region = shared(view::region(window.0, window.1, (side, side)), region);
+            let mut drawn = None;
+            if let Some([_, (row, _, count)]) = on_region {
+                drawn = Some(match &psf {
                     Psf::Local(local, coefficients) => {
                         let drawn = Drawn {
                             spectra: &local.spectra,
@@ -288,7 +274,17 @@ impl<T: ConvReal> GalaxyPlan<T> {
                         let all = self.exact_window(psf, galaxy.flux(), light, window, centre, frame)?;
                         all.slice(s![row..row + count, ..]).mapv(T::nearest)
                     }
+                });
+            }
+            // The light outside is kept until all galaxies are drawn, without a transform.
+            let outside = placed.reach.and_then(|reach| {
+                let moments = match &psf {
+                    Psf::Local(local, coefficients) => local.block.kernels.moments_of(coefficients),
+                    Psf::Exact(psf) => self.stamps().moments_of(psf.view()),
                 };
+                self.far_light(moments, light, (x, y), window, reach)
+            });
+            if let Some((mut values, [(column, _, width), (row, ..)])) = drawn.zip(on_region) {
                 if let Some(outside) = &outside {
                     outside.subtract_repeated(&weights, row, &mut values);
                 }

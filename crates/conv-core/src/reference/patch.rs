@@ -6,7 +6,7 @@ use rustfft::num_traits::Zero;
 
 use super::ConvolutionMethod;
 use super::fft2::RealFft2;
-use crate::overlap::{Piece, add_in_order, overlap};
+use crate::overlap::{Piece, add_in_order, shared};
 use crate::view::{Reach, View, region};
 use crate::working_range::{Rescaling, take_back};
 use crate::{ConvError, ConvReal};
@@ -129,10 +129,9 @@ impl<T: ConvReal> Work<'_, T> {
         );
         let (from, to) = if gathers { (plane, patch) } else { (patch, plane) };
         let in_plane = |x: i64, y: i64| ((x - plane.x0()) as usize, (y - plane.y0()) as usize);
-        let (Some((_, x, nx)), Some((_, y, ny))) = (
-            overlap(from.x0(), from.shape().nx(), self.light.ncols()),
-            overlap(from.y0(), from.shape().ny(), self.light.nrows()),
-        ) else {
+        let Some([(_, x, nx), (_, y, ny)]) =
+            shared(from, region(0, 0, (self.light.ncols(), self.light.nrows())))
+        else {
             return Ok(None);
         };
         let light = self.light.slice(s![y..y + ny, x..x + nx]);

@@ -4,14 +4,14 @@
 use std::ops::Range;
 use std::sync::Arc;
 
-use ndarray::{Array2, ArrayViewMut2, Axis};
+use ndarray::{Array2, ArrayViewMut2};
 use psf_types::Progress;
 use pulp::bytemuck::{cast_slice, cast_slice_mut};
 use rayon::prelude::*;
 
 use super::phases::{PhasedAxis, PhasedStar};
 use super::star_block::{BlockKey, CHUNK, RowLayout, StarBlock};
-use crate::overlap::Piece;
+use crate::overlap::{Piece, add_pieces};
 use crate::simd::{Aligned, Lanes, WithIsa};
 use crate::stamp_interpolator::MOST_TAPS;
 use crate::{ConvError, ConvReal};
@@ -73,7 +73,7 @@ impl<T: ConvReal> WithIsa<T> for DrawGroups<'_, T> {
             axes,
             layout,
             groups,
-            mut image,
+            image,
             first: (first_column, first_row),
             progress,
         } = self;
@@ -103,15 +103,7 @@ impl<T: ConvReal> WithIsa<T> for DrawGroups<'_, T> {
             Ok(tile)
         };
         let tiles: Vec<Piece<T>> = groups.par_iter().map(draw).collect::<Result<_, ConvError>>()?;
-        let bands = image
-            .axis_chunks_iter_mut(Axis(0), BAND)
-            .into_par_iter()
-            .enumerate();
-        bands.for_each(|(band, mut rows)| {
-            for tile in &tiles {
-                tile.add_to(&mut rows, (first_column, first_row + (band * BAND) as i64));
-            }
-        });
+        add_pieces(tiles.iter(), image, (first_column, first_row), BAND);
         Ok(())
     }
 }
