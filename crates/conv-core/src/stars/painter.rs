@@ -2,13 +2,14 @@
 
 use std::sync::{Arc, OnceLock};
 
-use ndarray::{Array2, ArrayView2, ArrayViewMut2, Axis};
+use ndarray::{Array2, ArrayViewMut2};
 use psf_types::{Anchor, PixelRegion, PointSource, Position, Progress, PsfModel, StampGrid, Uncounted};
 use rayon::prelude::*;
 
-use super::phases::Window;
-use crate::overlap::{Piece, add_in_order, overlap};
+use super::phases::Star;
+use crate::overlap::{Piece, add_in_order};
 use crate::stamp_interpolator::{Kernel, StampInterpolator, edge_reach_of, grid_reaching};
+use crate::view::region;
 use crate::{ConvError, ConvReal};
 
 /// The number of sources that one task draws.
@@ -20,14 +21,47 @@ const SOURCES_IN_MEMORY: usize = 1024;
 /// [`crate::StarPlan`], and supports every model and anchoring.
 #[derive(Debug)]
 pub struct StarPainter<'a> {
-    model: &'a PsfModel,
-    frame: PixelRegion,
-    pub(crate) kernel: Kernel,
-    /// The interpolators of all stamps, for output-anchored painters.
-    pub(crate) splines: Option<StampSplines>,
+    pub(super) model: &'a PsfModel,
+    pub(super) frame: PixelRegion,
+    /// The painters of one [`crate::StarPlan`] share it.
+    pub(super) stamps: Arc<StarStamps>,
+}
+
+/// The interpolation of the PSFs of a model's stars.
+#[derive(Debug)]
+pub(super) struct StarStamps {
+    /// Reaches as far beyond the stamps as their edges require ([`edge_reach_of`]).
+    pub(super) kernel: Kernel,
     /// A grid at the frame's scale that holds the stamp for any position of the source in its
-    /// pixel, truncated to the painter's `size` if there is one.
-    pub(crate) target: StampGrid,
+    /// pixel, truncated to the size of stars if there is one.
+    pub(super) target: StampGrid,
+    /// The interpolators of all stamps, for output-anchored painters. Computed when first needed.
+    splines: Option<OnceLock<Vec<StampInterpolator>>>,
+}
+
+impl StarStamps {
+    /// Checks that the stamps suit stars.
+    pub(super) fn new(model: &PsfModel, anchor: Anchor, size: Option<usize>) -> Result<Self, ConvError> {
+        let grid = model.grid();
+        check_stamps(grid, size)?;
+        let kernel = Kernel::of(grid.interpolation(), edge_reach_of(model));
+        let reach = |room: f64, side: usize| {
+            let reach = ((room + kernel.reach()) / grid.oversampling() + 0.5).ceil() as usize;
+            size.map_or(reach, |size| reach.min([size / 2, size - 1 - size / 2][side]))
+        };
+        Ok(Self {
+            kernel,
+            target: grid_reaching(grid, reach).map_err(ConvError::Result)?,
+            splines: (anchor == Anchor::Output).then(OnceLock::new),
+        })
+    }
+
+    /// The pixels that a star may light, relative to the pixel that the star lies on.
+    pub(super) fn window(&self) -> PixelRegion {
+        let target = self.target;
+        let first = [target.centre_x(), target.centre_y()].map(|centre| -(centre as i64));
+        region(first[0], first[1], (target.nx(), target.ny()))
+    }
 }
 
 /// Checks that stars and galaxies can be drawn with stamps, which may be truncated to a size.
@@ -39,29 +73,6 @@ pub(crate) fn check_stamps(grid: StampGrid, size: Option<usize>) -> Result<(), C
         return Err(ConvError::StampSize);
     }
     Ok(())
-}
-
-/// The kernel that interpolates the PSFs of a model's stars. It reaches as far beyond the stamps as
-/// their edges require ([`edge_reach_of`]).
-fn star_kernel(model: &PsfModel) -> Kernel {
-    Kernel::of(model.grid().interpolation(), edge_reach_of(model))
-}
-
-/// The interpolators of all stamps, computed when first needed. Clones share them, so the painters
-/// of one [`crate::StarPlan`] compute them once.
-#[derive(Debug, Clone, Default)]
-pub(crate) struct StampSplines(Arc<OnceLock<Vec<StampInterpolator>>>);
-
-impl StampSplines {
-    fn of(&self, model: &PsfModel, kernel: Kernel) -> &[StampInterpolator] {
-        self.0.get_or_init(|| {
-            let stamps = model.stamps();
-            let splines = stamps.axis_iter(Axis(0));
-            splines
-                .map(|stamp| StampInterpolator::with_kernel(stamp, model.grid(), kernel))
-                .collect()
-        })
-    }
 }
 
 impl<'a> StarPainter<'a> {
@@ -78,41 +89,11 @@ impl<'a> StarPainter<'a> {
         anchor: Anchor,
         size: Option<usize>,
     ) -> Result<Self, ConvError> {
-        Self::with_kernel(model, frame, anchor, size, star_kernel(model))
-    }
-
-    /// A painter with a kernel that was computed by [`star_kernel`].
-    pub(crate) fn with_kernel(
-        model: &'a PsfModel,
-        frame: PixelRegion,
-        anchor: Anchor,
-        size: Option<usize>,
-        kernel: Kernel,
-    ) -> Result<Self, ConvError> {
-        let grid = model.grid();
-        check_stamps(grid, size)?;
-        let splines = (anchor == Anchor::Output).then(StampSplines::default);
-        let reach = |room: f64, side: usize| {
-            let reach = ((room + kernel.reach()) / grid.oversampling() + 0.5).ceil() as usize;
-            size.map_or(reach, |size| reach.min([size / 2, size - 1 - size / 2][side]))
-        };
-        let target = grid_reaching(grid, reach).map_err(ConvError::Result)?;
         Ok(Self {
             model,
             frame,
-            kernel,
-            splines,
-            target,
+            stamps: Arc::new(StarStamps::new(model, anchor, size)?),
         })
-    }
-
-    /// The pixels that a star may light, relative to the pixel that the star lies on.
-    pub(crate) fn window(&self) -> Window {
-        let axis = |centre: f64, count: usize| (-(centre as i64), count as i64 - centre as i64);
-        Window {
-            columns: axis(self.target.centre_x(), self.target.nx()),
-            rows: axis(self.target.centre_y(), self.target.ny()),
-        }
     }
 
     /// Computes the sources' light in single pixels `(column, row)` of the frame.
@@ -185,7 +166,10 @@ impl<'a> StarPainter<'a> {
     ) -> Result<(), ConvError> {
         let shape = region.shape();
         assert_eq!(image.dim(), (shape.ny(), shape.nx()), "the region's shape");
-        let reaches = |source: &&PointSource| self.reaches(source) && self.lights(source, region);
+        let reaches = |source: &&PointSource| {
+            let star = Star::new(source, self.frame);
+            self.reaches(source) && star.reaches(self.stamps.window(), region)
+        };
         let tasks = sources.len().div_ceil(PER_TASK);
         add_in_order(image, tasks, &Uncounted(progress), |task| {
             let sources = sources[task * PER_TASK..].iter().take(PER_TASK).filter(reaches);
@@ -194,8 +178,8 @@ impl<'a> StarPainter<'a> {
                     let (lit, values) = self.paint(source)?;
                     let values = values.mapv(S::nearest);
                     Ok(Piece {
-                        first_column: lit.0 - region.x0(),
-                        first_row: lit.1 - region.y0(),
+                        first_column: lit.x0() - region.x0(),
+                        first_row: lit.y0() - region.y0(),
                         values,
                     })
                 })
@@ -203,82 +187,45 @@ impl<'a> StarPainter<'a> {
         })
     }
 
-    /// The pixel that a source lies on, counted from the frame's first pixel. It may lie outside
-    /// the frame.
-    fn pixel(&self, source: &PointSource) -> (i64, i64) {
-        let pixel = |v: f64, origin: i64| ((v + 0.5).floor() as i64).saturating_sub(origin);
-        (
-            pixel(source.position().x(), self.frame.x0()),
-            pixel(source.position().y(), self.frame.y0()),
-        )
-    }
-
-    /// First column, first row, columns and rows of the pixels that a source may light, in pixels
-    /// of the frame.
-    fn lit(&self, source: &PointSource) -> (i64, i64, usize, usize) {
-        let (column, row) = self.pixel(source);
-        let first_column = column.saturating_sub(self.target.centre_x() as i64);
-        let first_row = row.saturating_sub(self.target.centre_y() as i64);
-        (first_column, first_row, self.target.nx(), self.target.ny())
+    /// The pixels of the frame that a source may light. They may lie outside the frame.
+    fn lit(&self, source: &PointSource) -> PixelRegion {
+        Star::new(source, self.frame).lit(self.stamps.window())
     }
 
     fn reaches(&self, source: &PointSource) -> bool {
-        self.lights(source, self.frame.shape().region()) && source.flux() != 0.0
+        let frame = self.frame.shape().region();
+        Star::new(source, self.frame).reaches(self.stamps.window(), frame)
     }
 
-    /// Returns whether a source may light pixels of a region of the frame.
-    fn lights(&self, source: &PointSource, region: PixelRegion) -> bool {
-        let (x, y, nx, ny) = self.lit(source);
-        let on = |first: i64, length: usize, start: i64, count: usize| {
-            overlap(first.saturating_sub(start), length, count).is_some()
-        };
-        let shape = region.shape();
-        on(x, nx, region.x0(), shape.nx()) && on(y, ny, region.y0(), shape.ny())
-    }
-
-    /// The first pixel of the source's window and the light in the window `[y, x]`.
-    fn paint(&self, source: &PointSource) -> Result<((i64, i64), Array2<f64>), ConvError> {
-        let (first_column, first_row, nx, ny) = self.lit(source);
-        let (column, row) = self.pixel(source);
-        // Field positions count from the frame's first pixel.
-        let x = source.position().x() - self.frame.x0() as f64;
-        let y = source.position().y() - self.frame.y0() as f64;
-        let shift = (x - column as f64, y - row as f64);
-        let mut values = match &self.splines {
-            None => {
-                let position = Position::new(x, y).map_err(ConvError::Result)?;
-                let psf = self.model.psf_at(position)?;
-                let stamp = StampInterpolator::with_kernel(psf.values(), self.model.grid(), self.kernel);
-                stamp.resample(shift, self.target)
-            }
-            Some(splines) => {
-                let mut values = Array2::zeros((ny, nx));
-                let planes: Vec<Array2<f64>> = splines
-                    .of(self.model, self.kernel)
-                    .iter()
-                    .map(|s| s.resample(shift, self.target))
-                    .collect();
-                let planes: Vec<ArrayView2<'_, f64>> = planes.iter().map(|p| p.view()).collect();
-                let mut coefficients = vec![0.0; planes.len()];
-                let shape = self.frame.shape();
-                let (Some((i0, _, w)), Some((j0, _, h))) = (
-                    overlap(first_column, nx, shape.nx()),
-                    overlap(first_row, ny, shape.ny()),
-                ) else {
-                    return Ok(((first_column, first_row), values));
-                };
-                for j in j0..j0 + h {
-                    for i in i0..i0 + w {
-                        let pixel = Position::of_pixel(first_column + i as i64, first_row + j as i64);
-                        self.model.scaled_coefficients_into(pixel, &mut coefficients)?;
-                        values[[j, i]] = coefficients.iter().zip(&planes).map(|(a, p)| a * p[[j, i]]).sum();
-                    }
+    /// The pixels that a source may light, and its light there `[y, x]`.
+    fn paint(&self, source: &PointSource) -> Result<(PixelRegion, Array2<f64>), ConvError> {
+        let (star, lit) = (Star::new(source, self.frame), self.lit(source));
+        let (kernel, target) = (self.stamps.kernel, self.stamps.target);
+        let interpolator = |stamp| StampInterpolator::with_kernel(stamp, self.model.grid(), kernel);
+        let mut values = if let Some(splines) = &self.stamps.splines {
+            let stamps = self.model.stamps();
+            let splines = splines.get_or_init(|| stamps.outer_iter().map(interpolator).collect());
+            let planes: Vec<Array2<f64>> = splines.iter().map(|s| s.resample(star.shift, target)).collect();
+            let mut coefficients = vec![0.0; planes.len()];
+            let mut values = Array2::zeros(target.dim());
+            for ((j, i), value) in values.indexed_iter_mut() {
+                let (x, y) = (lit.x0() + i as i64, lit.y0() + j as i64);
+                if self.frame.shape().region().contains(region(x, y, (1, 1))) {
+                    let pixel = Position::of_pixel(x, y);
+                    self.model.scaled_coefficients_into(pixel, &mut coefficients)?;
+                    *value = coefficients.iter().zip(&planes).map(|(a, p)| a * p[[j, i]]).sum();
                 }
-                values
             }
+            values
+        } else {
+            let (x, y) = star.position;
+            let psf = self
+                .model
+                .psf_at(Position::new(x, y).map_err(ConvError::Result)?)?;
+            interpolator(psf.values()).resample(star.shift, target)
         };
         values.mapv_inplace(|v| v * source.flux());
-        Ok(((first_column, first_row), values))
+        Ok((lit, values))
     }
 }
 
@@ -295,12 +242,10 @@ impl SortedPixels {
         Self(sorted)
     }
 
-    /// The pixels in a rectangle: the index of each pixel, and its row and column in the rectangle,
-    /// which is given by its first column, first row, columns and rows.
-    fn within(
-        &self,
-        (x, y, nx, ny): (i64, i64, usize, usize),
-    ) -> impl Iterator<Item = (usize, usize, usize)> + '_ {
+    /// The pixels in a rectangle: the index of each pixel, and its row and column in the rectangle.
+    fn within(&self, rectangle: PixelRegion) -> impl Iterator<Item = (usize, usize, usize)> + '_ {
+        let (x, y) = (rectangle.x0(), rectangle.y0());
+        let (nx, ny) = (rectangle.shape().nx(), rectangle.shape().ny());
         let before = |row: i64| self.0.partition_point(|pixel| (pixel.0 as i64) < row);
         let rows = &self.0[before(y)..before(y.saturating_add(ny as i64))];
         rows.iter().filter_map(move |&(row, column, index)| {

@@ -5,7 +5,7 @@ use std::ops::Range;
 
 use psf_types::{PixelRegion, PointSource, StampGrid};
 
-use crate::overlap::overlap;
+use crate::overlap::shared;
 use crate::stamp_interpolator::{Kernel, MOST_TAPS};
 
 /// A coordinate at most this far from a pixel of the stamp counts as on that pixel: the difference
@@ -46,14 +46,16 @@ pub(super) struct Phase {
 }
 
 impl PhasedAxis {
-    /// The columns and the rows of a grid, for stars that light only the pixels of a window. `None`
-    /// if the oversampling is not a whole number of at most 65535.
-    pub(super) fn both(grid: StampGrid, kernel: Kernel, window: Window) -> Option<[Self; 2]> {
+    /// The columns and the rows of a grid, for stars that light only the pixels of a window, which
+    /// is relative to the star's own pixel. `None` if the oversampling is not a whole number of at
+    /// most 65535.
+    pub(super) fn both(grid: StampGrid, kernel: Kernel, window: PixelRegion) -> Option<[Self; 2]> {
         let s = grid.oversampling();
         if s.fract() != 0.0 || s > f64::from(u16::MAX) {
             return None;
         }
-        let axis = |length: usize, centre: f64, window: (i64, i64)| {
+        let axis = |length: usize, centre: f64, from: i64, count: usize| {
+            let window = (from, from + count as i64);
             let domain = kernel.domain(length);
             let reached = |pixel: i64, side: f64| centre + s * (pixel as f64 + side);
             let first = reached(window.0, -0.5).max(*domain.start()).floor() as i64;
@@ -69,8 +71,8 @@ impl PhasedAxis {
             }
         };
         Some([
-            axis(grid.nx(), grid.centre_x(), window.columns),
-            axis(grid.ny(), grid.centre_y(), window.rows),
+            axis(grid.nx(), grid.centre_x(), window.x0(), window.shape().nx()),
+            axis(grid.ny(), grid.centre_y(), window.y0(), window.shape().ny()),
         ])
     }
 
@@ -132,8 +134,6 @@ impl Phase {
 /// A star's position and flux.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Star {
-    /// Its index in the catalogue.
-    pub(super) index: usize,
     /// The pixel that it lies on, counted from the frame's first pixel.
     pub(super) pixel: (i64, i64),
     /// Its offset from the centre of that pixel, in pixels.
@@ -141,13 +141,6 @@ pub(super) struct Star {
     /// Its field position.
     pub(super) position: (f64, f64),
     pub(super) flux: f64,
-}
-
-/// The pixels that a star may light: columns and rows `from..to`, relative to the star's own pixel.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Window {
-    pub(crate) columns: (i64, i64),
-    pub(crate) rows: (i64, i64),
 }
 
 /// A star with its phases and the coefficients of its block's kernels.
@@ -168,13 +161,12 @@ pub(super) struct PhasedStar<T> {
 }
 
 impl Star {
-    pub(super) fn new(index: usize, source: &PointSource, frame: PixelRegion) -> Self {
+    pub(super) fn new(source: &PointSource, frame: PixelRegion) -> Self {
         // Field positions count from the frame's first pixel.
         let x = source.position().x() - frame.x0() as f64;
         let y = source.position().y() - frame.y0() as f64;
         let pixel = ((x + 0.5).floor() as i64, (y + 0.5).floor() as i64);
         Self {
-            index,
             pixel,
             shift: (x - pixel.0 as f64, y - pixel.1 as f64),
             position: (x, y),
@@ -182,17 +174,19 @@ impl Star {
         }
     }
 
-    /// Returns whether the star may light a pixel of a region of the frame.
-    pub(super) fn reaches(&self, window: Window, region: PixelRegion) -> bool {
+    /// The pixels of the frame that the star may light. `window` is relative to the star's pixel.
+    pub(super) fn lit(&self, window: PixelRegion) -> PixelRegion {
         let (column, row) = self.pixel;
-        let on = |pixel: i64, (from, to): (i64, i64), start: i64, count: usize| {
-            let first = pixel.saturating_add(from).saturating_sub(start);
-            overlap(first, (to - from) as usize, count).is_some()
-        };
-        let shape = region.shape();
-        self.flux != 0.0
-            && on(column, window.columns, region.x0(), shape.nx())
-            && on(row, window.rows, region.y0(), shape.ny())
+        let (x0, y0) = (
+            column.saturating_add(window.x0()),
+            row.saturating_add(window.y0()),
+        );
+        PixelRegion::new(x0, y0, window.shape())
+    }
+
+    /// Returns whether the star may light a pixel of a region of the frame.
+    pub(super) fn reaches(&self, window: PixelRegion, region: PixelRegion) -> bool {
+        self.flux != 0.0 && shared(self.lit(window), region).is_some()
     }
 
     /// The star's [phase numbers](PhasedAxis::phase_number): in y (rows), then in x (columns).
@@ -214,6 +208,7 @@ mod tests {
     use super::*;
 
     use crate::stamp_interpolator::Taps;
+    use crate::view::region;
     use psf_types::StampInterpolation;
 
     const SHIFTS: [f64; 6] = [-0.5, -0.25, 0.0, 0.1, 0.37, 0.499_999_999_999];
@@ -244,11 +239,8 @@ mod tests {
                     .flat_map(|from| SHIFTS.map(|shift| (shift, from)))
                 {
                     let window = from..40 + from / 2;
-                    let lit = (window.start, window.end);
-                    let lit = Window {
-                        columns: lit,
-                        rows: lit,
-                    };
+                    let side = (window.end - window.start) as usize;
+                    let lit = region(window.start, window.start, (side, side));
                     let [axis, _] = PhasedAxis::both(grid, kernel, lit).unwrap();
                     let taps = Taps::new(kernel, length, 0.0, 80, |i| {
                         centre + f64::from(s) * ((i as f64 + from as f64) - shift)
@@ -290,10 +282,6 @@ mod tests {
             }
         }
         let fractional = StampGrid::new(9, 9).unwrap().with_oversampling(2.1).unwrap();
-        let lit = Window {
-            columns: (-4, 5),
-            rows: (-4, 5),
-        };
-        assert!(PhasedAxis::both(fractional, Kernel::Lanczos3, lit).is_none());
+        assert!(PhasedAxis::both(fractional, Kernel::Lanczos3, region(-4, -4, (9, 9))).is_none());
     }
 }

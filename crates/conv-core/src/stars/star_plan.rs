@@ -1,19 +1,20 @@
 //! Plans for stars.
 
+use std::sync::Arc;
+
 use ndarray::{Array1, ArrayViewMut2};
 use psf_types::{Anchor, FieldError, PixelRegion, PointSource, Position, Progress, PsfModel};
 use rayon::prelude::*;
 
 use super::draw::{DrawGroups, Group, StarKey};
-use super::painter::{StampSplines, StarPainter};
+use super::painter::{StarPainter, StarStamps};
 use super::phase_norms::PhaseNorms;
-use super::phases::{PhasedAxis, PhasedStar, Star, Window};
+use super::phases::{PhasedAxis, PhasedStar, Star};
 use super::star_block::{BlockKey, RowLayout, StarBlock};
 use crate::image_memory::{check_shape, with_rows_in_memory};
 use crate::kept::Kept;
 use crate::plan::PlanOptions;
 use crate::plan::local_modes::{LocalModes, PsfSpace};
-use crate::stamp_interpolator::Kernel;
 use crate::view::region;
 use crate::{ConvError, ConvReal};
 
@@ -72,11 +73,8 @@ use crate::{ConvError, ConvReal};
 #[derive(Debug)]
 pub struct StarPlan<T> {
     model: PsfModel,
-    options: PlanOptions,
     size: Option<usize>,
-    window: Window,
-    kernel: Kernel,
-    splines: Option<StampSplines>,
+    stamps: Arc<StarStamps>,
     /// `None` if all stars are drawn from all components.
     phased: Option<Phased<T>>,
 }
@@ -121,20 +119,17 @@ impl<T: ConvReal> StarPlan<T> {
     /// [`ConvError::StampSize`] if `size` is 0.
     #[inline(never)]
     pub fn new(model: &PsfModel, options: PlanOptions, size: Option<usize>) -> Result<Self, ConvError> {
-        let painter = StarPainter::new(model, region(0, 0, (1, 1)), options.anchor(), size)?;
-        let axes = PhasedAxis::both(model.grid(), painter.kernel, painter.window())
+        let stamps = StarStamps::new(model, options.anchor(), size)?;
+        let axes = PhasedAxis::both(model.grid(), stamps.kernel, stamps.window())
             .filter(|_| options.anchor() != Anchor::Output);
         Ok(Self {
-            window: painter.window(),
-            kernel: painter.kernel,
-            splines: painter.splines.clone(),
             phased: axes
                 .map(|axes| -> Result<_, ConvError> {
                     let space = PsfSpace::new(model, options.tolerance_on());
                     Ok(Phased {
                         layout: RowLayout::new(&axes[0]),
                         axes,
-                        norms: PhaseNorms::new(&space, model.grid(), painter.kernel, painter.target)
+                        norms: PhaseNorms::new(&space, model.grid(), stamps.kernel, stamps.target)
                             .map_err(ConvError::Result)?,
                         space,
                         tolerance: options.tolerance_in::<T>(),
@@ -144,8 +139,8 @@ impl<T: ConvReal> StarPlan<T> {
                 })
                 .transpose()?,
             model: model.clone(),
-            options,
             size,
+            stamps: Arc::new(stamps),
         })
     }
 
@@ -203,14 +198,15 @@ impl<T: ConvReal> StarPlan<T> {
         let Some(phased) = &self.phased else {
             return self.draw_exactly(catalogue, region, image);
         };
+        let window = self.stamps.window();
         let mut stars: Vec<StarKey> = catalogue
             .stars
             .par_iter()
             .enumerate()
             .with_min_len(MIN_STARS_PER_TASK)
             .filter_map(|(index, source)| {
-                let star = Star::new(index, source, catalogue.frame);
-                let lights = star.reaches(self.window, region);
+                let star = Star::new(source, catalogue.frame);
+                let lights = star.reaches(window, region);
                 lights.then(|| StarKey {
                     block: block_of(star.pixel, BLOCK),
                     part: index / MOST_AT_ONCE,
@@ -296,7 +292,7 @@ impl<T: ConvReal> StarPlan<T> {
             if number.is_multiple_of(MIN_STARS_PER_TASK) {
                 catalogue.progress.check_cancelled()?;
             }
-            let star = Star::new(index, &catalogue.stars[index], catalogue.frame);
+            let star = Star::new(&catalogue.stars[index], catalogue.frame);
             let Some([columns, rows]) = star.phases(&phased.axes) else {
                 continue;
             };
@@ -322,7 +318,7 @@ impl<T: ConvReal> StarPlan<T> {
                         norms.is_within(tolerance, star.shift, error.view(), vectors.psf.view())
                     });
             if !within {
-                missed.push(star.index);
+                missed.push(index);
                 continue;
             }
             let scale = scale * star.flux;
@@ -349,12 +345,11 @@ impl<T: ConvReal> StarPlan<T> {
         region: PixelRegion,
         image: ArrayViewMut2<'_, T>,
     ) -> Result<(), ConvError> {
-        if catalogue.stars.is_empty() {
-            return Ok(());
-        }
-        let (frame, anchor) = (catalogue.frame, self.options.anchor());
-        let mut painter = StarPainter::with_kernel(&self.model, frame, anchor, self.size, self.kernel)?;
-        painter.splines.clone_from(&self.splines);
+        let painter = StarPainter {
+            model: &self.model,
+            frame: catalogue.frame,
+            stamps: Arc::clone(&self.stamps),
+        };
         painter.draw_into(catalogue.stars, region, image, catalogue.progress)
     }
 }
