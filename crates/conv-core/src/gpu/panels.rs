@@ -311,11 +311,11 @@ impl Packing<'_> {
                         });
                     }
                 }
-                self.add(&mut batches, block, &tiles)?;
+                self.add(&mut batches, block, &tiles, 0..plan.kernel_count(block))?;
             }
         }
         Ok(Panel {
-            block_rows: plan.block_of(1, rows.start)..plan.block_of(1, rows.end - 1) + 1,
+            block_rows: plan.blocks_of(1, rows),
             output: Rectangle {
                 column: x.start,
                 row: y.start,
@@ -326,62 +326,38 @@ impl Packing<'_> {
         })
     }
 
-    /// Adds a block's tiles to the last batch, or to new batches.
+    /// Adds a block's tiles with some kernels to the last batch, or to new batches. A block without
+    /// kernels needs batches, too, because an execution must inspect all light: lit pixels without a
+    /// PSF are errors.
     fn add(
         &self,
         batches: &mut Vec<Batch>,
         block: (usize, usize),
         tiles: &[TileSlot],
+        kernels: Range<usize>,
     ) -> Result<(), GpuError> {
-        let kernels = self.plan.kernel_count(block);
-        if batches
-            .last_mut()
-            .is_some_and(|batch| self.place(batch, block, tiles, 0..kernels))
-        {
+        // Only the first kernels of a tile may share a batch with earlier parts, because the results
+        // of two parts with the same tile overlap.
+        let last = batches.last_mut().filter(|_| kernels.start == 0);
+        if last.is_some_and(|batch| self.place(batch, block, tiles, kernels.clone())) {
             return Ok(());
         }
         let mut batch = Batch::default();
-        if self.place(&mut batch, block, tiles, 0..kernels) {
-            batches.push(batch);
-            return Ok(());
-        }
-        if kernels == 0 {
-            // There are no kernels to divide among batches, so each tile gets a batch. The batches
-            // are needed because an execution must inspect all light: lit pixels without a PSF are
-            // errors.
-            for tile in tiles {
-                let mut batch = Batch::default();
-                self.force(&mut batch, block, std::slice::from_ref(tile), 0..0);
-                batches.push(batch);
+        if !self.place(&mut batch, block, tiles, kernels.clone()) {
+            if tiles.len() > 1 {
+                let mut each = tiles.chunks(1);
+                return each.try_for_each(|tile| self.add(batches, block, tile, kernels.clone()));
             }
-            return Ok(());
-        }
-        // Adds the tiles one by one, each with all kernels of the block. If a tile does not fit
-        // into a batch, its kernels are divided among several batches.
-        for tile in tiles {
-            let mut first = 0;
-            while first < kernels {
-                let one = std::slice::from_ref(tile);
-                let last = batches.last_mut().filter(|_| first == 0);
-                if last.is_some_and(|batch| self.place(batch, block, one, 0..kernels)) {
-                    break;
-                }
-                let mut batch = Batch::default();
-                let mut count = kernels - first;
-                while !self.place(&mut batch, block, one, first..first + count) {
-                    count /= 2;
-                    if count == 0 {
-                        self.limits.adapter.fits("a tile", self.least(tile))?;
-                        // The smallest piece may be larger than the limit in the options.
-                        count = 1;
-                        self.force(&mut batch, block, one, first..first + 1);
-                        break;
-                    }
-                }
-                first += count;
-                batches.push(batch);
+            if kernels.len() > 1 {
+                let middle = kernels.start + kernels.len() / 2;
+                self.add(batches, block, tiles, kernels.start..middle)?;
+                return self.add(batches, block, tiles, middle..kernels.end);
             }
+            // The smallest piece may be larger than the limit in the options.
+            self.limits.adapter.fits("a tile", self.least(&tiles[0]))?;
+            self.force(&mut batch, block, tiles, kernels);
         }
+        batches.push(batch);
         Ok(())
     }
 
