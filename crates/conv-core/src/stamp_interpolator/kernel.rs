@@ -239,23 +239,17 @@ impl Taps {
             }
             piece = end;
         }
-        self.merge(begin);
-    }
-
-    /// Sums the weights of equal indices.
-    fn merge(&mut self, begin: usize) {
-        self.taps[begin..].sort_by_key(|&(index, _)| index);
-        let mut kept = begin;
-        for i in begin..self.taps.len() {
-            let (index, weight) = self.taps[i];
-            if kept > begin && self.taps[kept - 1].0 == index {
-                self.taps[kept - 1].1 += weight;
-            } else {
-                self.taps[kept] = (index, weight);
-                kept += 1;
+        // Sums the weights of equal indices.
+        let mut taps = self.taps.split_off(begin);
+        taps.sort_by_key(|&(index, _)| index);
+        taps.dedup_by(|next, kept| {
+            let is_same = next.0 == kept.0;
+            if is_same {
+                kept.1 += next.1;
             }
-        }
-        self.taps.truncate(kept);
+            is_same
+        });
+        self.taps.extend(taps);
     }
 }
 
