@@ -84,143 +84,35 @@ impl Direct {
     ) -> Result<f64, ConvError> {
         let (field, first) = (view.field_region(), view.first_pixel());
         let (column, row) = (column + first.0, row + first.1);
-        let stamps = model.stamps();
+        let (height, width) = model.grid().dim();
+        // The light under the stamp turned around the pixel.
+        let (column_under, row_under) = (
+            column as i64 - (reach.right + first_column) as i64,
+            row as i64 - (reach.above + first_row) as i64,
+        );
+        let (Some((i0, x0, nx)), Some((j0, y0, ny))) = (
+            overlap(column_under, width, light.ncols()),
+            overlap(row_under, height, light.nrows()),
+        ) else {
+            return Ok(0.0);
+        };
+        let stamps = model.stamps().slice_move(s![.., ..;-1, ..;-1]);
         let mut coefficients = vec![0.0; model.stamp_count()];
         if self.anchor == Anchor::Output {
             model.scaled_coefficients_into(field.position(column, row), &mut coefficients)?;
         }
         let mut sum = 0.0;
-        // The loops add the light of the source at `pixel - u`, for every offset `u` of the stamp.
-        for j in 0..stamps.dim().1 {
-            let Some(y) = (row + reach.below)
-                .checked_sub(j)
-                .filter(|&y| y >= first_row && y - first_row < light.nrows())
-            else {
-                continue;
-            };
-            for i in 0..stamps.dim().2 {
-                let Some(x) = (column + reach.left)
-                    .checked_sub(i)
-                    .filter(|&x| x >= first_column && x - first_column < light.ncols())
-                else {
-                    continue;
-                };
-                let flux = light[[y - first_row, x - first_column]].as_f64();
-                if flux == 0.0 {
-                    continue;
-                }
-                if self.anchor != Anchor::Output {
-                    model.scaled_coefficients_into(field.position(x, y), &mut coefficients)?;
-                }
-                let h: f64 = coefficients
-                    .iter()
-                    .zip(stamps.slice(s![.., j, i]))
-                    .map(|(a, b)| a * b)
-                    .sum();
-                sum += flux * h;
+        let light = light.slice(s![y0..y0 + ny, x0..x0 + nx]);
+        for ((j, i), flux) in light.indexed_iter().filter(|(_, flux)| !flux.is_zero()) {
+            if self.anchor != Anchor::Output {
+                let source = field.position(first_column + x0 + i, first_row + y0 + j);
+                model.scaled_coefficients_into(source, &mut coefficients)?;
             }
+            let values = stamps.slice(s![.., j0 + j, i0 + i]);
+            let h: f64 = coefficients.iter().zip(values).map(|(a, b)| a * b).sum();
+            sum += flux.as_f64() * h;
         }
         Ok(sum)
-    }
-
-    fn scatter<T: ConvReal>(
-        model: &PsfModel,
-        view: View,
-        light: ArrayView2<'_, T>,
-        reach: Reach,
-        progress: &dyn Progress,
-        result: &mut Array2<f64>,
-    ) -> Result<(), ConvError> {
-        let (field, frame) = (view.field_region(), view.frame);
-        let (ny, nx) = light.dim();
-        let (height, width) = model.grid().dim();
-        add_in_order(result.view_mut(), ny.div_ceil(BAND), progress, |band| {
-            let rows = band * BAND..((band + 1) * BAND).min(ny);
-            let lit: Vec<(usize, usize)> = rows
-                .clone()
-                .flat_map(|y| (0..nx).map(move |x| (x, y)))
-                .filter(|&(x, y)| !light[[y, x]].is_zero())
-                .collect();
-            let mut values = Array2::<f64>::zeros((rows.len() + height - 1, nx + width - 1));
-            for some in lit.chunks(PSFS_AT_ONCE) {
-                progress.check_cancelled()?;
-                let psfs = psfs(model, field, some)?;
-                for (&(x, y), psf) in some.iter().zip(psfs.outer_iter()) {
-                    let y_in_band = y - rows.start;
-                    values
-                        .slice_mut(s![y_in_band..y_in_band + height, x..x + width])
-                        .scaled_add(light[[y, x]].as_f64(), &stamp_of(&psf, model));
-                }
-            }
-            let first_column = -(reach.left as i64) - frame.x0();
-            let first_row = rows.start as i64 - reach.below as i64 - frame.y0();
-            Ok(if lit.is_empty() {
-                Vec::new()
-            } else {
-                vec![Piece {
-                    first_column,
-                    first_row,
-                    values,
-                }]
-            })
-        })
-    }
-
-    fn gather<T: ConvReal>(
-        model: &PsfModel,
-        view: View,
-        light: ArrayView2<'_, T>,
-        reach: Reach,
-        progress: &dyn Progress,
-        result: &mut Array2<f64>,
-    ) -> Result<(), ConvError> {
-        let (field, frame) = (view.field_region(), view.frame);
-        let nx = frame.shape().nx();
-        // Finds the light under the mirrored stamp at a pixel of the scene: columns from x - right
-        // to x + left, and rows from y - above to y + below.
-        let under = |x: usize, y: usize| {
-            let columns = overlap(x as i64 - reach.right as i64, model.grid().nx(), light.ncols())?;
-            let rows = overlap(y as i64 - reach.above as i64, model.grid().ny(), light.nrows())?;
-            Some((columns, rows))
-        };
-        progress.start(frame.shape().ny() as u64);
-        let rows: Vec<Result<(), ConvError>> = result
-            .as_slice_mut()
-            .expect("row-major")
-            .par_chunks_exact_mut(nx)
-            .enumerate()
-            .map(|(row, out)| {
-                progress.check_cancelled()?;
-                let y = row + frame.y0() as usize;
-                let lit: Vec<(usize, usize)> = (0..nx)
-                    .map(|column| (column + frame.x0() as usize, y))
-                    .filter(|&(x, y)| {
-                        under(x, y).is_some_and(|((_, x0, w), (_, y0, h))| {
-                            light
-                                .slice(s![y0..y0 + h, x0..x0 + w])
-                                .iter()
-                                .any(|v| !v.is_zero())
-                        })
-                    })
-                    .collect();
-                for some in lit.chunks(PSFS_AT_ONCE) {
-                    progress.check_cancelled()?;
-                    let psfs = psfs(model, field, some)?;
-                    for (&(x, y), psf) in some.iter().zip(psfs.outer_iter()) {
-                        let ((from_x, x0, w), (from_y, y0, h)) = under(x, y).expect("light reaches it");
-                        let mirrored = stamp_of(&psf, model);
-                        let mirrored = mirrored.slice(s![..;-1, ..;-1]);
-                        let psf = mirrored.slice(s![from_y..from_y + h, from_x..from_x + w]);
-                        let window = light.slice(s![y0..y0 + h, x0..x0 + w]);
-                        out[x - frame.x0() as usize] =
-                            psf.iter().zip(window).map(|(p, f)| p * f.as_f64()).sum();
-                    }
-                }
-                progress.advance(1);
-                Ok(())
-            })
-            .collect();
-        rows.into_iter().collect()
     }
 }
 
@@ -238,10 +130,6 @@ fn psfs(model: &PsfModel, field: PixelRegion, pixels: &[(usize, usize)]) -> Resu
     Ok(coefficients.dot(&flat))
 }
 
-fn stamp_of<'a>(psf: &'a ndarray::ArrayView1<'_, f64>, model: &PsfModel) -> ArrayView2<'a, f64> {
-    ArrayView2::from_shape(model.grid().dim(), psf.to_slice().expect("row-major")).expect("the grid's size")
-}
-
 impl<T: ConvReal> ConvolutionMethod<T> for Direct {
     fn anchor(&self) -> Anchor {
         self.anchor
@@ -256,11 +144,71 @@ impl<T: ConvReal> ConvolutionMethod<T> for Direct {
         progress: &dyn Progress,
     ) -> Result<Image<T>, ConvError> {
         let (view, light, reach) = View::within_reach(light, frame, model.grid())?;
-        let mut result = Array2::zeros((frame.shape().ny(), frame.shape().nx()));
-        match self.anchor {
-            Anchor::Output => Self::gather(model, view, light, reach, progress, &mut result)?,
-            _ => Self::scatter(model, view, light, reach, progress, &mut result)?,
-        }
+        let field = view.field_region();
+        let (height, width) = model.grid().dim();
+        let gathers = self.anchor == Anchor::Output;
+        // The pixels that have PSFs of their own, in pixels of the light.
+        let whole = if gathers { view.frame } else { view.shape.region() };
+        let nx = whole.shape().nx();
+        // Finds the light under the stamp turned around a pixel.
+        let under = |(x, y): (usize, usize)| {
+            let columns = overlap(x as i64 - reach.right as i64, width, light.ncols())?;
+            let rows = overlap(y as i64 - reach.above as i64, height, light.nrows())?;
+            Some((columns, rows))
+        };
+        let is_lit = |&(x, y): &(usize, usize)| {
+            if gathers {
+                under((x, y)).is_some_and(|((_, x, w), (_, y, h))| {
+                    let light = light.slice(s![y..y + h, x..x + w]);
+                    light.iter().any(|v| !v.is_zero())
+                })
+            } else {
+                !light[[y, x]].is_zero()
+            }
+        };
+        let mut result = Array2::<f64>::zeros((frame.shape().ny(), frame.shape().nx()));
+        let bands = whole.shape().ny().div_ceil(BAND);
+        add_in_order(result.view_mut(), bands, progress, |band| {
+            let rows = band * BAND..((band + 1) * BAND).min(whole.shape().ny());
+            let (x0, y0) = (whole.x0() as usize, whole.y0() as usize + rows.start);
+            let lit: Vec<(usize, usize)> = (y0..y0 + rows.len())
+                .flat_map(|y| (x0..x0 + nx).map(move |x| (x, y)))
+                .filter(is_lit)
+                .collect();
+            // The image of the band without the margin, or with it.
+            let [left, below, margin_x, margin_y] = if gathers {
+                [0; 4]
+            } else {
+                [reach.left, reach.below, width - 1, height - 1]
+            };
+            let mut values = Array2::<f64>::zeros((rows.len() + margin_y, nx + margin_x));
+            for some in lit.chunks(PSFS_AT_ONCE) {
+                progress.check_cancelled()?;
+                let psfs = psfs(model, field, some)?;
+                for (&(x, y), psf) in some.iter().zip(psfs.outer_iter()) {
+                    let psf = psf
+                        .into_shape_with_order((height, width))
+                        .expect("the grid's size");
+                    let (i, j) = (x - x0, y - y0);
+                    if gathers {
+                        let ((from_x, x, w), (from_y, y, h)) = under((x, y)).expect("light reaches it");
+                        let turned = psf.slice(s![..;-1, ..;-1]);
+                        let psf = turned.slice(s![from_y..from_y + h, from_x..from_x + w]);
+                        let light = light.slice(s![y..y + h, x..x + w]);
+                        values[[j, i]] = psf.iter().zip(light).map(|(p, f)| p * f.as_f64()).sum();
+                    } else {
+                        let mut target = values.slice_mut(s![j..j + height, i..i + width]);
+                        target.scaled_add(light[[y, x]].as_f64(), &psf);
+                    }
+                }
+            }
+            let piece = Piece {
+                first_column: x0 as i64 - left as i64 - view.frame.x0(),
+                first_row: y0 as i64 - below as i64 - view.frame.y0(),
+                values,
+            };
+            Ok(if lit.is_empty() { Vec::new() } else { vec![piece] })
+        })?;
         Image::new(result.mapv(T::nearest)).map_err(ConvError::Result)
     }
 }
