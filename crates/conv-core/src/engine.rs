@@ -207,11 +207,10 @@ impl<T: ConvReal> Engine<T> {
         let mut written = 0;
         for first in (0..rows_of_blocks).step_by(tiling.band()) {
             let band = first..(first + tiling.band()).min(rows_of_blocks);
-            let light_rows = self.light_rows(band.clone());
+            let [light_rows, reached] = self.rows_of(&band);
             let light = self.read(stream, light_rows.clone())?;
-            let reached = self.image_rows(band.clone());
             let next = if band.end < rows_of_blocks {
-                self.image_rows(band.end..band.end + 1).start
+                self.rows_of(&(band.end..band.end + 1))[1].start
             } else {
                 shape.ny()
             };
@@ -276,27 +275,18 @@ impl<T: ConvReal> Engine<T> {
         self.plan().direction(false) == Direction::Gather
     }
 
-    /// The rows of light that a band (some neighbouring rows of blocks) needs, counted from the
-    /// first row that reaches the plan's region.
-    fn light_rows(&self, band: Range<usize>) -> Range<usize> {
-        self.rows_of(band, !self.gathers())
-    }
-
-    /// The rows of the image that a band of blocks writes to.
-    fn image_rows(&self, band: Range<usize>) -> Range<usize> {
-        self.rows_of(band, self.gathers())
-    }
-
-    /// The rows that a band of blocks covers (`own` is true) or reaches (`own` is false). Blocks
-    /// cover the side that PSFs belong to: the light or the image. They reach rows of the other
-    /// side.
-    fn rows_of(&self, band: Range<usize>, own: bool) -> Range<usize> {
-        let (plan, last) = (self.plan(), band.end - 1);
-        if own {
-            plan.tiling.rows[band.start].start()..plan.tiling.rows[last].end()
+    /// The rows of light that a band (some neighbouring rows of blocks) needs, and the rows of the
+    /// image that it writes to. The rows of light count from the first row that reaches the plan's
+    /// region. Blocks cover rows of the side that PSFs belong to, and reach rows of the other side.
+    fn rows_of(&self, band: &Range<usize>) -> [Range<usize>; 2] {
+        let (rows, extents) = (&self.plan().tiling.rows, self.plan().extents(1));
+        let (first, last) = (band.start, band.end - 1);
+        let covered = rows[first].start()..rows[last].end();
+        let reached = extents[first].0..extents[last].1;
+        if self.gathers() {
+            [reached, covered]
         } else {
-            let extents = plan.extents(1);
-            extents[band.start].0..extents[last].1
+            [covered, reached]
         }
     }
 
