@@ -80,25 +80,21 @@ impl FftSource {
         if self.padded { padded(values) } else { values }
     }
 
-    /// Declares the constants, the shared memory and the functions that the stages need.
-    pub(super) fn declarations(&self) -> String {
-        let threads = self.threads;
-        let shared = self.shared();
-        let slot = if self.padded { "i + (i >> 3u)" } else { "i" };
-        let place = if self.interleaved {
-            format!("index * {}u + line", self.lines)
+    /// The numbers in `transforms.wgsl`, with their names.
+    pub(super) fn numbers(&self) -> [(&'static str, usize); 6] {
+        let (line_step, index_step) = if self.interleaved {
+            (1, self.lines)
         } else {
-            format!("line * {}u + index", self.n)
+            (self.n, 1)
         };
-        format!(
-            "const THREADS: u32 = {threads}u;\n\
-             const LINES: u32 = {lines}u;\n\
-             var<workgroup> shared_values: array<vec2f, {shared}>;\n\
-             fn slot(line: u32, index: u32) -> u32 {{ let i = {place}; return {slot}; }}\n\
-             fn times(a: vec2f, b: vec2f) -> vec2f {{ return vec2f(a.x * b.x - a.y * b.y, a.x * b.y + a.y * b.x); }}\n\
-             fn turned(a: vec2f) -> vec2f {{ return vec2f(a.y, -a.x); }}\n",
-            lines = self.lines,
-        )
+        [
+            ("THREADS", self.threads),
+            ("LINES", self.lines),
+            ("SHARED", self.shared()),
+            ("LINE_STEP", line_step),
+            ("INDEX_STEP", index_step),
+            ("PADDED", self.padded.into()),
+        ]
     }
 
     /// Declares registers with a given name, set to zero.

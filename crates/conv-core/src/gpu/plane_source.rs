@@ -87,13 +87,16 @@ impl PlaneSource {
         } else {
             &self.rows
         };
-        let transforms = shader != Shader::DrawStamps;
         let mut text = include_str!("shaders/common.wgsl").to_owned();
+        let mut numbers = vec![("NX", self.nx), ("HALF", self.half()), ("STRIP", STRIP)];
+        if shader == Shader::DrawStamps {
+            numbers.push(("THREADS", DRAWING_THREADS));
+        } else {
+            text += include_str!("shaders/transforms.wgsl");
+            numbers.extend(fft.numbers());
+        }
         if shader.has_coefficients() {
             text += include_str!("shaders/coefficients.wgsl");
-        }
-        if transforms {
-            text += &fft.declarations();
         }
         text += &expanded(shader.text(), fft);
         if shader.is_of_columns() {
@@ -102,14 +105,8 @@ impl PlaneSource {
         if shader.adds_to_panel() {
             text += include_str!("shaders/panel.wgsl");
         }
-        let threads = if transforms { fft.threads } else { DRAWING_THREADS };
-        for (name, number) in [
-            ("{{NX}}", self.nx),
-            ("{{HALF}}", self.half()),
-            ("{{THREADS}}", threads),
-            ("{{STRIP}}", STRIP),
-        ] {
-            text = text.replace(name, &number.to_string());
+        for (name, number) in numbers {
+            text = text.replace(&format!("{{{{{name}}}}}"), &number.to_string());
         }
         text
     }
