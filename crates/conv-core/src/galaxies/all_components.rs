@@ -132,10 +132,6 @@ impl<T: ConvReal> GalaxyPlan<T> {
         let mut vectors = StarVectors::new(&self.model, self.space());
         let scale = vectors.set(position)? * galaxy.flux();
         let psf = vectors.psf * scale;
-        let outside = reach.and_then(|reach| {
-            let moments = self.stamps().moments_of(psf.view());
-            self.far_light(moments, (catalogue.light)(galaxy), (x, y), window, reach)
-        });
         let place = |&(column, row): &(usize, usize)| {
             let inside =
                 |at: usize, first: i64| usize::try_from(at as i64 - first).ok().filter(|&i| i < side);
@@ -145,11 +141,14 @@ impl<T: ConvReal> GalaxyPlan<T> {
         if pixels.iter().any(|pixel| place(pixel).is_some()) {
             let centre = (x - window.0 as f64, y - window.1 as f64);
             let frame = catalogue.frame.shape();
-            let mut values = self.exact_window(&psf, galaxy.flux(), light.as_ref(), window, centre, frame)?;
-            if let Some(outside) = &outside {
-                outside.subtract_repeated(&BlockWeights::new(side), 0, &mut values);
-            }
-            drawn = Some(values);
+            drawn = Some(self.exact_window(&psf, galaxy.flux(), light.as_ref(), window, centre, frame)?);
+        }
+        let outside = reach.and_then(|reach| {
+            let moments = self.stamps().moments_of(psf.view());
+            self.far_light(moments, light, (x, y), window, reach)
+        });
+        if let (Some(values), Some(outside)) = (&mut drawn, &outside) {
+            outside.subtract_repeated(&BlockWeights::new(side), 0, values);
         }
         Ok(pixels
             .iter()

@@ -35,11 +35,6 @@ pub(super) struct WindowDrawer<T: ConvReal> {
     side: usize,
     along_y: Arc<dyn Fft<T>>,
     along_x: Arc<dyn ComplexToReal<T>>,
-    work: Work<T>,
-}
-
-/// Memory of a [`WindowDrawer`].
-struct Work<T> {
     /// The transform of the window, folded: `[kx, ky]` with `kx = 0 ... side / 2`.
     folded: Vec<Complex<T>>,
     psf: Vec<Complex<T>>,
@@ -78,34 +73,28 @@ impl<T: ConvReal> WindowDrawer<T> {
             side,
             along_y,
             along_x,
-            work: Work {
-                folded: vec![zero; half * side],
-                psf: Vec::new(),
-                product: Vec::new(),
-                transform: Vec::new(),
-                turns_x: Vec::new(),
-                turns: Vec::new(),
-                scratch: vec![zero; scratch],
-                lines: vec![zero; half * ROWS_AT_ONCE],
-            },
+            folded: vec![zero; half * side],
+            psf: Vec::new(),
+            product: Vec::new(),
+            transform: Vec::new(),
+            turns_x: Vec::new(),
+            turns: Vec::new(),
+            scratch: vec![zero; scratch],
+            lines: vec![zero; half * ROWS_AT_ONCE],
         }
     }
 
     /// Computes the rows `rows` of a galaxy's image, which repeats with the period of the window.
     /// Returns the values `[row, column]`.
     pub(super) fn draw(&mut self, galaxy: &Drawn<'_, T>, rows: std::ops::Range<usize>) -> Array2<T> {
-        let columns = T::dispatch(Fold {
-            side: self.side,
-            galaxy,
-            work: &mut self.work,
-        });
+        let columns = T::dispatch(Fold { galaxy, drawer: self });
         let (side, half) = (self.side, self.side / 2 + 1);
-        let Work {
+        let Self {
             folded,
             scratch,
             lines,
             ..
-        } = &mut self.work;
+        } = self;
         self.along_y
             .process_with_scratch(&mut folded[..columns * side], scratch);
         let mut values = Array2::zeros((rows.len(), side));
@@ -132,16 +121,16 @@ impl<T: ConvReal> WindowDrawer<T> {
 
 /// Multiplies the transforms of galaxy and PSF, and folds them into the wavenumbers of the window's
 /// pixels. Returns the number of columns, from the first on, that hold light.
-struct Fold<'a, 'b, T> {
-    side: usize,
+struct Fold<'a, 'b, T: ConvReal> {
     galaxy: &'a Drawn<'b, T>,
-    work: &'a mut Work<T>,
+    drawer: &'a mut WindowDrawer<T>,
 }
 
 impl<T: ConvReal> WithIsa<T> for Fold<'_, '_, T> {
     type Output = usize;
     fn run<S: Lanes<T>>(self, simd: S) -> usize {
-        let Self { side, galaxy, work } = self;
+        let Self { galaxy, drawer } = self;
+        let side = drawer.side;
         let wavenumbers = &galaxy.spectra.wavenumbers;
         let step = wavenumbers.step();
         let copies = &wavenumbers.copies;
@@ -158,12 +147,12 @@ impl<T: ConvReal> WithIsa<T> for Fold<'_, '_, T> {
         let row = (2 * most + 1) as usize;
         let lines = wavenumbers.most_ky.len();
         let angles = [galaxy.centre.0, galaxy.centre.1].map(|centre| step * centre);
-        copies.turns_into(0, angles[0], radius, 0..lines as i64, &mut work.turns_x);
-        copies.turns_into(1, angles[1], radius, -most..most + 1, &mut work.turns);
-        work.folded.fill(zero);
-        work.psf.resize(row, zero);
-        work.product.resize(row, zero);
-        work.transform.resize(2 * most_ky as usize + 1, 0.0);
+        copies.turns_into(0, angles[0], radius, 0..lines as i64, &mut drawer.turns_x);
+        copies.turns_into(1, angles[1], radius, -most..most + 1, &mut drawer.turns);
+        drawer.folded.fill(zero);
+        drawer.psf.resize(row, zero);
+        drawer.product.resize(row, zero);
+        drawer.transform.resize(2 * most_ky as usize + 1, 0.0);
         let area = (side * side) as f64;
         let coefficients: Vec<T> = galaxy.coefficients.iter().map(|c| T::nearest(c / area)).collect();
         let mut columns = 0;
@@ -176,7 +165,7 @@ impl<T: ConvReal> WithIsa<T> for Fold<'_, '_, T> {
             };
             let count = (2 * most_ky + 1) as usize;
             let start = start + stored - most_ky as usize;
-            let psf = &mut work.psf[..count];
+            let psf = &mut drawer.psf[..count];
             simd.vectorized(
                 #[inline(always)]
                 || {
@@ -189,17 +178,17 @@ impl<T: ConvReal> WithIsa<T> for Fold<'_, '_, T> {
                     }
                 },
             );
-            let product = &mut work.product[..count];
+            let product = &mut drawer.product[..count];
             product.fill(zero);
-            for (across, turns_x) in copies.numbers(radius).zip(work.turns_x.chunks_exact(lines)) {
+            for (across, turns_x) in copies.numbers(radius).zip(drawer.turns_x.chunks_exact(lines)) {
                 let kx = line as i64 + copies.distance(across);
                 let Some(end) = most_at(kx) else { continue };
-                let transform = &mut work.transform[..(2 * end + 1) as usize];
+                let transform = &mut drawer.transform[..(2 * end + 1) as usize];
                 galaxy
                     .light
                     .transform_into(kx as f64 * step, -(end as f64) * step, step, transform);
                 let turn_x = turns_x[line];
-                for (up, turns) in copies.numbers(radius).zip(work.turns.chunks_exact(row)) {
+                for (up, turns) in copies.numbers(radius).zip(drawer.turns.chunks_exact(row)) {
                     // The wavenumbers of this copy that are within the outline.
                     let distance = copies.distance(up);
                     let from = (-most_ky).max(-end - distance);
@@ -219,7 +208,7 @@ impl<T: ConvReal> WithIsa<T> for Fold<'_, '_, T> {
             }
             simd.vectorized(
                 #[inline(always)]
-                || add_line(&mut work.folded, side, line, product),
+                || add_line(&mut drawer.folded, side, line, product),
             );
             columns = line + 1;
         }
@@ -327,14 +316,12 @@ mod tests {
                     coefficients: &[1.0],
                     outline: &outline,
                 };
-                let work = &mut drawer.work;
                 let columns = f64::dispatch(Fold {
-                    side: 64,
                     galaxy: &galaxy,
-                    work,
+                    drawer: &mut drawer,
                 });
                 lines.insert(columns);
-                let beyond = &drawer.work.folded[columns * 64..];
+                let beyond = &drawer.folded[columns * 64..];
                 assert!(
                     beyond.iter().all(|v| v.norm_sqr() == 0.0),
                     "{pixels} {step}: {columns}"
