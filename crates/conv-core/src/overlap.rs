@@ -2,7 +2,7 @@
 //! Divides images into disjoint parts to which threads write at the same time.
 
 use ndarray::{Array2, ArrayViewMut2, Axis, s};
-use psf_types::{PixelRegion, Progress};
+use psf_types::{FrameShape, PixelRegion, Progress};
 use rayon::prelude::*;
 
 use crate::{ConvError, ConvReal};
@@ -51,6 +51,15 @@ pub(crate) fn add_pieces<'a, T: ConvReal>(
             piece.add_to(&mut rows, (first.0, first.1 + (number * band) as i64));
         }
     });
+}
+
+/// The region of `nx x ny` pixels from pixel `(x0, y0)` on.
+///
+/// # Panics
+/// If there are no pixels.
+pub(crate) fn region(x0: i64, y0: i64, (nx, ny): (usize, usize)) -> PixelRegion {
+    let shape = FrameShape::new(nx, ny).expect("regions are not empty");
+    PixelRegion::new(x0, y0, shape)
 }
 
 /// Finds the pixels that two regions share. For x and for y, returns the values of [`overlap`] for

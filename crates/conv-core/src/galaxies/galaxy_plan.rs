@@ -13,11 +13,10 @@ use super::power_spectrum::Outline;
 use super::window::{Drawn, Spectra, WindowDrawer};
 use crate::image_memory::{check_shape, with_rows_in_memory};
 use crate::kept::Kept;
-use crate::overlap::{Piece, add_pieces, shared};
+use crate::overlap::{self, Piece, add_pieces, shared};
 use crate::plan::PlanOptions;
 use crate::plan::local_modes::{LocalModes, PsfSpace};
 use crate::stars::{BlockKey, StarVectors, block_of, check_stamps, region_of};
-use crate::view;
 use crate::{ConvError, ConvReal};
 
 /// A galaxy's light, made when it is drawn.
@@ -255,7 +254,7 @@ impl<T: ConvReal> GalaxyPlan<T> {
             let centre = (x - window.0 as f64, y - window.1 as f64);
             let psf = self.psf(local.as_ref(), position, galaxy.flux())?;
             let light = (catalogue.light)(galaxy);
-            let on_region = shared(view::region(window.0, window.1, (side, side)), region);
+            let on_region = shared(overlap::region(window.0, window.1, (side, side)), region);
             let mut drawn = None;
             if let Some([_, (row, _, count)]) = on_region {
                 drawn = Some(match &psf {

@@ -6,8 +6,8 @@ use rustfft::num_traits::Zero;
 
 use super::ConvolutionMethod;
 use super::fft2::RealFft2;
-use crate::overlap::{Piece, add_in_order, shared};
-use crate::view::{Reach, View, region};
+use crate::overlap::{Piece, add_in_order, region, shared};
+use crate::view::{Reach, View};
 use crate::working_range::{Rescaling, take_back};
 use crate::{ConvError, ConvReal};
 

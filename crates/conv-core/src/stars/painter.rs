@@ -7,9 +7,8 @@ use psf_types::{Anchor, PixelRegion, PointSource, Position, Progress, PsfModel, 
 use rayon::prelude::*;
 
 use super::phases::Star;
-use crate::overlap::{Piece, add_in_order};
+use crate::overlap::{Piece, add_in_order, region};
 use crate::stamp_interpolator::{Kernel, StampInterpolator, edge_reach_of, grid_reaching};
-use crate::view::region;
 use crate::{ConvError, ConvReal};
 
 /// The number of sources that one task draws.

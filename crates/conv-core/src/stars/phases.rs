@@ -207,8 +207,8 @@ impl Star {
 mod tests {
     use super::*;
 
+    use crate::overlap::region;
     use crate::stamp_interpolator::Taps;
-    use crate::view::region;
     use psf_types::StampInterpolation;
 
     const SHIFTS: [f64; 6] = [-0.5, -0.25, 0.0, 0.1, 0.37, 0.499_999_999_999];

@@ -13,9 +13,9 @@ use super::phases::{PhasedAxis, PhasedStar, Star};
 use super::star_block::{BlockKey, RowLayout, StarBlock};
 use crate::image_memory::{check_shape, with_rows_in_memory};
 use crate::kept::Kept;
+use crate::overlap::region;
 use crate::plan::PlanOptions;
 use crate::plan::local_modes::{LocalModes, PsfSpace};
-use crate::view::region;
 use crate::{ConvError, ConvReal};
 
 /// A plan for drawing point sources through one model.
