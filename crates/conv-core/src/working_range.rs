@@ -64,6 +64,19 @@ pub(crate) fn take_back<T: ConvReal>(image: &mut Array2<T>, back: Option<T>) {
 mod tests {
     use super::*;
 
+    /// Scales values back exactly. The smallest subnormal number lies `bits` bits below the smallest
+    /// normal one.
+    fn scales_exactly<T: ConvReal>(bits: i32, values: [f64; 5]) {
+        for largest in values {
+            let Rescaling { down, back } = Rescaling::<T>::for_largest(largest).unwrap();
+            assert!(down * back == T::one() && down.is_normal() && back.is_normal());
+            let near_one = T::nearest(largest) * down;
+            let range = 2_f64.powi(-bits)..4.0;
+            assert!(range.contains(&near_one.as_f64()), "{largest:e}: {near_one}");
+            assert_eq!((near_one * back).as_f64(), largest);
+        }
+    }
+
     #[test]
     fn ordinary_light_is_left_alone_and_the_rest_is_scaled_exactly() {
         for largest in [0.0, 1e-24, 1.0, 1e8, 1e24] {
@@ -72,25 +85,8 @@ mod tests {
         for largest in [1e-270, 1e270] {
             assert_eq!(Rescaling::<f64>::for_largest(largest), None, "{largest}");
         }
-        for largest in [f32::from_bits(1), 1e-38, 1e-30, 1e30, f32::MAX] {
-            let scale = Rescaling::<f32>::for_largest(f64::from(largest)).unwrap();
-            assert!(scale.down * scale.back == 1.0 && scale.down.is_normal() && scale.back.is_normal());
-            let near_one = largest * scale.down;
-            // The smallest subnormal lies 23 bits below the smallest normal number.
-            assert!(
-                (2_f32.powi(-23)..4.0).contains(&near_one),
-                "{largest:e}: {near_one}"
-            );
-            assert_eq!(near_one * scale.back, largest);
-        }
-        for largest in [f64::from_bits(1), 1e-308, 1e-300, 1e300, f64::MAX] {
-            let scale = Rescaling::<f64>::for_largest(largest).unwrap();
-            let near_one = largest * scale.down;
-            assert!(
-                (2_f64.powi(-52)..4.0).contains(&near_one),
-                "{largest:e}: {near_one}"
-            );
-            assert_eq!(near_one * scale.back, largest);
-        }
+        let extreme = [f32::from_bits(1), 1e-38, 1e-30, 1e30, f32::MAX];
+        scales_exactly::<f32>(23, extreme.map(f64::from));
+        scales_exactly::<f64>(52, [f64::from_bits(1), 1e-308, 1e-300, 1e300, f64::MAX]);
     }
 }
