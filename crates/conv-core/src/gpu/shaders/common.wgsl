@@ -7,7 +7,7 @@
 //   and imaginary parts must be swapped before, and are swapped in the result.
 // EACH_RESULT: a statement for each result of the forward transform on a line (a row or column of
 //   the plane) at an index along it. `#` stands for the number of its register.
-// EACH_RESULT_BACK: the same after a transform back.
+// EACH_RESULT_BACK: a statement for each result of a transform back.
 
 // The columns of a plane, and half its rows: the upper half of the rows is the imaginary part of
 // the lower.
