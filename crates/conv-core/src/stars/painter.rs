@@ -2,7 +2,7 @@
 
 use std::sync::{Arc, OnceLock};
 
-use ndarray::{Array2, ArrayViewMut2};
+use ndarray::{Array1, Array2, Array3, ArrayViewMut2, Axis, s};
 use psf_types::{Anchor, PixelRegion, PointSource, Position, Progress, PsfModel, StampGrid, Uncounted};
 use rayon::prelude::*;
 
@@ -204,15 +204,20 @@ impl<'a> StarPainter<'a> {
         let mut values = if let Some(splines) = &self.stamps.splines {
             let stamps = self.model.stamps();
             let splines = splines.get_or_init(|| stamps.outer_iter().map(interpolator).collect());
-            let planes: Vec<Array2<f64>> = splines.iter().map(|s| s.resample(star.shift, target)).collect();
-            let mut coefficients = vec![0.0; planes.len()];
+            // The coefficients of a pixel multiply neighbours in memory.
+            let mut planes = Array3::zeros((target.ny(), target.nx(), splines.len()));
+            for (mut plane, spline) in planes.axis_iter_mut(Axis(2)).zip(splines) {
+                plane.assign(&spline.resample(star.shift, target));
+            }
+            let mut coefficients = Array1::zeros(splines.len());
             let mut values = Array2::zeros(target.dim());
             for ((j, i), value) in values.indexed_iter_mut() {
                 let (x, y) = (lit.x0() + i as i64, lit.y0() + j as i64);
                 if self.frame.shape().region().contains(region(x, y, (1, 1))) {
-                    let pixel = Position::of_pixel(x, y);
-                    self.model.scaled_coefficients_into(pixel, &mut coefficients)?;
-                    *value = coefficients.iter().zip(&planes).map(|(a, p)| a * p[[j, i]]).sum();
+                    let into = coefficients.as_slice_mut().expect("contiguous");
+                    self.model
+                        .scaled_coefficients_into(Position::of_pixel(x, y), into)?;
+                    *value = planes.slice(s![j, i, ..]).dot(&coefficients);
                 }
             }
             values
