@@ -1,8 +1,6 @@
 //! Bilinear and bicubic interpolation on a regular grid. Weights are products of the weights along
 //! the two axes of the grid.
 
-use std::ops::Range;
-
 use ndarray::ArrayView2;
 use psf_types::{
     BilinearCells, FieldError, OutsidePolicy, PixelRegion, Position, SampleCoefficients, SamplePositions,
@@ -173,50 +171,24 @@ impl FieldWeights for GridWeights {
         self.grid.xs().len() * self.grid.ys().len()
     }
 
-    fn bilinear_cells(&self, values: ArrayView2<'_, f64>, region: PixelRegion, error: f64) -> BilinearCells {
-        let axes = [&self.x, &self.y];
+    fn bilinear_cells(&self, _: ArrayView2<'_, f64>, region: PixelRegion, _: f64) -> BilinearCells {
         // If samples scatter about their line, positions within the scatter have the weights of the
         // line itself. There the weights are not bilinear.
-        if !axes.iter().all(|axis| axis.knots.scatter_is_harmless()) {
+        if ![&self.x, &self.y]
+            .iter()
+            .all(|axis| axis.knots.scatter_is_harmless())
+        {
             return BilinearCells::every_row(region);
         }
         let ranges = pixel_ranges(region);
-        let [x, y] = [
-            self.x.part(ranges[0], |x| self.grid.x.place(x, self.outside)),
-            self.y.part(ranges[1], |y| self.grid.y.place(y, self.outside)),
-        ];
+        let (x, y) = (self.x.knots_between(ranges[0]), self.y.knots_between(ranges[1]));
         let [(x0, x1), (y0, y1)] = ranges;
         let corners = [[x0, y0], [x1, y0], [x0, y1], [x1, y1]];
         if corners.iter().any(|&p| self.admit(p).is_none()) {
             // Some pixels have no value.
-            return BilinearCells::Bands(y.inner_points());
+            return BilinearCells::Bands(y);
         }
-        if error == 0.0 {
-            return BilinearCells::Lines {
-                x: x.inner_points(),
-                y: y.inner_points(),
-                error,
-            };
-        }
-        let value = |column, row| {
-            let values = values.row(self.grid.sample(column, row));
-            values.to_slice().expect("row-major")
-        };
-        let in_x = kinks(&self.grid.x, x.lines(), y.lines(), value);
-        let in_y = kinks(&self.grid.y, y.lines(), x.lines(), |row, column| {
-            value(column, row)
-        });
-        // Each axis uses half of the error. The weights of the other axis enlarge it.
-        let [in_x, in_y] = [
-            x.lines_needed(&self.grid.x, &in_x, 0.5 * error / y.largest_sum()),
-            y.lines_needed(&self.grid.y, &in_y, 0.5 * error / x.largest_sum()),
-        ];
-        let is_exact = in_x.len() == x.inner_points().len() && in_y.len() == y.inner_points().len();
-        BilinearCells::Lines {
-            x: in_x,
-            y: in_y,
-            error: if is_exact { 0.0 } else { error },
-        }
+        BilinearCells::Lines { x, y, error: 0.0 }
     }
 
     fn weights_into(&self, position: Position, weights: &mut WeightList) -> Result<(), FieldError> {
@@ -252,32 +224,6 @@ impl FieldWeights for GridWeights {
         };
         in_runs(row, weights_into, end_of, visit)
     }
-}
-
-/// For each of some lines along an axis: the largest change of slope at this line, over all `across`
-/// lines of the other axis. A change of slope is a vector over components, and its size the Euclidean
-/// norm. The first and the last line count as 0.
-fn kinks<'a>(
-    axis: &Axis,
-    along: Range<usize>,
-    across: Range<usize>,
-    value: impl Fn(usize, usize) -> &'a [f64],
-) -> Vec<f64> {
-    let mut kinks = vec![0.0_f64; along.len()];
-    for line in along.start + 1..along.end.saturating_sub(1) {
-        let step = |line: usize| axis.lines[line + 1] - axis.lines[line];
-        let (before, after) = (1.0 / step(line - 1), 1.0 / step(line));
-        for other in across.clone() {
-            let [a, b, c] = [line - 1, line, line + 1].map(|line| value(line, other));
-            let values = a.iter().zip(b).zip(c);
-            let size: f64 = values
-                .map(|((a, b), c)| ((c - b) * after - (b - a) * before).powi(2))
-                .sum();
-            let largest = &mut kinks[line - along.start];
-            *largest = largest.max(size.sqrt());
-        }
-    }
-    kinks
 }
 
 /// Predicts each sample from the other samples of its row, and also from those of its column. The

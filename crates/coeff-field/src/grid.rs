@@ -1,7 +1,5 @@
 //! Samples on a regular grid, and the weights of grid lines along one axis.
 
-use std::ops::Range;
-
 use std::collections::HashMap;
 
 use psf_types::{OutsidePolicy, Position, SamplePositions};
@@ -346,104 +344,11 @@ impl AxisWeights {
     }
 }
 
-/// A range of coordinates on an axis: its ends, the knots between them, and the weights there.
-#[derive(Debug)]
-pub(crate) struct AxisPart {
-    points: Vec<f64>,
-    weights: Vec<NeighbouringLines>,
-    /// The outermost knots of the axis.
-    ends: [f64; 2],
-}
-
 impl AxisWeights {
-    /// A range of coordinates. `place` returns the coordinate at which the weights are computed.
-    pub(crate) fn part(&self, (low, high): (f64, f64), place: impl Fn(f64) -> f64) -> AxisPart {
-        let knots = &self.knots.lines;
-        let from = knots.partition_point(|&knot| knot <= low);
-        let to = knots.partition_point(|&knot| knot < high).max(from);
-        let mut points = vec![low];
-        points.extend(&knots[from..to]);
-        points.push(high);
-        AxisPart {
-            weights: points.iter().map(|&point| self.at(place(point))).collect(),
-            points,
-            ends: [knots[0], knots[knots.len() - 1]],
-        }
-    }
-}
-
-impl AxisPart {
-    /// The knots between the ends of the range.
-    pub(crate) fn inner_points(&self) -> Vec<f64> {
-        self.points[1..self.points.len() - 1].to_vec()
-    }
-
-    /// The lines with a weight in the range.
-    pub(crate) fn lines(&self) -> Range<usize> {
-        let used = self
-            .weights
-            .iter()
-            .flat_map(NeighbouringLines::iter)
-            .map(|(line, _)| line);
-        let (first, last) = used.fold((usize::MAX, 0), |(first, last), line| {
-            (first.min(line), last.max(line))
-        });
-        first..last + 1
-    }
-
-    /// The largest sum of the weights' magnitudes in the range.
-    pub(crate) fn largest_sum(&self) -> f64 {
-        let sums = self
-            .weights
-            .iter()
-            .map(|at| at.iter().map(|(_, w)| w.abs()).sum::<f64>());
-        sums.fold(1.0, f64::max)
-    }
-
-    /// As few of the [`inner_points`](Self::inner_points) as needed, from left to right: values that
-    /// are linear from one to the next differ from the interpolated values by at most `allowed`.
-    /// `kinks` bounds the changes of slope at the [`lines`](Self::lines).
-    ///
-    /// With the changes of slope `k_m` at the lines `x_m`, the interpolated values at the lines are a
-    /// linear function plus `sum_m k_m max(x - x_m, 0)`. Weights reproduce linear functions, so the
-    /// difference between two sets of weights is `sum_m k_m c_m`, where `c_m` is the difference for
-    /// `max(x - x_m, 0)`.
-    pub(crate) fn lines_needed(&self, axis: &Axis, kinks: &[f64], allowed: f64) -> Vec<f64> {
-        let lines = self.lines();
-        let mut weights = vec![0.0; lines.len()];
-        let mut difference = |from: usize, at: usize, to: usize| {
-            let part = (self.points[at] - self.points[from]) / (self.points[to] - self.points[from]);
-            weights.fill(0.0);
-            for (point, factor) in [(at, 1.0), (from, part - 1.0), (to, -part)] {
-                for (line, weight) in self.weights[point].iter() {
-                    weights[line - lines.start] += factor * weight;
-                }
-            }
-            let (mut sum, mut moment, mut bound) = (0.0, 0.0, 0.0);
-            for ((weight, kink), x) in weights.iter().zip(kinks).zip(&axis.lines[lines.clone()]).rev() {
-                bound += kink * (moment - sum * x).abs();
-                sum += weight;
-                moment += weight * x;
-            }
-            bound
-        };
-        let last = self.points.len() - 1;
-        let (mut needed, mut from) = (Vec::new(), 0);
-        while from < last {
-            let mut to = from + 1;
-            // Beyond the outermost knots, weights may not reproduce linear functions.
-            while to < last
-                && !self.ends.contains(&self.points[to])
-                && (from + 1..=to).all(|at| difference(from, at, to + 1) <= allowed)
-            {
-                to += 1;
-            }
-            if to < last {
-                needed.push(self.points[to]);
-            }
-            from = to;
-        }
-        needed
+    /// The knots between two coordinates.
+    pub(crate) fn knots_between(&self, (low, high): (f64, f64)) -> Vec<f64> {
+        let knots = self.knots.lines.iter().copied();
+        knots.filter(|&knot| low < knot && knot < high).collect()
     }
 }
 

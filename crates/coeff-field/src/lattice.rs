@@ -21,7 +21,8 @@ use crate::neighbours::SearchTree;
 /// to the third nearest sample. A cell with a sample inside, on an edge or near it is then divided at
 /// this sample, so that every sample is a corner of all cells around it. Where a corner of small
 /// cells lies on an edge of a larger cell, it has the value of this edge. So the field is continuous,
-/// exact at the samples, and reproduces 1, x and y if the interpolator does.
+/// exact at the samples, and reproduces 1, x and y if the interpolator does, except in cells that cross
+/// the hull of the samples.
 ///
 /// The nodes are the corners of the cells.
 ///

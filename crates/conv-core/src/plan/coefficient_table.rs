@@ -242,6 +242,15 @@ impl<T: ConvReal> CoefficientTable<T> {
         for (corner, values) in cells.corners().zip(at_corners.chunks_exact_mut(count)) {
             modes.values_into(corner, values);
         }
+        if role.divides() {
+            // Light is divided by the flux before it is multiplied. Fluxes near 1 keep it in range. A
+            // power of 2 does not round.
+            let largest = fluxes(&at_corners, count).fold(0.0_f64, |m, flux| m.max(flux.abs()));
+            let scale = (-largest.log2().floor()).exp2();
+            if scale.is_normal() {
+                at_corners.iter_mut().for_each(|value| *value *= scale);
+            }
+        }
         for band in &cells.bands {
             let of_band = cells.cells_of(band);
             let rows = &band.rows;

@@ -34,7 +34,7 @@ const DRAW: f64 = 0.08e-9;
 /// Factor on [`DRAW`] if every pixel that receives light has its own coefficients.
 const DRAW_GATHERED: f64 = 6.0;
 /// Computing a local stamp, per stamp pixel and per stamp of the model.
-const MAKE_STAMP: f64 = 0.025e-9;
+const MAKE_STAMP: f64 = 0.05e-9;
 /// Planning a block, without its stamps.
 const PLAN_BLOCK: f64 = 100e-6;
 /// The number of executions that share the cost of a plan. More of them would choose smaller blocks

@@ -130,18 +130,15 @@ impl PsfSpace {
 
     /// The cells and the modes of a region. The tolerance must not be below the rounding of f64.
     pub fn region(&self, region: PixelRegion, tolerance: f64) -> (RegionCells, LocalModes) {
-        let mut error = self.error_of_cells(region, tolerance);
+        let first = self.error_of_cells(region, tolerance);
+        let mut error = first;
         loop {
             let cells = RegionCells::new(self.model.field(), region, error);
             if let Some(modes) = LocalModes::new(self, &cells, tolerance) {
                 return (cells, modes);
             }
             // Somewhere in the region, PSFs are much fainter than expected.
-            error *= if error > SMALLEST_ERROR * norm(self.mean.view()) {
-                0.4
-            } else {
-                0.0
-            };
+            error *= if error > SMALLEST_ERROR * first { 0.4 } else { 0.0 };
         }
     }
 
@@ -248,8 +245,9 @@ const ROUNDING: f64 = 2e-16;
 const OUTSIDE_SPAN: f64 = 0.2;
 /// The fraction of the tolerance that is left to the cells. Small cells cost little.
 const SHARE_OF_CELLS: f64 = 0.3;
-/// An error of coefficients below this fraction of the norm of the mean stamp counts as 0.
-const SMALLEST_ERROR: f64 = 1e-20;
+/// An error of coefficients below this fraction of the first guess counts as 0. The cells of a
+/// polynomial are then single pixels.
+const SMALLEST_ERROR: f64 = 1e-6;
 
 impl LocalModes {
     /// Computes the modes of a region. The tolerance must not be below the rounding of f64. `None` if
@@ -287,7 +285,7 @@ impl LocalModes {
         // The modes must represent these remainders of the nodes and of the offset. Directions in
         // which they differ by a small fraction of the allowed errors are left out.
         let stop = match reference {
-            Some(_) => OUTSIDE_SPAN * support.least(&errors, betas.view(), fluxes.view()),
+            Some(_) => OUTSIDE_SPAN * errors.least(cells, betas.view(), fluxes.view()),
             // What is left out would hold flux.
             None => 0.0,
         };
@@ -476,25 +474,6 @@ impl<'a> Support<'a> {
         mean
     }
 
-    /// The least allowed error of a PSF, divided by the sum of the weights' magnitudes.
-    fn least(&self, errors: &AllowedErrors, betas: ArrayView1<'_, f64>, fluxes: ArrayView1<'_, f64>) -> f64 {
-        let last = betas.len() - 1;
-        let at = |end: &[(usize, f64)], values: ArrayView1<'_, f64>| {
-            end.iter().map(|&(n, w)| w * values[n]).sum::<f64>() + values[last]
-        };
-        let (mut least, mut most_weight) = (f64::INFINITY, 1.0_f64);
-        for end in &self.0 {
-            let (beta, flux) = (at(end, betas), errors.sign * at(end, fluxes));
-            let by_cells = errors.of_cells(beta / flux);
-            let norm = errors.norm(beta, by_cells);
-            let flux = errors.flux(flux, by_cells) / errors.largest_flux;
-            // Without a bound of fluxes, this is infinite or not a number.
-            least = least.min(norm).min(flux);
-            most_weight = most_weight.max(sum_of_magnitudes(end));
-        }
-        least.max(0.0) / most_weight
-    }
-
     fn covariance(&self, rows: ArrayView2<'_, f64>) -> Array2<f64> {
         let table = CornerTable::new(&rows.to_owned());
         let mut values = Array2::zeros((self.0.len(), rows.ncols()));
@@ -598,14 +577,35 @@ struct AllowedErrors {
 }
 
 impl AllowedErrors {
-    /// The error of an unscaled PSF because of its cell. `scaled_norm` is the norm of the PSF divided
-    /// by its flux.
+    /// The least allowed error of a PSF at a corner of the cells, divided by the sum of the weights'
+    /// magnitudes there. `betas` and `fluxes` are those of the nodes and of the offset.
+    fn least(&self, cells: &RegionCells, betas: ArrayView1<'_, f64>, fluxes: ArrayView1<'_, f64>) -> f64 {
+        let last = betas.len() - 1;
+        let at = |end: &[(usize, f64)], values: ArrayView1<'_, f64>| {
+            end.iter().map(|&(n, w)| w * values[n]).sum::<f64>() + values[last]
+        };
+        let (mut least, mut most_weight) = (f64::INFINITY, 1.0_f64);
+        for end in cells.corners() {
+            let (beta, flux) = (at(end, betas), self.sign * at(end, fluxes));
+            let by_cells = self.of_cells(beta / flux);
+            let norm = self.norm(beta, by_cells);
+            let flux = self.flux(flux, by_cells) / self.largest_flux;
+            // Without a bound of fluxes, this is infinite or not a number.
+            least = least.min(norm).min(flux);
+            most_weight = most_weight.max(sum_of_magnitudes(end));
+        }
+        least.max(0.0) / most_weight
+    }
+
+    /// The error of an unscaled PSF because of its cell. `scaled_norm` is the norm of the cell's PSF
+    /// divided by its flux. The model's PSF exceeds it by at most a factor of 1 + tolerance, because
+    /// cells use at most half of the tolerance.
     #[inline(always)]
     fn of_cells(&self, scaled_norm: f64) -> f64 {
         if self.scaled_flux == 0.0 {
             self.coefficients
         } else {
-            self.coefficients * (1.0 + self.scaled_flux * scaled_norm.abs())
+            self.coefficients * (1.0 + self.scaled_flux * scaled_norm.abs() * (1.0 + self.tolerance))
         }
     }
 
@@ -685,7 +685,9 @@ impl CountModes<'_> {
             let flux_allowed = errors.flux(flux, by_cells);
             if errors.coefficients > 0.0 {
                 let least = 0.5 * errors.tolerance;
-                let enough = norm >= least * beta && beta > 0.0;
+                // Where the flux vanishes in a cell, a small error of it has no bound.
+                let has_flux = errors.scaled_flux == 0.0 || flux > 0.0;
+                let enough = norm >= least * beta && beta > 0.0 && has_flux;
                 if !enough || errors.largest_flux > 0.0 && flux_allowed < least * flux {
                     return None;
                 }

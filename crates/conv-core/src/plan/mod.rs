@@ -63,7 +63,7 @@ const BLOCKS_PER_PRODUCT: usize = 32;
 #[derive(Debug)]
 pub struct Plan<T: ConvReal> {
     pub(crate) model: PsfModel,
-    pub(crate) whole: Arc<WholeFrame<T>>,
+    pub(crate) whole: Arc<WholeFrame>,
     pub(crate) geometry: Geometry,
     options: PlanOptions,
     pub(crate) tiling: Tiling,
@@ -163,7 +163,7 @@ impl<T: ConvReal> Plan<T> {
         progress: &dyn Progress,
     ) -> Result<Self, ConvError> {
         let view = View::new(shape, frame)?;
-        let whole = WholeFrame::new(model, view, options, progress)?;
+        let whole = WholeFrame::new::<T>(model, view, options, progress)?;
         Self::of_whole(model, Arc::new(whole), region, options, progress)
     }
 
@@ -180,7 +180,7 @@ impl<T: ConvReal> Plan<T> {
     #[inline(never)]
     pub(crate) fn of_whole(
         model: &PsfModel,
-        whole: Arc<WholeFrame<T>>,
+        whole: Arc<WholeFrame>,
         region: PixelRegion,
         options: PlanOptions,
         progress: &dyn Progress,
@@ -250,7 +250,7 @@ impl<T: ConvReal> Plan<T> {
             }
             room += 1;
         }
-        let stamps = self.whole.stamps.view();
+        let stamps = self.whole.space.stamps.view();
         self.blocks[..room]
             .par_chunks_mut(BLOCKS_PER_PRODUCT)
             .for_each(|blocks| {

@@ -24,6 +24,8 @@ pub struct RegionCells {
     weights: Vec<(usize, f64)>,
     /// Weights at a position.
     buffer: Vec<(usize, f64)>,
+    /// The error that was asked for. The same error gives the same cells.
+    pub(crate) asked: f64,
     /// The largest error of the coefficients, because they are not quite bilinear in the cells.
     pub(crate) error: f64,
 }
@@ -68,7 +70,10 @@ impl RegionCells {
     /// The cells of a field in a region. Together they cover all rows of the region. In the cells,
     /// coefficients are bilinear up to `error`: the Euclidean norm of the vector of all coefficients.
     pub fn new(field: &dyn CoefficientField, region: PixelRegion, error: f64) -> Self {
-        let mut all = Self::default();
+        let mut all = Self {
+            asked: error,
+            ..Self::default()
+        };
         all.add_rows(field, region, 0..region.shape().ny(), error);
         all.number_nodes();
         all

@@ -3,7 +3,6 @@
 
 use std::ops::Range;
 
-use ndarray::Array2;
 use psf_types::{Anchor, BilinearCells, FrameShape, PixelRegion, Progress, PsfModel};
 use rayon::prelude::*;
 
@@ -96,8 +95,7 @@ fn best_tiling<T: ConvReal>(
     Ok(best.expect("at least one size is tried").1)
 }
 
-/// Returns the tiling with the lowest predicted cost, and this cost. The blocks of larger tilings
-/// must contain blocks of smaller ones.
+/// Returns the tiling with the lowest predicted cost, and this cost.
 ///
 /// The modes are counted for a few sizes of blocks only, from the smallest on. In between, their
 /// number is interpolated, as a power of the area. It is assumed that larger blocks need at least as
@@ -235,7 +233,8 @@ impl Tiling {
         kernels as f64 / samples as f64
     }
 
-    /// Predicted seconds of an execution if every pixel is lit, with its share of the plan. `stamps` is the number of stamps of the model.
+    /// Predicted seconds of an execution if every pixel is lit, with its share of the plan. `stamps`
+    /// is the number of stamps of the model.
     fn seconds<T: ConvReal>(
         &self,
         kernels: f64,
@@ -284,11 +283,9 @@ impl Tiling {
 /// The vectors of a model's PSFs, and the tiles of the whole frame. Plans of all regions of the
 /// frame share these data, so that they have the same modes.
 #[derive(Debug)]
-pub(crate) struct WholeFrame<T> {
+pub(crate) struct WholeFrame {
     pub(crate) view: View,
     pub(crate) space: PsfSpace,
-    /// The stamps of the space, `[direction, stamp pixel]`.
-    pub(crate) stamps: Array2<T>,
     geometry: Geometry,
     tiling: Tiling,
     reach: Reach,
@@ -306,9 +303,9 @@ pub(crate) struct Part {
     pub(crate) blocks: [Range<usize>; 2],
 }
 
-impl<T: ConvReal> WholeFrame<T> {
+impl WholeFrame {
     /// Chooses the tiles.
-    pub(crate) fn new(
+    pub(crate) fn new<T: ConvReal>(
         model: &PsfModel,
         view: View,
         options: PlanOptions,
@@ -320,7 +317,6 @@ impl<T: ConvReal> WholeFrame<T> {
         let tiling = best_tiling::<T>(model, &space, &geometry, options, progress)?;
         Ok(Self {
             view,
-            stamps: space.stamps.mapv(T::nearest),
             space,
             geometry,
             tiling,
