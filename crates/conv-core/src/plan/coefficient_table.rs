@@ -248,7 +248,9 @@ impl<T: ConvReal> CoefficientTable<T> {
             let largest = fluxes(&at_corners, count).fold(0.0_f64, |m, flux| m.max(flux.abs()));
             let scale = (-largest.log2().floor()).exp2();
             if scale.is_normal() {
-                at_corners.iter_mut().for_each(|value| *value *= scale);
+                for value in &mut at_corners {
+                    *value *= scale;
+                }
             }
         }
         for band in &cells.bands {
