@@ -6,7 +6,7 @@ use psf_types::{
     BilinearCells, FieldError, OutsidePolicy, PixelRegion, Position, SampleCoefficients, SamplePositions,
 };
 
-use crate::geometry::{Point, Row, known, last_where, pixel_ranges, query};
+use crate::geometry::{Point, Row, covered_until, known, pixel_ranges, query};
 use crate::grid::{Axis, AxisWeights, NeighbouringLines, RegularGrid};
 use crate::interpolation::{
     FieldInterpolation, FieldWeights, OnRun, Outcomes, Unpredictable, Visited, WeightList, Weights,
@@ -214,13 +214,7 @@ impl FieldWeights for GridWeights {
         };
         let end_of = |column| {
             let until = self.x.knots.linear_until(row.x(column), is_clamped);
-            let end = row.first_from(until, column);
-            if is_admitted(end - 1) {
-                end
-            } else {
-                // The covered area is convex, so the admitted columns have no gaps.
-                1 + last_where(column, end, is_admitted)
-            }
+            covered_until(column, row.first_from(until, column), is_admitted)
         };
         in_runs(row, weights_into, end_of, visit)
     }

@@ -350,6 +350,16 @@ impl Row {
     }
 }
 
+/// Returns the end of the columns from `start` on that are covered, at most `end`. The covered area is
+/// convex, so these columns have no gaps.
+pub(crate) fn covered_until(start: usize, end: usize, is_covered: impl Fn(usize) -> bool) -> usize {
+    if is_covered(end - 1) {
+        end
+    } else {
+        1 + last_where(start, end, is_covered)
+    }
+}
+
 /// Returns the last column in `start..end` for which `holds` is true. If `holds` is not true for
 /// all columns before that one, returns some column for which it is true. `holds` must be true for
 /// `start`. The search doubles its steps, then bisects.

@@ -342,9 +342,7 @@ impl AxisWeights {
             weights: std::array::from_fn(|i| (1.0 - t) * low[i] + t * high[i]),
         }
     }
-}
 
-impl AxisWeights {
     /// The knots between two coordinates.
     pub(crate) fn knots_between(&self, (low, high): (f64, f64)) -> Vec<f64> {
         let knots = self.knots.lines.iter().copied();

@@ -134,7 +134,7 @@ pub trait FieldWeights: Debug + Send + Sync {
     /// [`FieldError`] if there is no value at the position.
     fn weights_into(&self, position: Position, weights: &mut WeightList) -> Result<(), FieldError>;
 
-    /// How to divide a region into cells in which the coefficients are bilinear, up to an error.
+    /// The division of a region into cells in which the coefficients are bilinear, up to an error.
     /// `values` are the [node values](Self::node_values). See
     /// [`CoefficientField::bilinear_cells`](psf_types::CoefficientField::bilinear_cells).
     fn bilinear_cells(

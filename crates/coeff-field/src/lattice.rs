@@ -8,7 +8,7 @@ use ndarray::{Array2, ArrayView2};
 use psf_types::{BilinearCells, FieldError, OutsidePolicy, PixelRegion, Position, SamplePositions};
 
 use crate::error::CoeffFieldError;
-use crate::geometry::{Hull, Point, Points, Row, last_where, pixel_ranges, query, range, sub};
+use crate::geometry::{Hull, Point, Points, Row, covered_until, pixel_ranges, query, range, sub};
 use crate::interpolation::{
     FieldWeights, OnRun, Visited, WeightList, add_weight, admit, check_rows, in_runs,
 };
@@ -391,13 +391,7 @@ impl FieldWeights for Lattice {
                 end if end == tree.1 => f64::INFINITY,
                 end => end,
             };
-            let end = row.first_from(until, column);
-            if is_admitted(end - 1) {
-                end
-            } else {
-                // The covered area is convex, so the admitted columns have no gaps.
-                1 + last_where(column, end, is_admitted)
-            }
+            covered_until(column, row.first_from(until, column), is_admitted)
         };
         in_runs(row, weights_into, end_of, visit)
     }

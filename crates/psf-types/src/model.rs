@@ -69,7 +69,7 @@ pub trait CoefficientField: std::fmt::Debug + Send + Sync {
         Cow::Owned(Array2::eye(self.component_count()))
     }
 
-    /// How to divide a region into cells in which the coefficients are bilinear, up to an error: the
+    /// The division of a region into cells in which the coefficients are bilinear, up to an error: the
     /// Euclidean norm of the vector of all coefficients.
     ///
     /// Convolution is fast for a field with large cells. The default implementation lets it visit

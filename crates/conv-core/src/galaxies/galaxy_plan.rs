@@ -338,7 +338,8 @@ impl<T: ConvReal> GalaxyPlan<T> {
     fn block(&self, key: BlockKey) -> Arc<Block> {
         let make = || {
             let region = region_of(key, BLOCK);
-            let (cells, modes) = self.space().sampled_region(region, MARGIN * self.tolerance);
+            let cells = self.space().sampled_cells(region);
+            let modes = self.space().modes_of(&cells, MARGIN * self.tolerance);
             // No rows if the PSF has no value in the block. Then each galaxy uses all components.
             let mut directions = Array2::zeros((modes.directions().count(), modes.modes.ncols()));
             for (mut to, row) in directions.outer_iter_mut().zip(modes.directions()) {

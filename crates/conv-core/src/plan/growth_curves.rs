@@ -3,7 +3,7 @@
 use ndarray::{Array1, Array2, ArrayView1, ArrayView2};
 use psf_types::StampGrid;
 
-use super::norm::{norm, norm_squared};
+use super::norm::{dot, norm};
 
 /// Bounds the flux of any vector of a [`PsfSpace`](super::local_modes::PsfSpace) in every circle
 /// about the source.
@@ -159,7 +159,7 @@ impl TailGrowth {
     /// Returns whether the flux of the coordinates from `first` on is at most `limit` in every
     /// circle. `tail` holds these coordinates. Their norm must be at least that of their vector.
     pub(crate) fn is_within(&mut self, first: usize, tail: &[f64], limit: f64) -> bool {
-        let size = norm_squared(tail).sqrt();
+        let size = dot(tail, tail).sqrt();
         let limit = limit - self.remainder * size;
         // At most this much flux is in the coordinates that are not yet added to the sums.
         let mut left: f64 = tail

@@ -5,7 +5,7 @@ use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis, s};
 use psf_types::{PixelRegion, PsfModel, ToleranceOn};
 
 use super::growth_curves::{GrowthCurves, TailGrowth};
-use super::norm::{lanes_dot, norm};
+use super::norm::{dot, norm};
 use super::region_cells::RegionCells;
 use super::span::span;
 use crate::simd::{Lanes, SimdReal as _, WithIsa};
@@ -121,11 +121,15 @@ impl PsfSpace {
         }
     }
 
-    /// A few cells of a region and their modes. The tolerance must not be below the rounding of f64.
-    pub(crate) fn sampled_region(&self, region: PixelRegion, tolerance: f64) -> (RegionCells, LocalModes) {
-        let cells = RegionCells::sampled(self.model.field(), region);
-        let modes = LocalModes::new(self, &cells, tolerance).expect("these cells have no error");
-        (cells, modes)
+    /// A few cells of a region, without any error.
+    pub(crate) fn sampled_cells(&self, region: PixelRegion) -> RegionCells {
+        RegionCells::sampled(self.model.field(), region)
+    }
+
+    /// The modes of [`sampled_cells`](Self::sampled_cells). The tolerance must not be below the
+    /// rounding of f64.
+    pub(crate) fn modes_of(&self, cells: &RegionCells, tolerance: f64) -> LocalModes {
+        LocalModes::new(self, cells, tolerance).expect("these cells have no error")
     }
 
     /// The cells and the modes of a region. The tolerance must not be below the rounding of f64.
@@ -286,7 +290,7 @@ impl LocalModes {
         // which they differ by a small fraction of the allowed errors are left out.
         let stop = match reference {
             Some(_) => OUTSIDE_SPAN * errors.least(cells, betas.view(), fluxes.view()),
-            // What is left out would hold flux.
+            // Directions left out would hold flux.
             None => 0.0,
         };
         let (span, outside) = span(rows.view(), stop.max(ROUNDING * scale));
@@ -676,7 +680,7 @@ impl CountModes<'_> {
                 flux = flux.min(errors.sign * values[1]);
                 left_out = left_out.max(outside[corner]);
                 if errors.scaled_flux > 0.0 && errors.coefficients > 0.0 {
-                    let rest = lanes_dot(&values[BEFORE..], &values[BEFORE..]).sqrt() + outside[corner];
+                    let rest = dot(&values[BEFORE..], &values[BEFORE..]).sqrt() + outside[corner];
                     scaled_norm = scaled_norm.max(self.reference + rest / values[1].abs());
                 }
             }
@@ -692,7 +696,7 @@ impl CountModes<'_> {
                     return None;
                 }
             }
-            // What is left out is orthogonal to the coordinates.
+            // The directions left out are orthogonal to the coordinates.
             let norm_squared = (norm * norm.max(0.0) - left_out * left_out).max(0.0);
             let flux = (flux_allowed - errors.largest_flux * left_out).max(0.0);
             for &corner in corners {
@@ -701,7 +705,7 @@ impl CountModes<'_> {
                 let Some(growth) = &mut self.growth else { continue };
                 while needed < values.len() {
                     let tail = &values[needed..];
-                    let size = lanes_dot(tail, tail);
+                    let size = dot(tail, tail);
                     if size <= rounding.powi(2) * norm_squared || growth.is_within(needed, tail, flux) {
                         break;
                     }
@@ -719,7 +723,7 @@ impl CountModes<'_> {
 fn needed_beyond(first: usize, values: &[f64], limit: f64) -> usize {
     let tail = &values[first..];
     // The negated test also holds for values that are not numbers.
-    if lanes_dot(tail, tail) <= limit {
+    if dot(tail, tail) <= limit {
         return first;
     }
     let mut sum = 0.0;

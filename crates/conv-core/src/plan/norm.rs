@@ -1,20 +1,14 @@
 //! Norms of vectors.
 
-use ndarray::{ArrayView1, aview1};
+use ndarray::ArrayView1;
 
 pub(crate) fn norm(v: ArrayView1<'_, f64>) -> f64 {
     v.dot(&v).sqrt()
 }
 
-/// The squared norm. It takes less time than a plain sum, because several values are added at a
-/// time.
-pub(crate) fn norm_squared(v: &[f64]) -> f64 {
-    aview1(v).dot(&aview1(v))
-}
-
 /// The scalar product, in sums that vectorise.
 #[inline(always)]
-pub(crate) fn lanes_dot(a: &[f64], b: &[f64]) -> f64 {
+pub(crate) fn dot(a: &[f64], b: &[f64]) -> f64 {
     const LANES: usize = 8;
     let mut sums = [0.0; LANES];
     let (a, b) = (a.chunks_exact(LANES), b.chunks_exact(LANES));

@@ -84,7 +84,10 @@ impl RegionCells {
     /// other rows have no cells.
     pub(crate) fn sampled(field: &dyn CoefficientField, region: PixelRegion) -> Self {
         let (nx, ny) = (region.shape().nx(), region.shape().ny());
-        let has_runs = matches!(field.bilinear_cells(region, 0.0), BilinearCells::Bands(_));
+        let has_runs = matches!(
+            field.bilinear_cells(region, f64::INFINITY),
+            BilinearCells::Bands(_)
+        );
         let mut all = Self::default();
         let count = SAMPLED_ROWS.min(ny);
         for i in 0..count {

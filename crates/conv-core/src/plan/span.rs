@@ -1,8 +1,8 @@
 //! The directions that rows span, up to remainders that do not matter.
 
-use ndarray::{Array2, ArrayView2, aview1};
+use ndarray::{Array2, ArrayView2};
 
-use super::norm::{lanes_dot, norm_squared};
+use super::norm::dot;
 use crate::simd::{Lanes, SimdReal as _, WithIsa};
 
 /// The remainder of a row counts as rounding if less than this fraction of it is orthogonal to the
@@ -14,7 +14,10 @@ const MIN_NEW_PART: f64 = 0.5;
 pub(crate) fn span(rows: ArrayView2<'_, f64>, stop: f64) -> (Array2<f64>, f64) {
     let (count, dimension) = rows.dim();
     let mut rest: Vec<f64> = rows.iter().copied().collect();
-    let mut norms: Vec<f64> = rest.chunks_exact(dimension.max(1)).map(norm_squared).collect();
+    let mut norms: Vec<f64> = rest
+        .chunks_exact(dimension.max(1))
+        .map(|row| dot(row, row))
+        .collect();
     let mut basis: Vec<f64> = Vec::new();
     let mut found = 0;
     let largest = loop {
@@ -35,10 +38,10 @@ pub(crate) fn span(rows: ArrayView2<'_, f64>, stop: f64) -> (Array2<f64>, f64) {
         norms[row] = 0.0;
         // Removes the rounding errors along earlier directions.
         for earlier in basis.chunks_exact(dimension) {
-            let p = aview1(earlier).dot(&aview1(&direction));
+            let p = dot(earlier, &direction);
             direction.iter_mut().zip(earlier).for_each(|(v, e)| *v -= p * e);
         }
-        let new = norm_squared(&direction).sqrt();
+        let new = dot(&direction, &direction).sqrt();
         if new < MIN_NEW_PART {
             continue;
         }
@@ -75,11 +78,11 @@ impl WithIsa<f64> for RemoveDirection<'_> {
             || {
                 let rows = self.rows.chunks_exact_mut(self.direction.len());
                 for (row, norm) in rows.zip(self.norms) {
-                    let p = lanes_dot(row, self.direction);
+                    let p = dot(row, self.direction);
                     for (v, d) in row.iter_mut().zip(self.direction) {
                         *v -= p * d;
                     }
-                    *norm = lanes_dot(row, row);
+                    *norm = dot(row, row);
                 }
             },
         );

@@ -226,8 +226,8 @@ impl Tiling {
                 let row = (2 * i + 1) * up / (2 * samples);
                 let column = ((3 * i + 1) % samples * 2 + 1) * across / (2 * samples);
                 let region = self.region(geometry, column.min(across - 1), row.min(up - 1));
-                let (_, modes) = space.sampled_region(region, options.tolerance_in::<T>());
-                modes.rank() + 1
+                let cells = space.sampled_cells(region);
+                space.modes_of(&cells, options.tolerance_in::<T>()).rank() + 1
             })
             .sum();
         kernels as f64 / samples as f64

@@ -7,7 +7,6 @@ use super::phase_norms::{AlongMean, PhaseNorms};
 use super::phases::PhasedAxis;
 use crate::ConvReal;
 use crate::plan::local_modes::{LocalModes, PsfSpace};
-use crate::plan::region_cells::RegionCells;
 use crate::simd::Aligned;
 use crate::stamp_interpolator::Kernel;
 
@@ -108,10 +107,10 @@ impl<T: ConvReal> StarBlock<T> {
         norms: &PhaseNorms,
         tolerance: f64,
     ) -> Self {
-        let cells = RegionCells::sampled(model.field(), region);
+        let cells = space.sampled_cells(region);
         let mean = LocalModes::mean(space, &cells);
         let of_modes = MARGIN * tolerance * norms.share(mean.view());
-        let (_, modes) = space.sampled_region(region, of_modes.max(ROUNDING));
+        let modes = space.modes_of(&cells, of_modes.max(ROUNDING));
         let kernels: Vec<Array2<f64>> = modes
             .directions()
             .map(|direction| coefficients_of(space.stamps.view(), direction, model.grid(), columns.kernel))
