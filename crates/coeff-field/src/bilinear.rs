@@ -1,13 +1,14 @@
 //! Bilinear and bicubic interpolation on a regular grid. Weights are products of the weights along
 //! the two axes of the grid.
 
-use ndarray::ArrayView2;
+use ndarray::{ArrayView1, ArrayView2};
 use psf_types::{
-    BilinearCells, FieldError, OutsidePolicy, PixelRegion, Position, SampleCoefficients, SamplePositions,
+    BilinearCells, ErrorLimit, FieldError, OutsidePolicy, PixelRegion, Position, SampleCoefficients,
+    SamplePositions,
 };
 
 use crate::geometry::{Point, Row, covered_until, known, pixel_ranges, query};
-use crate::grid::{Axis, AxisWeights, NeighbouringLines, RegularGrid};
+use crate::grid::{Axis, AxisWeights, Bend, CutCell, NeighbouringLines, RegularGrid};
 use crate::interpolation::{
     FieldInterpolation, FieldWeights, OnRun, Outcomes, Unpredictable, Visited, WeightList, Weights,
     add_weight, admit, in_runs, outcomes_of, prediction_error,
@@ -166,12 +167,43 @@ impl GridWeights {
     }
 }
 
+/// How values bend along one line of a grid, across a cell, multiplied by a factor. `at(line)` returns
+/// the values at another line's crossing.
+fn bend<'a>(
+    cell: &CutCell,
+    (factor, error): (f64, ErrorLimit<'_>),
+    at: impl Fn(usize) -> ArrayView1<'a, f64>,
+) -> Bend {
+    let [a, b] = cell.second_derivatives.map(|weights| {
+        let mut sum = vec![0.0; at(cell.first).len()];
+        for (i, &weight) in weights.iter().enumerate().filter(|(_, w)| **w != 0.0) {
+            let values = at(cell.first + i);
+            sum.iter_mut()
+                .zip(values)
+                .for_each(|(sum, value)| *sum += factor * weight * value);
+        }
+        sum
+    });
+    Bend([
+        error.product(&a, &a),
+        error.product(&a, &b),
+        error.product(&b, &b),
+    ])
+}
+
 impl FieldWeights for GridWeights {
     fn sample_count(&self) -> usize {
         self.grid.xs().len() * self.grid.ys().len()
     }
 
-    fn bilinear_cells(&self, _: ArrayView2<'_, f64>, region: PixelRegion, _: f64) -> BilinearCells {
+    /// The cells of bicubic interpolation are whole cells of the grid, or larger parts of them than
+    /// fifths, where the error allows it.
+    fn bilinear_cells(
+        &self,
+        values: ArrayView2<'_, f64>,
+        region: PixelRegion,
+        error: ErrorLimit<'_>,
+    ) -> BilinearCells {
         // If samples scatter about their line, positions within the scatter have the weights of the
         // line itself. There the weights are not bilinear.
         if ![&self.x, &self.y]
@@ -181,14 +213,39 @@ impl FieldWeights for GridWeights {
             return BilinearCells::every_row(region);
         }
         let ranges = pixel_ranges(region);
-        let (x, y) = (self.x.knots_between(ranges[0]), self.y.knots_between(ranges[1]));
         let [(x0, x1), (y0, y1)] = ranges;
         let corners = [[x0, y0], [x1, y0], [x0, y1], [x1, y1]];
         if corners.iter().any(|&p| self.admit(p).is_none()) {
             // Some pixels have no value.
-            return BilinearCells::Bands(y);
+            return BilinearCells::Bands(self.y.knots_between(ranges[1], 0.0, |_| Vec::new()).0);
         }
-        BilinearCells::Lines { x, y, error: 0.0 }
+        let place = |axis: &Axis, (low, high)| {
+            let place = |v| axis.place(v, self.outside);
+            (place(low), place(high))
+        };
+        let (columns, sum_in_x) = self.x.lines_between(place(&self.grid.x, ranges[0]));
+        let (rows, sum_in_y) = self.y.lines_between(place(&self.grid.y, ranges[1]));
+        // Let I be linear interpolation along x and J along y. Then f - I J f = (f - I f) + I (f - J f),
+        // and I is a mean. So the errors along both axes add up.
+        let half = error.size / 2.0;
+        let (x, error_x) = self.x.knots_between(ranges[0], half, |cell| {
+            let bend = |row| {
+                bend(cell, (sum_in_y, error), |column| {
+                    values.row(self.grid.sample(column, row))
+                })
+            };
+            rows.clone().map(bend).collect()
+        });
+        let (y, error_y) = self.y.knots_between(ranges[1], half, |cell| {
+            let bend = |column| {
+                bend(cell, (sum_in_x, error), |row| {
+                    values.row(self.grid.sample(column, row))
+                })
+            };
+            columns.clone().map(bend).collect()
+        });
+        let error = error_x + error_y;
+        BilinearCells::Lines { x, y, error }
     }
 
     fn weights_into(&self, position: Position, weights: &mut WeightList) -> Result<(), FieldError> {

@@ -6,8 +6,8 @@ use std::sync::Arc;
 
 use ndarray::{Array2, ArrayView2, ArrayViewMut3};
 use psf_types::{
-    BilinearCells, CoefficientField, FieldError, Interpolation, OutsidePolicy, PixelRegion, Position,
-    SampleCoefficients, SamplePositions,
+    BilinearCells, CoefficientField, ErrorLimit, FieldError, Interpolation, OutsidePolicy, PixelRegion,
+    Position, SampleCoefficients, SamplePositions,
 };
 
 use crate::bilinear::{Bicubic, Bilinear};
@@ -277,7 +277,7 @@ impl CoefficientField for InterpolatedField {
         })
     }
 
-    fn bilinear_cells(&self, region: PixelRegion, error: f64) -> BilinearCells {
+    fn bilinear_cells(&self, region: PixelRegion, error: ErrorLimit<'_>) -> BilinearCells {
         self.weights.bilinear_cells(self.nodes.view(), region, error)
     }
 

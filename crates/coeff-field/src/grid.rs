@@ -1,6 +1,7 @@
 //! Samples on a regular grid, and the weights of grid lines along one axis.
 
 use std::collections::HashMap;
+use std::ops::Range;
 
 use psf_types::{OutsidePolicy, Position, SamplePositions};
 
@@ -268,6 +269,22 @@ pub(crate) struct AxisWeights {
     pub(crate) knots: Axis,
     /// One piece between each knot and the next, or a single one if there is one knot.
     pieces: Vec<Piece>,
+    /// The cells with knots inside, in ascending order.
+    cut: Vec<CutCell>,
+}
+
+/// A cell in which the weights are those of a cubic at [`PIECES`] - 1 knots.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct CutCell {
+    /// The coordinates of the cell's own lines.
+    pub(crate) sides: (f64, f64),
+    /// The index of the first knot inside the cell.
+    inside: usize,
+    /// The first line with a weight.
+    pub(crate) first: usize,
+    /// The second derivatives of the lines' weights at both sides, multiplied by the square of a
+    /// piece's length. Between the sides, they are linear.
+    pub(crate) second_derivatives: [[f64; LINES]; 2],
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -298,6 +315,7 @@ impl AxisWeights {
                     high: unit(1),
                 })
                 .collect(),
+            cut: Vec::new(),
         }
     }
 
@@ -313,11 +331,12 @@ impl AxisWeights {
             lines: vec![lines.lines[0]],
             scatter: lines.scatter,
         };
-        let mut pieces = Vec::with_capacity(cells * PIECES);
+        let (mut pieces, mut cut) = (Vec::with_capacity(cells * PIECES), Vec::new());
         for cell in 0..cells {
             let between = points_between(lines, cell);
             let stencil = Stencil::around(&lines.lines, cell, &between);
             let mut low = stencil.of_line(cell);
+            let inside = knots.lines.len();
             let values = between.iter().map(|&v| stencil.weights(&lines.lines, v));
             for high in values.chain([stencil.of_line(cell + 1)]) {
                 pieces.push(Piece {
@@ -327,10 +346,18 @@ impl AxisWeights {
                 });
                 low = high;
             }
+            if !between.is_empty() {
+                cut.push(CutCell {
+                    sides: (lines.lines[cell], lines.lines[cell + 1]),
+                    inside,
+                    first: stencil.first,
+                    second_derivatives: second_derivatives(&pieces[pieces.len() - PIECES..]),
+                });
+            }
             knots.lines.extend(between);
             knots.lines.push(lines.lines[cell + 1]);
         }
-        Self { knots, pieces }
+        Self { knots, pieces, cut }
     }
 
     /// The weights at a coordinate. Beyond the lines, the outermost piece continues linearly.
@@ -343,11 +370,111 @@ impl AxisWeights {
         }
     }
 
-    /// The knots between two coordinates.
-    pub(crate) fn knots_between(&self, (low, high): (f64, f64)) -> Vec<f64> {
-        let knots = self.knots.lines.iter().copied();
-        knots.filter(|&knot| low < knot && knot < high).collect()
+    /// Some of the knots between two coordinates, and the largest error of values that are linear
+    /// from one to the next of these knots. The error is at most `error`. `bends` returns how values
+    /// bend in a cell, for one or more lines along the axis.
+    pub(crate) fn knots_between(
+        &self,
+        (low, high): (f64, f64),
+        error: f64,
+        bends: impl Fn(&CutCell) -> Vec<Bend>,
+    ) -> (Vec<f64>, f64) {
+        let (mut kept, mut achieved) = (Vec::new(), 0.0_f64);
+        let mut next = self.knots.lines.partition_point(|&knot| knot <= low);
+        let end = self.knots.lines.partition_point(|&knot| knot < high);
+        let from = self.cut.partition_point(|cell| cell.sides.1 <= low);
+        let cells = self.cut[from..].iter().take_while(|cell| cell.sides.0 < high);
+        for cell in cells.filter(|_| error > 0.0) {
+            let bends = bends(cell);
+            let error_of = |inside: &[usize]| bends.iter().map(|bend| bend.error(inside)).fold(0.0, f64::max);
+            let rated = DIVISIONS.iter().map(|&inside| (inside, error_of(inside)));
+            let Some((inside, of_cell)) = rated.into_iter().find(|(_, of_cell)| *of_cell <= error) else {
+                continue;
+            };
+            achieved = achieved.max(of_cell);
+            let (first, last) = (cell.inside, cell.inside + PIECES - 1);
+            kept.extend(next..first);
+            kept.extend(
+                inside
+                    .iter()
+                    .map(|knot| cell.inside + knot - 1)
+                    .filter(|&knot| knot >= next),
+            );
+            next = next.max(last);
+        }
+        kept.extend(next..end);
+        kept.retain(|&knot| knot < end);
+        (
+            kept.into_iter().map(|knot| self.knots.lines[knot]).collect(),
+            achieved,
+        )
     }
+
+    /// The lines with a weight between two coordinates, and the largest sum of their weights'
+    /// magnitudes.
+    pub(crate) fn lines_between(&self, (low, high): (f64, f64)) -> (Range<usize>, f64) {
+        let inside = self.knots_between((low, high), 0.0, |_| Vec::new()).0;
+        let (mut lines, mut largest) = (Vec::new(), 0.0_f64);
+        for v in inside.into_iter().chain([low, high]) {
+            let weights = self.at(v);
+            largest = largest.max(weights.iter().map(|(_, weight)| weight.abs()).sum());
+            lines.extend(weights.iter().map(|(line, _)| line));
+        }
+        lines.sort_unstable();
+        (lines[0]..lines[lines.len() - 1] + 1, largest)
+    }
+}
+
+/// The inner knots at which a cell can be divided, the fewest first. Knot `k` is `k` pieces after the
+/// cell's first side.
+const DIVISIONS: [&[usize]; 3] = [&[], &[2], &[2, 3]];
+
+/// The second derivatives `a` and `b` of values at the two sides of a cell, multiplied by the square of
+/// a piece's length: the scalar products `a a`, `a b` and `b b`.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Bend(pub(crate) [f64; 3]);
+
+impl Bend {
+    /// The largest norm of the error at a knot, if values are linear between the sides of the cell and
+    /// some of its inner knots.
+    ///
+    /// The values are those of a cubic. Between `s` and `e`, a straight line is off by
+    /// `(t - s) (t - e) / 2` times the second derivative at `(s + e + t) / 3`.
+    fn error(self, inside: &[usize]) -> f64 {
+        let Self([aa, ab, bb]) = self;
+        let (mut square, mut start) = (0.0_f64, 0);
+        for &end in inside.iter().chain([&PIECES]) {
+            for knot in start + 1..end {
+                let part = (start + end + knot) as f64 / (3 * PIECES) as f64;
+                let factor = ((knot - start) * (end - knot)) as f64 / 2.0;
+                let bend = (1.0 - part).powi(2) * aa + 2.0 * part * (1.0 - part) * ab + part * part * bb;
+                square = square.max(factor * factor * bend);
+            }
+            start = end;
+        }
+        square.sqrt()
+    }
+}
+
+/// The second derivatives of a cell's cubic weights at its two sides, from the weights at its first
+/// and at its last four knots.
+fn second_derivatives(pieces: &[Piece]) -> [[f64; LINES]; 2] {
+    let at_side = |knots: [&[f64; LINES]; 4]| {
+        std::array::from_fn(|i| {
+            let [a, b, c, d] = knots.map(|weights| weights[i]);
+            2.0 * a - 5.0 * b + 4.0 * c - d
+        })
+    };
+    let last = pieces.len() - 1;
+    [
+        at_side([&pieces[0].low, &pieces[0].high, &pieces[1].high, &pieces[2].high]),
+        at_side([
+            &pieces[last].high,
+            &pieces[last].low,
+            &pieces[last - 1].low,
+            &pieces[last - 2].low,
+        ]),
+    ]
 }
 
 fn unit(line: usize) -> [f64; LINES] {

@@ -5,7 +5,7 @@ use std::fmt::Debug;
 
 use ndarray::{Array2, ArrayView2};
 use psf_types::{
-    BilinearCells, FieldError, OutsidePolicy, PixelRegion, Position, RowRun, SampleCoefficients,
+    BilinearCells, ErrorLimit, FieldError, OutsidePolicy, PixelRegion, Position, RowRun, SampleCoefficients,
     SamplePositions,
 };
 use thiserror::Error;
@@ -141,7 +141,7 @@ pub trait FieldWeights: Debug + Send + Sync {
         &self,
         _values: ArrayView2<'_, f64>,
         region: PixelRegion,
-        _error: f64,
+        _error: ErrorLimit<'_>,
     ) -> BilinearCells {
         BilinearCells::every_row(region)
     }

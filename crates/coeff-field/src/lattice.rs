@@ -5,7 +5,9 @@ use std::collections::{BTreeMap, HashMap, VecDeque};
 use std::num::NonZeroUsize;
 
 use ndarray::{Array2, ArrayView2};
-use psf_types::{BilinearCells, FieldError, OutsidePolicy, PixelRegion, Position, SamplePositions};
+use psf_types::{
+    BilinearCells, ErrorLimit, FieldError, OutsidePolicy, PixelRegion, Position, SamplePositions,
+};
 
 use crate::error::CoeffFieldError;
 use crate::geometry::{Hull, Point, Points, Row, covered_until, pixel_ranges, query, range, sub};
@@ -353,7 +355,12 @@ impl FieldWeights for Lattice {
         Ok(())
     }
 
-    fn bilinear_cells(&self, _: ArrayView2<'_, f64>, region: PixelRegion, _: f64) -> BilinearCells {
+    fn bilinear_cells(
+        &self,
+        _: ArrayView2<'_, f64>,
+        region: PixelRegion,
+        _: ErrorLimit<'_>,
+    ) -> BilinearCells {
         let ranges = pixel_ranges(region);
         let overlaps = |sides: &[(f64, f64); 2]| {
             (0..2).all(|axis| sides[axis].0 <= ranges[axis].1 && ranges[axis].0 <= sides[axis].1)

@@ -4,8 +4,8 @@ use nalgebra::DMatrix;
 use ndarray::{Array2, ArrayView2};
 use psf_types::maths::legendre;
 use psf_types::{
-    BilinearCells, FieldError, Interpolation, OutsidePolicy, PixelRegion, Position, SampleCoefficients,
-    SamplePositions,
+    BilinearCells, ErrorLimit, FieldError, Interpolation, OutsidePolicy, PixelRegion, Position,
+    SampleCoefficients, SamplePositions,
 };
 
 use crate::error::CoeffFieldError;
@@ -205,9 +205,14 @@ impl FieldWeights for PolynomialWeights {
     }
 
     /// In a cell of `m` by `n` pixels, the bilinear function through the values at the corners
-    /// is off by at most `(m^2 max|a_xx| + n^2 max|a_yy|) / 8`, with the Euclidean norms of the second
-    /// derivatives. Both parts use half of the error.
-    fn bilinear_cells(&self, values: ArrayView2<'_, f64>, region: PixelRegion, error: f64) -> BilinearCells {
+    /// is off by at most `(m^2 max|a_xx| + n^2 max|a_yy|) / 8`, with the sizes ([`ErrorLimit`]) of the
+    /// second derivatives. Both parts use half of the error.
+    fn bilinear_cells(
+        &self,
+        values: ArrayView2<'_, f64>,
+        region: PixelRegion,
+        error: ErrorLimit<'_>,
+    ) -> BilinearCells {
         let Some(derivatives) = self.second_derivatives(region) else {
             return BilinearCells::Divide;
         };
@@ -217,18 +222,17 @@ impl FieldWeights for PolynomialWeights {
             let mut bound = 0.0;
             for (values, of_term) in values.outer_iter().zip(&derivatives) {
                 let (at_middle, deviation) = of_term[axis];
-                let mut size = 0.0;
+                let values = values.as_slice().expect("row-major");
                 for (sum, value) in middle.iter_mut().zip(values) {
                     *sum += at_middle * value;
-                    size += value * value;
                 }
-                bound += deviation * f64::sqrt(size);
+                bound += deviation * error.product(values, values).sqrt();
             }
-            bound += middle.iter().map(|v| v * v).sum::<f64>().sqrt();
+            bound += error.product(&middle, &middle).sqrt();
             let steps = if bound == 0.0 {
                 pixels
             } else {
-                ((4.0 * error / bound).sqrt() as usize).clamp(1, pixels)
+                ((4.0 * error.size / bound).sqrt() as usize).clamp(1, pixels)
             };
             let count = (pixels - 1).div_ceil(steps);
             let step = (pixels - 1) as f64 / count.max(1) as f64;

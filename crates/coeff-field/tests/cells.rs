@@ -3,18 +3,24 @@
 
 mod common;
 
-use coeff_field::{Bilinear, InterpolatedField, Polynomial};
+use coeff_field::{Bicubic, Bilinear, InterpolatedField, Polynomial};
 use common::{Extent, at, each, field, grid, rng, samples_of};
-use psf_types::{BilinearCells, CoefficientField, FrameShape, OutsidePolicy, PixelRegion, Position};
+use psf_types::{
+    BilinearCells, CoefficientField, ErrorLimit, FrameShape, OutsidePolicy, PixelRegion, Position,
+};
 use rand::RngExt;
 
 /// Rounding of an interpolated value of order 1.
 const ROUNDING: f64 = 1e-9;
 const COMPONENTS: usize = 3;
 
-/// The Euclidean norm of the difference between the coefficients at a position and those that the
-/// corners of its cell give. `None` if a corner has no value.
-fn difference(field: &dyn CoefficientField, [x, y]: [(f64, f64); 2], p: Position) -> Option<f64> {
+/// The difference between the coefficients at a position and those that the corners of its cell give.
+/// `None` if a corner has no value.
+fn difference(
+    field: &dyn CoefficientField,
+    [x, y]: [(f64, f64); 2],
+    p: Position,
+) -> Option<[f64; COMPONENTS]> {
     let at_corner = |x: f64, y: f64| {
         let mut values = [0.0; COMPONENTS];
         field.evaluate_into(at(x, y), &mut values).ok().map(|()| values)
@@ -32,7 +38,7 @@ fn difference(field: &dyn CoefficientField, [x, y]: [(f64, f64); 2], p: Position
             *sum += weight * value;
         }
     }
-    Some(sum.iter().map(|v| v * v).sum::<f64>().sqrt())
+    Some(sum)
 }
 
 /// The cell of a coordinate: the last line at or before it and the first one after it, or the ends of
@@ -43,18 +49,22 @@ fn cell(lines: &[f64], (first, last): (f64, f64), v: f64) -> (f64, f64) {
     (before.fold(first, f64::max), after.fold(last, f64::min))
 }
 
-/// The largest difference at the pixels of a region, and the number of cells. `None` if the region
-/// has no lines, or no value at some corner.
-fn largest_difference(field: &InterpolatedField, region: PixelRegion, error: f64) -> Option<(f64, usize)> {
+/// The size of the largest difference at the pixels of a region, less the error that the cells
+/// promise, and the number of cells. `None` if the region has no lines, or no value at some corner.
+fn largest_difference(
+    field: &InterpolatedField,
+    region: PixelRegion,
+    limit: ErrorLimit<'_>,
+) -> Option<(f64, usize)> {
     let BilinearCells::Lines {
         x,
         y,
         error: achieved,
-    } = field.bilinear_cells(region, error)
+    } = field.bilinear_cells(region, limit)
     else {
         return None;
     };
-    assert!(achieved <= error, "{achieved} of {error}");
+    assert!(achieved <= limit.size, "{achieved} of {limit:?}");
     let last = region.position(region.shape().nx() - 1, region.shape().ny() - 1);
     let mut largest: f64 = 0.0;
     for row in 0..region.shape().ny() {
@@ -64,7 +74,8 @@ fn largest_difference(field: &InterpolatedField, region: PixelRegion, error: f64
                 cell(&x, (region.x0() as f64, last.x()), p.x()),
                 cell(&y, (region.y0() as f64, last.y()), p.y()),
             ];
-            largest = largest.max(difference(field, sides, p)? - achieved);
+            let difference = difference(field, sides, p)?;
+            largest = largest.max(limit.product(&difference, &difference).sqrt() - achieved);
         }
     }
     Some((largest, (x.len() + 1) * (y.len() + 1)))
@@ -96,12 +107,13 @@ fn coefficients_are_bilinear_in_cells_up_to_the_error() {
                     |low: f64, rng: &mut rand_chacha::ChaCha8Rng| low as i64 + rng.random_range(-30..60);
                 let (x, y) = (corner(extent.low.0, &mut rng), corner(extent.low.1, &mut rng));
                 let region = region(x, y, rng.random_range(1..40), rng.random_range(1..40));
-                for error in [0.0, 1e-6, 1e-2, 0.3] {
-                    if let Some((largest, _)) = largest_difference(&field, region, error) {
+                for (size, flux) in [(0.0, &[][..]), (1e-6, &[]), (1e-2, &[5.0, -3.0, 0.1]), (0.3, &[])] {
+                    let limit = ErrorLimit { size, flux };
+                    if let Some((largest, _)) = largest_difference(&field, region, limit) {
                         checked += 1;
                         assert!(
                             largest < ROUNDING,
-                            "{layout} {name} {outside} {region:?} {error}: {largest:e}"
+                            "{layout} {name} {outside} {region:?} {limit:?}: {largest:e}"
                         );
                     }
                 }
@@ -117,13 +129,17 @@ fn smooth_fields_have_few_cells() {
     let parabola = |p: Position, k: usize| (p.x() * p.x() + (k + 1) as f64 * p.y()) * 1e-6;
     let samples = samples_of(&positions, COMPONENTS, parabola);
     let region = region(0, 0, 201, 201);
+    let limit = |size| ErrorLimit { size, flux: &[] };
     for (method, error, cells) in [
         (&Bilinear as &dyn coeff_field::FieldInterpolation, 1.0, 441),
+        (&Bicubic, 0.0, 101 * 101),
+        (&Bicubic, 5e-5, 41 * 21),
+        (&Bicubic, 1e-3, 441),
         (&Polynomial::new(2).unwrap(), 1.0, 1),
         (&Polynomial::new(0).unwrap(), 0.0, 1),
     ] {
         let field = field(&samples, method, OutsidePolicy::Extend);
-        let found = largest_difference(&field, region, error).unwrap();
+        let found = largest_difference(&field, region, limit(error)).unwrap();
         assert!(
             found.0 < ROUNDING && found.1 <= cells,
             "{method:?} {error}: {found:?}"
@@ -131,7 +147,7 @@ fn smooth_fields_have_few_cells() {
     }
     // A parabola needs cells whose squared width falls with the error.
     let field = field(&samples, &Polynomial::new(2).unwrap(), OutsidePolicy::Extend);
-    let cells = |error| largest_difference(&field, region, error).unwrap().1;
+    let cells = |error| largest_difference(&field, region, limit(error)).unwrap().1;
     let (coarse, fine) = (cells(1e-3), cells(1e-5));
     assert!(coarse > 1 && fine > 7 * coarse, "{coarse} {fine}");
 }

@@ -33,7 +33,7 @@ pub use choices::{Anchor, Interpolation, Normalisation, OutsidePolicy, StampInte
 pub use frame::{DataError, FrameShape, PixelRegion, Position, Quantity};
 pub use image::{Image, ImageView, Real};
 pub use light_profile::{LightProfile, Outskirts};
-pub use model::{BilinearCells, CoefficientField, FieldError, PsfModel, PsfModelRecord, RowRun};
+pub use model::{BilinearCells, CoefficientField, ErrorLimit, FieldError, PsfModel, PsfModelRecord, RowRun};
 pub use progress::{Cancelled, NoProgress, Progress, Uncounted};
 pub use samples::{PsfSamples, PsfSource, SamplePositions, SourceError};
 pub use sources::{PointSource, SersicProfile, SersicSource};

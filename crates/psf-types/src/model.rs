@@ -69,12 +69,11 @@ pub trait CoefficientField: std::fmt::Debug + Send + Sync {
         Cow::Owned(Array2::eye(self.component_count()))
     }
 
-    /// The division of a region into cells in which the coefficients are bilinear, up to an error: the
-    /// Euclidean norm of the vector of all coefficients.
+    /// The division of a region into cells in which the coefficients are bilinear, up to an error.
     ///
     /// Convolution is fast for a field with large cells. The default implementation lets it visit
     /// every row.
-    fn bilinear_cells(&self, region: PixelRegion, _error: f64) -> BilinearCells {
+    fn bilinear_cells(&self, region: PixelRegion, _error: ErrorLimit<'_>) -> BilinearCells {
         BilinearCells::every_row(region)
     }
 
@@ -119,6 +118,30 @@ pub trait CoefficientField: std::fmt::Debug + Send + Sync {
     }
 }
 
+/// The largest error of coefficients that is allowed. The size of an error `d` is
+/// `sqrt(sum_k d_k^2 + (sum_k flux_k d_k)^2)`.
+///
+/// If PSFs are scaled to unit flux, an error of their flux changes all of the PSF. Then this error
+/// counts in addition to the error of the coefficients.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ErrorLimit<'a> {
+    /// The largest size.
+    pub size: f64,
+    /// A multiple of each component's flux. Empty if the flux does not count in addition.
+    pub flux: &'a [f64],
+}
+
+impl ErrorLimit<'_> {
+    /// No error is allowed.
+    pub const ZERO: ErrorLimit<'static> = ErrorLimit { size: 0.0, flux: &[] };
+
+    /// The scalar product that belongs to the size of errors.
+    pub fn product(&self, a: &[f64], b: &[f64]) -> f64 {
+        let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+        dot(a, b) + dot(self.flux, a) * dot(self.flux, b)
+    }
+}
+
 /// The cells of a region ([`CoefficientField::bilinear_cells`]). A pixel on a line belongs to the cell
 /// with the larger coordinates.
 #[derive(Debug, Clone, PartialEq)]
@@ -130,7 +153,7 @@ pub enum BilinearCells {
         x: Vec<f64>,
         /// The y coordinates of horizontal lines.
         y: Vec<f64>,
-        /// The largest error of the coefficients, at most the error that was asked for.
+        /// The largest size of errors, at most the [`ErrorLimit`].
         error: f64,
     },
     /// Between lines at these y coordinates (ascending), all rows have runs ([`RowRun`]) of equal

@@ -103,7 +103,7 @@ impl<'a, T: ConvReal> BlockKernels<'a, T> {
 
     pub(crate) fn table(&self) -> &CoefficientTable<T> {
         self.table
-            .get_or_init(|| self.block.table_or_new(&self.plan.model))
+            .get_or_init(|| self.block.table_or_new(&self.plan.whole.space))
     }
 
     /// `[kernel, y, x]`.

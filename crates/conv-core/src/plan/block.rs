@@ -3,12 +3,12 @@
 use std::ops::Range;
 use std::sync::Arc;
 
-use ndarray::{Array2, ArrayView2, Axis};
+use ndarray::linalg::general_mat_mul;
+use ndarray::{Array2, ArrayView2, Axis, s};
 use psf_types::{PixelRegion, PsfModel};
 
 use super::coefficient_table::{CoefficientTable, FluxRole};
-use super::local_modes::{LocalModes, PsfSpace};
-use super::region_cells::RegionCells;
+use super::local_modes::{CellError, LocalModes, PsfSpace};
 use crate::ConvReal;
 
 /// The local basis of a block, with coefficients and stamps if the plan has memory for them. The
@@ -16,8 +16,8 @@ use crate::ConvReal;
 #[derive(Debug)]
 pub(crate) struct Block<T> {
     region: PixelRegion,
-    /// The error of the coefficients that the block's cells were asked for.
-    error: f64,
+    /// The error with which the block's cells were made.
+    error: CellError,
     modes: LocalModes,
     role: FluxRole,
     /// The flux to which the reference is scaled, from [`FluxRole::of`].
@@ -37,6 +37,9 @@ pub(crate) struct Stamps<T> {
     rows: Range<usize>,
 }
 
+/// The number of pixels of stamps that are computed together.
+const PIXELS_PER_PRODUCT: usize = 512;
+
 impl<T: ConvReal> Stamps<T> {
     /// `[kernel, y, x]`.
     pub(crate) fn values(&self) -> &[T] {
@@ -55,12 +58,12 @@ impl<T: ConvReal> Block<T> {
         tolerance: f64,
         keep_table: bool,
     ) -> Self {
-        let (cells, modes) = space.region(region, tolerance);
+        let (cells, error, modes) = space.region(region, tolerance);
         let (role, flux) = FluxRole::of(model, &modes, &cells);
         let table = keep_table.then(|| Arc::new(CoefficientTable::new(region, role, &modes, &cells)));
         Self {
             region,
-            error: cells.asked,
+            error,
             modes,
             role,
             flux,
@@ -85,9 +88,9 @@ impl<T: ConvReal> Block<T> {
     }
 
     /// The coefficients, stored or computed now.
-    pub(crate) fn table_or_new(&self, model: &PsfModel) -> Arc<CoefficientTable<T>> {
+    pub(crate) fn table_or_new(&self, space: &PsfSpace) -> Arc<CoefficientTable<T>> {
         self.table.clone().unwrap_or_else(|| {
-            let cells = RegionCells::new(model.field(), self.region, self.error);
+            let cells = space.cells(self.region, self.error);
             Arc::new(CoefficientTable::new(self.region, self.role, &self.modes, &cells))
         })
     }
@@ -121,7 +124,16 @@ pub(crate) fn stamps_of<T: ConvReal>(stamps: ArrayView2<'_, f64>, blocks: &[&Blo
     let directions: Vec<Array2<f64>> = blocks.iter().map(|block| block.directions()).collect();
     let views: Vec<ArrayView2<'_, f64>> = directions.iter().map(|d| d.view()).collect();
     let all = ndarray::concatenate(Axis(0), &views).expect("equally many directions");
-    let shared = Arc::new(all.dot(&stamps).mapv(T::nearest));
+    let mut shared = Array2::zeros((all.nrows(), stamps.ncols()));
+    // A product of few pixels stays in the caches until it is rounded.
+    let mut product = Array2::zeros((all.nrows(), PIXELS_PER_PRODUCT));
+    let parts = shared.axis_chunks_iter_mut(Axis(1), PIXELS_PER_PRODUCT);
+    for (mut part, stamps) in parts.zip(stamps.axis_chunks_iter(Axis(1), PIXELS_PER_PRODUCT)) {
+        let mut product = product.slice_mut(s![.., ..part.ncols()]);
+        general_mat_mul(1.0, &all, &stamps, 0.0, &mut product);
+        part.zip_mut_with(&product, |value, &product| *value = T::nearest(product));
+    }
+    let shared = Arc::new(shared);
     let mut end = 0;
     let rows = directions.iter().map(|directions| {
         end += directions.nrows();

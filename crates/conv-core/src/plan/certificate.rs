@@ -219,7 +219,7 @@ fn errors_of_block<T: ConvReal>(
     coefficient_error: f64,
 ) -> Vec<(Array1<f64>, Array1<f64>)> {
     let (model, space) = (plan.model(), &plan.whole.space);
-    let table = block.table_or_new(model);
+    let table = block.table_or_new(space);
     let kernels = block.directions();
     let (nx, ny) = (region.shape().nx(), region.shape().ny());
     let mut buffer = Vec::new();

@@ -2,7 +2,7 @@
 
 use nalgebra::{Cholesky, DMatrix, SymmetricEigen};
 use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis, s};
-use psf_types::{PixelRegion, PsfModel, ToleranceOn};
+use psf_types::{ErrorLimit, PixelRegion, PsfModel, ToleranceOn};
 
 use super::growth_curves::{GrowthCurves, TailGrowth};
 use super::norm::{dot, norm};
@@ -26,6 +26,15 @@ pub struct PsfSpace {
     pub(crate) fluxes: Array1<f64>,
     /// The flux in circles. `None` if the tolerance only bounds the L2 error.
     growth: Option<GrowthCurves>,
+}
+
+/// The largest error of the coefficients in cells ([`ErrorLimit`]).
+#[derive(Debug, Clone, Copy)]
+pub struct CellError {
+    /// The largest size.
+    pub size: f64,
+    /// The factor of the components' fluxes in the size. 0 if PSFs are not scaled to unit flux.
+    pub flux_weight: f64,
 }
 
 /// The part of the mean outside the components' span is ignored if its norm is below this fraction
@@ -93,13 +102,13 @@ impl PsfSpace {
         }
     }
 
-    /// A first guess of the error of coefficients that leaves most of the tolerance to the modes of a
-    /// region: [`SHARE_OF_CELLS`] of it for the faintest of a few PSFs.
-    fn error_of_cells(&self, region: PixelRegion, tolerance: f64) -> f64 {
+    /// A first guess of the error of cells that leaves most of the tolerance to the modes of a region:
+    /// [`SHARE_OF_CELLS`] of it for the faintest of a few PSFs.
+    fn error_of_cells(&self, region: PixelRegion, tolerance: f64) -> CellError {
         let last = (region.shape().nx() - 1, region.shape().ny() - 1);
         let first = usize::from(self.model.is_mean_centred());
         let mut coefficients = vec![0.0; self.model.stamp_count()];
-        let mut least = f64::INFINITY;
+        let mut sizes = Vec::new();
         for (column, row) in [(0, 0), (last.0, 0), (0, last.1), last, (last.0 / 2, last.1 / 2)] {
             let position = region.position(column, row);
             if self.model.coefficients_into(position, &mut coefficients).is_err() {
@@ -109,16 +118,49 @@ impl PsfSpace {
             for (value, a) in psf.iter_mut().zip(&coefficients[first..]) {
                 *value += a;
             }
-            let (size, flux) = (norm(psf.view()), psf.dot(&self.fluxes).abs());
-            let errors = self.errors(tolerance, 1.0, 1.0);
-            let of_norm = size / errors.of_cells(size / flux);
-            least = least.min(of_norm.min(flux * of_norm / (size * errors.largest_flux)));
+            sizes.push((norm(psf.view()), psf.dot(&self.fluxes).abs()));
         }
-        if least.is_finite() {
-            SHARE_OF_CELLS * tolerance * least
+        // An error of the flux then counts as much as one of the coefficients.
+        let flux_weight = if self.model.needs_flux_scaling() {
+            let scaled = sizes.iter().map(|(size, flux)| size / flux);
+            scaled.fold(0.0, f64::max)
         } else {
             0.0
+        };
+        let one = CellError {
+            size: 1.0,
+            flux_weight,
+        };
+        let errors = self.errors(tolerance, one, 1.0);
+        let allowed = sizes.iter().map(|&(size, flux)| {
+            let of_norm = size / errors.of_cells(size / flux);
+            of_norm.min(flux * of_norm / (size * errors.largest_flux))
+        });
+        let least = allowed.fold(f64::INFINITY, f64::min);
+        let size = SHARE_OF_CELLS * tolerance * least;
+        if size.is_finite() && flux_weight.is_finite() {
+            CellError { size, flux_weight }
+        } else {
+            CellError {
+                size: 0.0,
+                flux_weight: 0.0,
+            }
         }
+    }
+
+    /// The cells of a region.
+    pub fn cells(&self, region: PixelRegion, error: CellError) -> RegionCells {
+        self.with_limit(error, |limit| RegionCells::new(self.model.field(), region, limit))
+    }
+
+    fn with_limit<R>(&self, error: CellError, work: impl FnOnce(ErrorLimit<'_>) -> R) -> R {
+        let mut flux = Vec::new();
+        if error.flux_weight > 0.0 {
+            let components = self.fluxes.iter().take(self.model.field().component_count());
+            flux.extend(components.map(|flux| error.flux_weight * flux));
+        }
+        let size = error.size;
+        work(ErrorLimit { size, flux: &flux })
     }
 
     /// A few cells of a region, without any error.
@@ -126,37 +168,45 @@ impl PsfSpace {
         RegionCells::sampled(self.model.field(), region)
     }
 
+    /// About how many cells [`region`](Self::region) makes.
+    pub(crate) fn expected_cells(&self, region: PixelRegion, tolerance: f64) -> usize {
+        let error = self.error_of_cells(region, tolerance);
+        self.with_limit(error, |limit| {
+            RegionCells::expected(self.model.field(), region, limit)
+        })
+    }
+
     /// The modes of [`sampled_cells`](Self::sampled_cells). The tolerance must not be below the
     /// rounding of f64.
     pub(crate) fn modes_of(&self, cells: &RegionCells, tolerance: f64) -> LocalModes {
-        LocalModes::new(self, cells, tolerance).expect("these cells have no error")
+        LocalModes::new(self, cells, 0.0, tolerance).expect("these cells have no error")
     }
 
-    /// The cells and the modes of a region. The tolerance must not be below the rounding of f64.
-    pub fn region(&self, region: PixelRegion, tolerance: f64) -> (RegionCells, LocalModes) {
+    /// The cells, their error and the modes of a region. The tolerance must not be below the rounding
+    /// of f64.
+    pub fn region(&self, region: PixelRegion, tolerance: f64) -> (RegionCells, CellError, LocalModes) {
         let first = self.error_of_cells(region, tolerance);
         let mut error = first;
         loop {
-            let cells = RegionCells::new(self.model.field(), region, error);
-            if let Some(modes) = LocalModes::new(self, &cells, tolerance) {
-                return (cells, modes);
+            let cells = self.cells(region, error);
+            if let Some(modes) = LocalModes::new(self, &cells, error.flux_weight, tolerance) {
+                return (cells, error, modes);
             }
             // Somewhere in the region, PSFs are much fainter than expected.
-            error *= if error > SMALLEST_ERROR * first { 0.4 } else { 0.0 };
+            error.size *= if error.size > SMALLEST_ERROR * first.size {
+                0.4
+            } else {
+                0.0
+            };
         }
     }
 
-    /// `error_of_cells` is the error of the coefficients, `sign` the sign of the PSFs' flux.
-    fn errors(&self, tolerance: f64, error_of_cells: f64, sign: f64) -> AllowedErrors {
+    /// `sign` is the sign of the PSFs' flux.
+    fn errors(&self, tolerance: f64, cells: CellError, sign: f64) -> AllowedErrors {
         AllowedErrors {
             tolerance,
-            coefficients: error_of_cells,
+            cells,
             largest_flux: self.growth.as_ref().map_or(0.0, |growth| growth.norm),
-            scaled_flux: if self.model.needs_flux_scaling() {
-                norm(self.fluxes.view())
-            } else {
-                0.0
-            },
             sign,
         }
     }
@@ -248,7 +298,7 @@ const ROUNDING: f64 = 2e-16;
 /// out.
 const OUTSIDE_SPAN: f64 = 0.2;
 /// The fraction of the tolerance that is left to the cells. Small cells cost little.
-const SHARE_OF_CELLS: f64 = 0.3;
+const SHARE_OF_CELLS: f64 = 0.2;
 /// An error of coefficients below this fraction of the first guess counts as 0. The cells of a
 /// polynomial are then single pixels.
 const SMALLEST_ERROR: f64 = 1e-6;
@@ -256,7 +306,7 @@ const SMALLEST_ERROR: f64 = 1e-6;
 impl LocalModes {
     /// Computes the modes of a region. The tolerance must not be below the rounding of f64. `None` if
     /// the error of the cells may use most of the tolerance.
-    fn new(space: &PsfSpace, cells: &RegionCells, tolerance: f64) -> Option<Self> {
+    fn new(space: &PsfSpace, cells: &RegionCells, flux_weight: f64, tolerance: f64) -> Option<Self> {
         let mut nodes = space.nodes(&cells.nodes);
         let mut offset = space.mean.clone();
         if cells.is_partition_of_unity() {
@@ -285,7 +335,11 @@ impl LocalModes {
                 row.scaled_add(-flux, reference);
             }
         }
-        let errors = space.errors(tolerance, cells.error, flux.signum());
+        let of_cells = CellError {
+            size: cells.error,
+            flux_weight,
+        };
+        let errors = space.errors(tolerance, of_cells, flux.signum());
         // The modes must represent these remainders of the nodes and of the offset. Directions in
         // which they differ by a small fraction of the allowed errors are left out.
         let stop = match reference {
@@ -564,16 +618,13 @@ fn principal_axes(covariance: &Array2<f64>) -> Array2<f64> {
 
 /// The largest errors that modes may cause, after those of the cells.
 ///
-/// Let the coefficients of a cell be off by `e` at most. An unscaled PSF `b` is then off by `e`, and
-/// its flux by `F e`, where `F` is the norm of the components' fluxes. A PSF `h` scaled to unit flux
-/// is off by at most `(e + F e |h|)`, divided by the flux of the unscaled PSF.
+/// Let an unscaled PSF be off by `d`, and its flux by `f`, because of the error of a cell's coefficients:
+/// `sqrt(|d|^2 + weight^2 f^2) <= e`. A PSF `h` scaled to unit flux is then off by at most
+/// `|d| + |f| |h| <= e sqrt(1 + (|h| / weight)^2)`, divided by the flux of the unscaled PSF.
 #[derive(Debug, Clone, Copy)]
 struct AllowedErrors {
     tolerance: f64,
-    /// `e`.
-    coefficients: f64,
-    /// `F`, or 0 if PSFs are not scaled.
-    scaled_flux: f64,
+    cells: CellError,
     /// The largest flux in a circle of an error of norm 1. 0 if these fluxes are not bounded.
     largest_flux: f64,
     /// The sign of the region's mean flux.
@@ -606,10 +657,11 @@ impl AllowedErrors {
     /// cells use at most half of the tolerance.
     #[inline(always)]
     fn of_cells(&self, scaled_norm: f64) -> f64 {
-        if self.scaled_flux == 0.0 {
-            self.coefficients
+        let CellError { size, flux_weight } = self.cells;
+        if flux_weight == 0.0 {
+            size
         } else {
-            self.coefficients * (1.0 + self.scaled_flux * scaled_norm.abs() * (1.0 + self.tolerance))
+            size * (1.0 + (scaled_norm * (1.0 + self.tolerance) / flux_weight).powi(2)).sqrt()
         }
     }
 
@@ -679,7 +731,7 @@ impl CountModes<'_> {
                 beta = beta.min(values[0]);
                 flux = flux.min(errors.sign * values[1]);
                 left_out = left_out.max(outside[corner]);
-                if errors.scaled_flux > 0.0 && errors.coefficients > 0.0 {
+                if errors.cells.flux_weight > 0.0 && errors.cells.size > 0.0 {
                     let rest = dot(&values[BEFORE..], &values[BEFORE..]).sqrt() + outside[corner];
                     scaled_norm = scaled_norm.max(self.reference + rest / values[1].abs());
                 }
@@ -687,10 +739,10 @@ impl CountModes<'_> {
             let by_cells = errors.of_cells(scaled_norm);
             let norm = errors.norm(beta, by_cells);
             let flux_allowed = errors.flux(flux, by_cells);
-            if errors.coefficients > 0.0 {
+            if errors.cells.size > 0.0 {
                 let least = 0.5 * errors.tolerance;
                 // Where the flux vanishes in a cell, a small error of it has no bound.
-                let has_flux = errors.scaled_flux == 0.0 || flux > 0.0;
+                let has_flux = errors.cells.flux_weight == 0.0 || flux > 0.0;
                 let enough = norm >= least * beta && beta > 0.0 && has_flux;
                 if !enough || errors.largest_flux > 0.0 && flux_allowed < least * flux {
                     return None;

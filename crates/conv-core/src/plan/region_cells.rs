@@ -5,7 +5,7 @@
 
 use std::{iter, ops::Range};
 
-use psf_types::{BilinearCells, CoefficientField, FrameShape, PixelRegion, Position};
+use psf_types::{BilinearCells, CoefficientField, ErrorLimit, FrameShape, PixelRegion, Position};
 
 use super::axis_cuts::parts;
 
@@ -24,9 +24,8 @@ pub struct RegionCells {
     weights: Vec<(usize, f64)>,
     /// Weights at a position.
     buffer: Vec<(usize, f64)>,
-    /// The error that was asked for. The same error gives the same cells.
-    pub(crate) asked: f64,
-    /// The largest error of the coefficients, because they are not quite bilinear in the cells.
+    /// The largest size ([`ErrorLimit`]) of the coefficients' errors, because they are not quite
+    /// bilinear in the cells.
     pub(crate) error: f64,
 }
 
@@ -68,12 +67,9 @@ struct Stretch {
 
 impl RegionCells {
     /// The cells of a field in a region. Together they cover all rows of the region. In the cells,
-    /// coefficients are bilinear up to `error`: the Euclidean norm of the vector of all coefficients.
-    pub fn new(field: &dyn CoefficientField, region: PixelRegion, error: f64) -> Self {
-        let mut all = Self {
-            asked: error,
-            ..Self::default()
-        };
+    /// coefficients are bilinear up to `error`.
+    pub fn new(field: &dyn CoefficientField, region: PixelRegion, error: ErrorLimit<'_>) -> Self {
+        let mut all = Self::default();
         all.add_rows(field, region, 0..region.shape().ny(), error);
         all.number_nodes();
         all
@@ -85,7 +81,7 @@ impl RegionCells {
     pub(crate) fn sampled(field: &dyn CoefficientField, region: PixelRegion) -> Self {
         let (nx, ny) = (region.shape().nx(), region.shape().ny());
         let has_runs = matches!(
-            field.bilinear_cells(region, f64::INFINITY),
+            field.bilinear_cells(region, ErrorLimit::ZERO),
             BilinearCells::Bands(_)
         );
         let mut all = Self::default();
@@ -113,13 +109,31 @@ impl RegionCells {
         all
     }
 
+    /// About how many cells [`new`](Self::new) makes.
+    pub(crate) fn expected(
+        field: &dyn CoefficientField,
+        region: PixelRegion,
+        error: ErrorLimit<'_>,
+    ) -> usize {
+        match field.bilinear_cells(region, error) {
+            BilinearCells::Lines { x, y, .. } => (x.len() + 1) * (y.len() + 1),
+            BilinearCells::Bands(lines) => {
+                let shape = region.shape();
+                let middle = region.y0() + shape.ny() as i64 / 2;
+                let runs = Self::default().runs(field, (region.x0(), middle), shape.nx());
+                (lines.len() + 1) * runs.len()
+            }
+            BilinearCells::Divide => 1,
+        }
+    }
+
     /// Adds the cells of some rows of a region.
     fn add_rows(
         &mut self,
         field: &dyn CoefficientField,
         region: PixelRegion,
         rows: Range<usize>,
-        error: f64,
+        error: ErrorLimit<'_>,
     ) {
         // Parts of these rows, from left to right. If the field has a kink in them, their columns
         // are divided, and then the rows, until kinks are in single pixels.

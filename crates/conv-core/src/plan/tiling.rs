@@ -3,7 +3,7 @@
 
 use std::ops::Range;
 
-use psf_types::{Anchor, BilinearCells, FrameShape, PixelRegion, Progress, PsfModel};
+use psf_types::{Anchor, BilinearCells, ErrorLimit, FrameShape, PixelRegion, Progress, PsfModel};
 use rayon::prelude::*;
 
 use super::axis_cuts::{Stretch, at_cuts, even, longest, within};
@@ -25,6 +25,9 @@ pub(crate) struct Tiling {
 
 /// The number of blocks whose modes are counted to predict the cost of a tiling.
 const SAMPLES: usize = 5;
+/// The fraction of the tolerance with which modes are counted. It makes up for the error of cells, and
+/// for the PSFs that are not looked at.
+const COUNTED: f64 = 0.7;
 /// The largest size of transforms, as a multiple of the stamp's size. Larger transforms gain
 /// nothing, because padding is already small and tiles need more modes.
 const LARGEST_IN_STAMPS: usize = 10;
@@ -108,11 +111,11 @@ fn fastest<T: ConvReal>(
     options: PlanOptions,
     progress: &dyn Progress,
 ) -> Result<Option<(f64, Tiling)>, ConvError> {
-    let seconds =
-        |tiling: &Tiling, kernels| tiling.seconds::<T>(kernels, space.stamps.nrows(), geometry, options);
+    let stamps = space.stamps.nrows();
+    let seconds = |tiling: &Tiling, contents| tiling.seconds::<T>(contents, stamps, geometry, options);
     tilings.sort_by(|a, b| a.block_area().total_cmp(&b.block_area()));
     let mut best: Option<(f64, usize)> = None;
-    let mut before: Option<(f64, f64)> = None;
+    let mut before: Option<(f64, Contents)> = None;
     let mut timed = 0;
     while timed < tilings.len() {
         progress.check_cancelled()?;
@@ -123,13 +126,11 @@ fn fastest<T: ConvReal>(
         let counted = &tilings[to - 1];
         let after = (
             counted.block_area(),
-            counted.kernels::<T>(space, geometry, options),
+            counted.contents::<T>(space, geometry, options),
         );
         for (i, tiling) in tilings.iter().enumerate().take(to).skip(timed) {
-            let seconds = seconds(
-                tiling,
-                between(before.unwrap_or(after), after, tiling.block_area()),
-            );
+            let contents = between(before.unwrap_or(after), after, tiling.block_area());
+            let seconds = seconds(tiling, contents);
             // Of equally fast tilings, takes the first.
             if best.is_none_or(|best| seconds < best.0) {
                 best = Some((seconds, i));
@@ -144,20 +145,32 @@ fn fastest<T: ConvReal>(
     Ok(best.map(|(seconds, i)| (seconds, tilings.swap_remove(i))))
 }
 
-/// Interpolates the number of kernels, as a power of the block's area.
-fn between((low, few): (f64, f64), (high, many): (f64, f64), area: f64) -> f64 {
+/// The mean numbers of kernels (modes and the reference) and of cells of a tiling's blocks.
+#[derive(Debug, Clone, Copy)]
+struct Contents {
+    kernels: f64,
+    cells: f64,
+}
+
+/// Interpolates the numbers of kernels and cells, as powers of the block's area.
+fn between((low, few): (f64, Contents), (high, many): (f64, Contents), area: f64) -> Contents {
     let part = if low < high {
         (area / low).ln() / (high / low).ln()
     } else {
         0.0
     };
-    few * (many / few).powf(part)
+    let power = |few: f64, many: f64| few * (many / few).powf(part);
+    Contents {
+        kernels: power(few.kernels, many.kernels),
+        cells: power(few.cells, many.cells),
+    }
 }
 
 /// The first pixels of the field's cells, counted from the first pixel of the weighted side
 /// ([`Geometry`]). `None` if the field has no cells, or if they are too small for tiles of their own.
 fn cuts(model: &PsfModel, geometry: &Geometry) -> Option<[Vec<usize>; 2]> {
-    let BilinearCells::Lines { x, y, .. } = model.field().bilinear_cells(geometry.weighted, 0.0) else {
+    let BilinearCells::Lines { x, y, .. } = model.field().bilinear_cells(geometry.weighted, ErrorLimit::ZERO)
+    else {
         return None;
     };
     let cuts = |lines: Vec<f64>, first: i64, length: usize| {
@@ -215,29 +228,33 @@ impl Tiling {
         length(&self.columns) * length(&self.rows)
     }
 
-    /// The mean number of kernels (modes and the reference) of a few blocks, which are spread over
-    /// rows and columns.
-    fn kernels<T: ConvReal>(&self, space: &PsfSpace, geometry: &Geometry, options: PlanOptions) -> f64 {
+    /// The contents of a few blocks, which are spread over rows and columns.
+    fn contents<T: ConvReal>(&self, space: &PsfSpace, geometry: &Geometry, options: PlanOptions) -> Contents {
         let (across, up) = (self.columns.len(), self.rows.len());
         let samples = SAMPLES.min(across * up);
-        let kernels: usize = (0..samples)
+        let tolerance = options.tolerance_in::<T>();
+        let (kernels, cells): (Vec<usize>, Vec<usize>) = (0..samples)
             .into_par_iter()
             .map(|i| {
                 let row = (2 * i + 1) * up / (2 * samples);
                 let column = ((3 * i + 1) % samples * 2 + 1) * across / (2 * samples);
                 let region = self.region(geometry, column.min(across - 1), row.min(up - 1));
-                let cells = space.sampled_cells(region);
-                space.modes_of(&cells, options.tolerance_in::<T>()).rank() + 1
+                let modes = space.modes_of(&space.sampled_cells(region), COUNTED * tolerance);
+                (modes.rank() + 1, space.expected_cells(region, tolerance))
             })
-            .sum();
-        kernels as f64 / samples as f64
+            .unzip();
+        let mean = |numbers: Vec<usize>| numbers.iter().sum::<usize>() as f64 / samples as f64;
+        Contents {
+            kernels: mean(kernels),
+            cells: mean(cells),
+        }
     }
 
     /// Predicted seconds of an execution if every pixel is lit, with its share of the plan. `stamps`
     /// is the number of stamps of the model.
     fn seconds<T: ConvReal>(
         &self,
-        kernels: f64,
+        Contents { kernels, cells }: Contents,
         stamps: usize,
         geometry: &Geometry,
         options: PlanOptions,
@@ -253,7 +270,8 @@ impl Tiling {
         let bytes = cost.stamp_bytes(geometry.stamp) * kernels * blocks as f64;
         let made_anew = (1.0 - STAMP_MEMORY * options.memory_bytes() as f64 / bytes).clamp(0.0, 1.0);
         let block = kernels * cost.kernel(self.size, geometry.stamp)
-            + CostModel::plan_block(geometry.stamp, stamps, kernels, made_anew)
+            + CostModel::cells(cells, kernels)
+            + CostModel::make_stamps(geometry.stamp, stamps, kernels, made_anew)
             + tiles_a_block * cost.tile(tile, self.size, kernels);
         self.rounds() as f64 * block
     }

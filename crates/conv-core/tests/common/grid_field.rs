@@ -3,7 +3,7 @@
 use std::borrow::Cow;
 
 use ndarray::Array2;
-use psf_types::{BilinearCells, CoefficientField, FieldError, PixelRegion, Position};
+use psf_types::{BilinearCells, CoefficientField, ErrorLimit, FieldError, PixelRegion, Position};
 
 /// Coefficients that are bilinear in the cells of a square grid of nodes. The first node is at
 /// pixel `(0, 0)`.
@@ -66,7 +66,7 @@ impl CoefficientField for GridField {
         Cow::Borrowed(&self.values)
     }
 
-    fn bilinear_cells(&self, _: PixelRegion, _: f64) -> BilinearCells {
+    fn bilinear_cells(&self, _: PixelRegion, _: ErrorLimit<'_>) -> BilinearCells {
         let lines: Vec<f64> = (0..self.side).map(|n| n as f64 * self.step).collect();
         BilinearCells::Lines {
             x: lines.clone(),
