@@ -1,7 +1,7 @@
 //! Interpolators that are defined on a quadtree of the samples: their own weights at the corners of
 //! the tree's cells, bilinear in each cell.
 
-use std::collections::{BTreeMap, HashMap, VecDeque};
+use std::collections::{HashMap, VecDeque};
 use std::num::NonZeroUsize;
 
 use ndarray::{Array2, ArrayView2};
@@ -111,12 +111,12 @@ impl Lattice {
         };
         lattice.divide(points, &SearchTree::new(points)?);
         let at = lattice.number_corners();
-        for &point in &at {
+        let own = |corner: usize| {
             let mut list = WeightList::new();
-            weights(point, &mut list);
-            lattice.corners.push(list);
-        }
-        lattice.join_edges(&at);
+            weights(at[corner], &mut list);
+            list
+        };
+        lattice.corners = joined(&lattice.longer_edges(&at), &at, own);
         Ok(lattice)
     }
 
@@ -229,56 +229,44 @@ impl Lattice {
         at
     }
 
-    /// Gives corners that lie on the edge of a larger cell the values of this edge.
-    fn join_edges(&mut self, at: &[Point]) {
-        // For each axis, the lines of corners: by the other coordinate, then along the axis. The
-        // coordinates are ordered as numbers.
-        let key = |v: f64| {
-            let bits = v.to_bits() as i64;
-            bits ^ (((bits >> 63) as u64) >> 1) as i64
-        };
-        let mut lines: [BTreeMap<(i64, i64), usize>; 2] = [BTreeMap::new(), BTreeMap::new()];
-        for (corner, p) in at.iter().enumerate() {
-            for axis in 0..2 {
-                lines[axis].insert((key(p[1 - axis]), key(p[axis])), corner);
+    /// For each corner inside the edge of a cell, the two ends of this edge. Edges on either side of a
+    /// line may overlap without being equal. The field is linear along each of them, so it is linear
+    /// along all of them together, and the ends are those of the whole.
+    fn longer_edges(&self, at: &[Point]) -> Vec<Option<[usize; 2]>> {
+        let mut ends = vec![None; at.len()];
+        for axis in 0..2 {
+            // The corners, line by line, and the place of each corner among them.
+            let mut order: Vec<usize> = (0..at.len()).collect();
+            order.sort_unstable_by(|&a, &b| {
+                let along = |p: Point| [p[1 - axis], p[axis]];
+                let (a, b) = (along(at[a]), along(at[b]));
+                a[0].total_cmp(&b[0]).then(a[1].total_cmp(&b[1]))
+            });
+            let mut places = vec![0; at.len()];
+            for (place, &corner) in order.iter().enumerate() {
+                places[corner] = place;
             }
-        }
-        let mut edges = Vec::new();
-        for (_, &[a, b, c, d]) in self.leaves() {
-            edges.extend([(0, a, b), (0, c, d), (1, a, c), (1, b, d)]);
-        }
-        let length = |&(axis, from, to): &(usize, usize, usize)| at[to][axis] - at[from][axis];
-        edges.sort_by(|a, b| length(b).total_cmp(&length(a)).then(a.cmp(b)));
-        edges.retain(|edge| length(edge) > 0.0);
-        edges.retain(|&(axis, from, to)| {
-            let line = key(at[from][1 - axis]);
-            let mut between = lines[axis].range((line, key(at[from][axis]) + 1)..(line, key(at[to][axis])));
-            between.next().is_some()
-        });
-        // The ends of an edge may themselves lie on another edge, so this is repeated.
-        for _ in 0..DEPTH {
-            let mut is_changed = false;
-            for &(axis, from, to) in &edges {
-                let line = key(at[from][1 - axis]);
-                let range = (line, key(at[from][axis]) + 1)..(line, key(at[to][axis]));
-                for (_, &corner) in lines[axis].range(range) {
-                    let part = (at[corner][axis] - at[from][axis]) / (at[to][axis] - at[from][axis]);
-                    let mut list = WeightList::new();
-                    for (end, weight) in [(from, 1.0 - part), (to, part)] {
-                        for &(sample, w) in &self.corners[end] {
-                            add_weight(&mut list, sample, weight * w);
-                        }
-                    }
-                    if self.corners[corner] != list {
-                        self.corners[corner] = list;
-                        is_changed = true;
-                    }
+            let edges = self.leaves().flat_map(|(_, &[a, b, c, d])| match axis {
+                0 => [(a, b), (c, d)],
+                _ => [(a, c), (b, d)],
+            });
+            let edges = edges.map(|(from, to)| (places[from], places[to]));
+            let mut edges: Vec<(usize, usize)> = edges.filter(|&(from, to)| to > from + 1).collect();
+            edges.sort_unstable();
+            let mut joined: Vec<(usize, usize)> = Vec::new();
+            for (from, to) in edges {
+                match joined.last_mut() {
+                    Some(last) if from < last.1 => last.1 = last.1.max(to),
+                    _ => joined.push((from, to)),
                 }
             }
-            if !is_changed {
-                break;
+            for (from, to) in joined {
+                for &corner in &order[from + 1..to] {
+                    ends[corner] = Some([order[from], order[to]]);
+                }
             }
         }
+        ends
     }
 
     /// The leaf with a point, or the one nearest to it. A point on an edge belongs to the leaf with
@@ -325,6 +313,56 @@ impl Lattice {
         weights.clear();
         weights.extend(corners.iter().copied().zip(products).filter(|&(_, w)| w != 0.0));
     }
+}
+
+/// The weights at each corner. A corner inside a longer edge has the weights of this edge, from one end
+/// to the other. `own` returns the weights at any other corner.
+fn joined(
+    longer_edges: &[Option<[usize; 2]>],
+    at: &[Point],
+    mut own: impl FnMut(usize) -> WeightList,
+) -> Vec<WeightList> {
+    let mut lists: Vec<Option<WeightList>> = vec![None; at.len()];
+    // The ends of an edge may themselves lie inside an edge, across to the first. They are computed
+    // before it.
+    let mut waiting: Vec<usize> = (0..at.len()).rev().collect();
+    let mut is_asked = vec![false; at.len()];
+    while let Some(&corner) = waiting.last() {
+        if lists[corner].is_none() {
+            lists[corner] = match longer_edges[corner] {
+                None => Some(own(corner)),
+                Some(ends) => match ends.map(|end| lists[end].as_ref()) {
+                    [Some(first), Some(last)] => {
+                        let points = [ends[0], corner, ends[1]].map(|corner| at[corner]);
+                        Some(between(points, first, last))
+                    }
+                    // Where rounding makes edges end on each other, one corner gets its own weights.
+                    _ if is_asked[corner] => Some(own(corner)),
+                    lists => {
+                        is_asked[corner] = true;
+                        let missing = ends.into_iter().zip(lists).filter(|(_, list)| list.is_none());
+                        waiting.extend(missing.map(|(end, _)| end));
+                        continue;
+                    }
+                },
+            };
+        }
+        waiting.pop();
+    }
+    lists.into_iter().flatten().collect()
+}
+
+/// The weights at the second of three points on a line, from those at the other two.
+fn between([from, p, to]: [Point; 3], first: &WeightList, last: &WeightList) -> WeightList {
+    let axis = usize::from(from[0] == to[0]);
+    let part = (p[axis] - from[axis]) / (to[axis] - from[axis]);
+    let mut list = WeightList::new();
+    for (of_end, part) in [(first, 1.0 - part), (last, part)] {
+        for &(sample, weight) in of_end {
+            add_weight(&mut list, sample, part * weight);
+        }
+    }
+    list
 }
 
 impl FieldWeights for Lattice {
