@@ -30,7 +30,7 @@ class Peers:
         self.samples, self.images, self.star, self.galaxy = map(functools.cache, kept)
 
     def best(self, row):
-        """The name of the fastest peer for a work, and its seconds."""
+        """The name of the fastest peer for a case, and its seconds."""
         size, amount = row["size"][0], row["amount"]
         if row["group"] == "stars":
             name, seconds = min(self.star(size).items(), key=lambda item: item[1])
@@ -99,19 +99,22 @@ def fastest(run, repeat):
 def benchmark(args):
     """Measures, and writes `real.json`, `real.md` and the plots in the working folder.
 
-    Rows of other groups in an earlier `real.json` are kept.
+    Rows of other groups in an earlier `real.json` are kept if they were measured with the same options.
     """
     args.work.mkdir(parents=True, exist_ok=True)
-    rows = psfield.real(args)["rows"]
+    report = psfield.real(args)
+    rows = report["rows"]
+    options = {name: value for name, value in report["options"].items() if name != "groups"}
     peers = Peers(args)
     for row in rows:
         row["peer"], row["seconds_peer"] = peers.best(row)
     path = args.work / "real.json"
-    kept = json.loads(path.read_text()) if path.exists() else []
-    groups = {row["group"] for row in rows}
-    rows = [row for row in kept if row["group"] not in groups] + rows
+    kept = json.loads(path.read_text()) if path.exists() else {}
+    if kept.get("options") == options:
+        groups = {row["group"] for row in rows}
+        rows += [row for row in kept["rows"] if row["group"] not in groups]
     rows.sort(key=lambda row: ORDER.index(row["group"]))
-    path.write_text(json.dumps(rows, indent=1) + "\n")
+    path.write_text(json.dumps({"options": options, "rows": rows}, indent=1) + "\n")
     table = markdown(rows)
     (args.work / "real.md").write_text(table)
     print("\n" + table)
@@ -119,18 +122,18 @@ def benchmark(args):
     return True, rows
 
 
-HEAD = "work", "PSF", "plan", "first run", "run", "one PSF", "best peer", "error", "memory"
+HEAD = "case", "PSF", "model", "plan", "first run", "run", "one PSF", "best peer", "error", "memory"
 
 
 def markdown(rows):
     """One table. Times are in seconds."""
     lines = [HEAD, ["---"] * len(HEAD)]
     for row in rows:
-        seconds = (row[f"seconds{part}"] for part in ("_plan", "_first", "", "_single"))
+        seconds = (row[f"seconds{part}"] for part in ("_model", "_plan", "_first", "", "_single"))
         error, memory = row["relative_l2"], row["peak_memory_bytes"]
         lines.append(
             [
-                work(row),
+                case(row),
                 row["psf"],
                 *(number(value) for value in seconds),
                 f"{number(row['seconds_peer'])} {row['peer']}",
@@ -141,7 +144,7 @@ def markdown(rows):
     return "".join(f"| {' | '.join(line)} |\n" for line in lines)
 
 
-def work(row):
+def case(row):
     amount, unit = row["amount"], row["unit"]
     frame = " x ".join(map(str, row["size"]))
     if row["group"] == "pixels":

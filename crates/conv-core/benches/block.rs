@@ -31,7 +31,7 @@ impl<T: ConvReal> BlockSteps<T> {
     /// The steps for a region of a model's field, with each step done once.
     fn new(model: &PsfModel, region: PixelRegion, tolerance: f64) -> Self {
         let space = PsfSpace::new(model, ToleranceOn::default());
-        let (cells, _, modes) = space.region(region, tolerance);
+        let (cells, _, modes) = LocalModes::of_region(&space, region, tolerance);
         let (role, _) = FluxRole::of(model, &modes, &cells);
         Self {
             table: CoefficientTable::new(region, role, &modes, &cells),
@@ -46,7 +46,7 @@ impl<T: ConvReal> BlockSteps<T> {
 
     /// Computes the cells and the modes.
     fn cells_and_modes(&mut self) {
-        (self.cells, _, self.modes) = self.space.region(self.region, self.tolerance);
+        (self.cells, _, self.modes) = LocalModes::of_region(&self.space, self.region, self.tolerance);
     }
 
     /// Tabulates the modes' coefficients over the region.

@@ -84,7 +84,8 @@ mod working_range;
 #[doc(hidden)]
 pub mod internals {
     pub use crate::plan::coefficient_table::{CoefficientTable, FluxRole};
-    pub use crate::plan::local_modes::{LocalModes, PsfSpace};
+    pub use crate::plan::local_modes::LocalModes;
+    pub use crate::plan::psf_space::PsfSpace;
     pub use crate::plan::region_cells::RegionCells;
     pub use crate::simd::{Aligned, Lanes, WithIsa};
     pub use crate::transform::TileTransform;

@@ -15,7 +15,8 @@ use crate::image_memory::{check_shape, with_rows_in_memory};
 use crate::kept::Kept;
 use crate::overlap::{self, Piece, add_pieces, shared};
 use crate::plan::PlanOptions;
-use crate::plan::local_modes::{LocalModes, PsfSpace};
+use crate::plan::local_modes::LocalModes;
+use crate::plan::psf_space::PsfSpace;
 use crate::stars::{BlockKey, StarVectors, block_of, check_stamps, region_of};
 use crate::{ConvError, ConvReal};
 
@@ -339,7 +340,7 @@ impl<T: ConvReal> GalaxyPlan<T> {
         let make = || {
             let region = region_of(key, BLOCK);
             let cells = self.space().sampled_cells(region);
-            let modes = self.space().modes_of(&cells, MARGIN * self.tolerance);
+            let modes = LocalModes::of_exact_cells(self.space(), &cells, MARGIN * self.tolerance);
             // No rows if the PSF has no value in the block. Then each galaxy uses all components.
             let mut directions = Array2::zeros((modes.directions().count(), modes.modes.ncols()));
             for (mut to, row) in directions.outer_iter_mut().zip(modes.directions()) {

@@ -7,8 +7,10 @@ use ndarray::linalg::general_mat_mul;
 use ndarray::{Array2, ArrayView2, Axis, s};
 use psf_types::{PixelRegion, PsfModel};
 
+use super::allowed_errors::CellError;
 use super::coefficient_table::{CoefficientTable, FluxRole};
-use super::local_modes::{CellError, LocalModes, PsfSpace};
+use super::local_modes::LocalModes;
+use super::psf_space::PsfSpace;
 use crate::ConvReal;
 
 /// The local basis of a block, with coefficients and stamps if the plan has memory for them. The
@@ -58,7 +60,7 @@ impl<T: ConvReal> Block<T> {
         tolerance: f64,
         keep_table: bool,
     ) -> Self {
-        let (cells, error, modes) = space.region(region, tolerance);
+        let (cells, error, modes) = LocalModes::of_region(space, region, tolerance);
         let (role, flux) = FluxRole::of(model, &modes, &cells);
         let table = keep_table.then(|| Arc::new(CoefficientTable::new(region, role, &modes, &cells)));
         Self {

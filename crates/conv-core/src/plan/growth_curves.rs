@@ -5,7 +5,7 @@ use psf_types::StampGrid;
 
 use super::norm::{dot, norm};
 
-/// Bounds the flux of any vector of a [`PsfSpace`](super::local_modes::PsfSpace) in every circle
+/// Bounds the flux of any vector of a [`PsfSpace`](super::psf_space::PsfSpace) in every circle
 /// about the source.
 ///
 /// The flux in a circle is linear in the vector. So each circle is a row of weights, one weight per

@@ -2,246 +2,16 @@
 
 use nalgebra::{Cholesky, DMatrix, SymmetricEigen};
 use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis, s};
-use psf_types::{ErrorLimit, PixelRegion, PsfModel, ToleranceOn};
+use psf_types::PixelRegion;
 
-use super::growth_curves::{GrowthCurves, TailGrowth};
-use super::norm::{dot, norm};
+use super::allowed_errors::{CellError, CountModes};
+use super::growth_curves::TailGrowth;
+use super::node_functions::NodeFunctions;
+use super::norm::norm;
+use super::psf_space::PsfSpace;
 use super::region_cells::RegionCells;
 use super::span::span;
-use crate::simd::{Lanes, SimdReal as _, WithIsa};
-
-/// Coordinates in which the norm of a vector is the L2 norm of its PSF.
-///
-/// Each direction is a stamp, and these stamps are orthonormal. The first are the components of the
-/// basis. One more direction holds the part of the mean stamp that the components do not span. An
-/// unscaled PSF of the model is `mean + sum_n w_n node_n`, where `w_n` is the weight of node `n` of
-/// the coefficient field.
-#[derive(Debug)]
-pub struct PsfSpace {
-    model: PsfModel,
-    /// Orthonormal stamps, `[direction, stamp pixel]`.
-    pub(crate) stamps: Array2<f64>,
-    pub(crate) mean: Array1<f64>,
-    /// The flux of each orthonormal stamp.
-    pub(crate) fluxes: Array1<f64>,
-    /// The flux in circles. `None` if the tolerance only bounds the L2 error.
-    growth: Option<GrowthCurves>,
-}
-
-/// The largest error of the coefficients in cells ([`ErrorLimit`]).
-#[derive(Debug, Clone, Copy)]
-pub struct CellError {
-    /// The largest size.
-    pub size: f64,
-    /// The factor of the components' fluxes in the size. 0 if PSFs are not scaled to unit flux.
-    pub flux_weight: f64,
-}
-
-/// The part of the mean outside the components' span is ignored if its norm is below this fraction
-/// of the mean's norm.
-const NEGLIGIBLE_REMAINDER: f64 = 1e-14;
-
-impl PsfSpace {
-    /// The space of a model's PSFs. Plans that use this space bound the errors that `on` names.
-    pub fn new(model: &PsfModel, on: ToleranceOn) -> Self {
-        let (count, ny, nx) = model.stamps().dim();
-        let flat = model
-            .stamps()
-            .into_shape_with_order((count, ny * nx))
-            .expect("stamps are row-major");
-        let first = usize::from(model.is_mean_centred());
-        let components = flat.slice(s![first.., ..]);
-        let rank = components.nrows();
-        // Divides the mean into its part along the components and the rest. After two passes the
-        // rest is orthogonal to the components up to rounding (Kahan, in Parlett 1980, section
-        // 6-9).
-        let mut along = Array1::zeros(rank);
-        let mut rest: Array1<f64> = if first == 1 {
-            flat.row(0).to_owned()
-        } else {
-            Array1::zeros(ny * nx)
-        };
-        let whole = norm(rest.view());
-        for _ in 0..2 {
-            for (k, component) in components.outer_iter().enumerate() {
-                let p = component.dot(&rest);
-                along[k] += p;
-                rest.scaled_add(-p, &component);
-            }
-        }
-        let left = norm(rest.view());
-        let extra = usize::from(left > NEGLIGIBLE_REMAINDER * whole);
-        let mut stamps = Array2::zeros((rank + extra, ny * nx));
-        stamps.slice_mut(s![..rank, ..]).assign(&components);
-        let mut mean = Array1::zeros(rank + extra);
-        mean.slice_mut(s![..rank]).assign(&along);
-        if extra == 1 {
-            stamps.row_mut(rank).assign(&(rest / left));
-            mean[rank] = left;
-        }
-        let fluxes = stamps
-            .outer_iter()
-            .map(|stamp| model.grid().flux_of_sum(stamp.sum()))
-            .collect();
-        let growth = (on == ToleranceOn::Aperture).then(|| {
-            // Without a mean, the nodes are usually PSFs.
-            let of_nodes = model
-                .field()
-                .node_values()
-                .mean_axis(Axis(0))
-                .filter(|_| first == 0);
-            let typical = of_nodes.as_ref().unwrap_or(&mean);
-            GrowthCurves::new(stamps.view(), model.grid(), typical.view())
-        });
-        Self {
-            model: model.clone(),
-            stamps,
-            mean,
-            fluxes,
-            growth,
-        }
-    }
-
-    /// A first guess of the error of cells that leaves most of the tolerance to the modes of a region:
-    /// [`SHARE_OF_CELLS`] of it for the faintest of a few PSFs.
-    fn error_of_cells(&self, region: PixelRegion, tolerance: f64) -> CellError {
-        let last = (region.shape().nx() - 1, region.shape().ny() - 1);
-        let first = usize::from(self.model.is_mean_centred());
-        let mut coefficients = vec![0.0; self.model.stamp_count()];
-        let mut sizes = Vec::new();
-        for (column, row) in [(0, 0), (last.0, 0), (0, last.1), last, (last.0 / 2, last.1 / 2)] {
-            let position = region.position(column, row);
-            if self.model.coefficients_into(position, &mut coefficients).is_err() {
-                continue;
-            }
-            let mut psf = self.mean.clone();
-            for (value, a) in psf.iter_mut().zip(&coefficients[first..]) {
-                *value += a;
-            }
-            sizes.push((norm(psf.view()), psf.dot(&self.fluxes).abs()));
-        }
-        // An error of the flux then counts as much as one of the coefficients.
-        let flux_weight = if self.model.needs_flux_scaling() {
-            let scaled = sizes.iter().map(|(size, flux)| size / flux);
-            scaled.fold(0.0, f64::max)
-        } else {
-            0.0
-        };
-        let one = CellError {
-            size: 1.0,
-            flux_weight,
-        };
-        let errors = self.errors(tolerance, one, 1.0);
-        let allowed = sizes.iter().map(|&(size, flux)| {
-            let of_norm = size / errors.of_cells(size / flux);
-            of_norm.min(flux * of_norm / (size * errors.largest_flux))
-        });
-        let least = allowed.fold(f64::INFINITY, f64::min);
-        let size = SHARE_OF_CELLS * tolerance * least;
-        if size.is_finite() && flux_weight.is_finite() {
-            CellError { size, flux_weight }
-        } else {
-            CellError {
-                size: 0.0,
-                flux_weight: 0.0,
-            }
-        }
-    }
-
-    /// The cells of a region.
-    pub fn cells(&self, region: PixelRegion, error: CellError) -> RegionCells {
-        self.with_limit(error, |limit| RegionCells::new(self.model.field(), region, limit))
-    }
-
-    fn with_limit<R>(&self, error: CellError, work: impl FnOnce(ErrorLimit<'_>) -> R) -> R {
-        let mut flux = Vec::new();
-        if error.flux_weight > 0.0 {
-            let components = self.fluxes.iter().take(self.model.field().component_count());
-            flux.extend(components.map(|flux| error.flux_weight * flux));
-        }
-        let size = error.size;
-        work(ErrorLimit { size, flux: &flux })
-    }
-
-    /// A few cells of a region, without any error.
-    pub(crate) fn sampled_cells(&self, region: PixelRegion) -> RegionCells {
-        RegionCells::sampled(self.model.field(), region)
-    }
-
-    /// About how many cells [`region`](Self::region) makes.
-    pub(crate) fn expected_cells(&self, region: PixelRegion, tolerance: f64) -> usize {
-        let error = self.error_of_cells(region, tolerance);
-        self.with_limit(error, |limit| {
-            RegionCells::expected(self.model.field(), region, limit)
-        })
-    }
-
-    /// The modes of [`sampled_cells`](Self::sampled_cells). The tolerance must not be below the
-    /// rounding of f64.
-    pub(crate) fn modes_of(&self, cells: &RegionCells, tolerance: f64) -> LocalModes {
-        LocalModes::new(self, cells, 0.0, tolerance).expect("these cells have no error")
-    }
-
-    /// The cells, their error and the modes of a region. The tolerance must not be below the rounding
-    /// of f64.
-    pub fn region(&self, region: PixelRegion, tolerance: f64) -> (RegionCells, CellError, LocalModes) {
-        let first = self.error_of_cells(region, tolerance);
-        let mut error = first;
-        loop {
-            let cells = self.cells(region, error);
-            if let Some(modes) = LocalModes::new(self, &cells, error.flux_weight, tolerance) {
-                return (cells, error, modes);
-            }
-            // Somewhere in the region, PSFs are much fainter than expected.
-            error.size *= if error.size > SMALLEST_ERROR * first.size {
-                0.4
-            } else {
-                0.0
-            };
-        }
-    }
-
-    /// `sign` is the sign of the PSFs' flux.
-    fn errors(&self, tolerance: f64, cells: CellError, sign: f64) -> AllowedErrors {
-        AllowedErrors {
-            tolerance,
-            cells,
-            largest_flux: self.growth.as_ref().map_or(0.0, |growth| growth.norm),
-            sign,
-        }
-    }
-
-    /// Returns whether an error is within the tolerance. `error` is the error of a PSF with the
-    /// given norm and flux.
-    pub(crate) fn is_within(
-        &self,
-        tolerance: f64,
-        error: ArrayView1<'_, f64>,
-        psf_norm: f64,
-        flux: f64,
-    ) -> bool {
-        let size = norm(error);
-        let Some(growth) = &self.growth else {
-            return size <= tolerance * psf_norm;
-        };
-        size <= tolerance * psf_norm
-            && (size <= ROUNDING_NORM * psf_norm || growth.largest_flux(error) <= tolerance * flux.abs())
-    }
-
-    /// The PSFs of nodes of the coefficient field, without the mean, `[node, direction]`.
-    pub(crate) fn nodes(&self, nodes: &[usize]) -> Array2<f64> {
-        let values = self.model.field().node_values();
-        let mut rows = Array2::zeros((nodes.len(), self.mean.len()));
-        for (mut row, &node) in rows.outer_iter_mut().zip(nodes) {
-            row.slice_mut(s![..values.ncols()]).assign(&values.row(node));
-        }
-        rows
-    }
-}
-
-/// An error is rounding if its norm is at most this fraction of the PSF's norm. Its flux in circles
-/// is then not tested.
-const ROUNDING_NORM: f64 = 1e-15;
+use crate::simd::SimdReal as _;
 
 /// A local basis: `h(x) = flux(x) reference + sum_j c_j(x) mode_j`. The modes hold no flux, so
 /// leaving out modes keeps the flux. The exception is a region without a reference: its first mode
@@ -275,7 +45,7 @@ pub struct LocalModes {
     /// of the mode. `None` if these rows equal the modes.
     duals: Option<Array2<f64>>,
     /// Flux and coefficients.
-    values: CornerTable,
+    values: NodeFunctions,
 }
 
 /// The number of bands (neighbouring rows, [`RegionCells`]) whose PSFs determine the directions of
@@ -297,13 +67,39 @@ const ROUNDING: f64 = 2e-16;
 /// Directions in which PSFs differ by at most this fraction of the smallest allowed error are left
 /// out.
 const OUTSIDE_SPAN: f64 = 0.2;
-/// The fraction of the tolerance that is left to the cells. Small cells cost little.
-const SHARE_OF_CELLS: f64 = 0.2;
 /// An error of coefficients below this fraction of the first guess counts as 0. The cells of a
 /// polynomial are then single pixels.
 const SMALLEST_ERROR: f64 = 1e-6;
 
 impl LocalModes {
+    /// The cells of a region, their error, and the modes. The tolerance must not be below the rounding
+    /// of f64.
+    pub fn of_region(
+        space: &PsfSpace,
+        region: PixelRegion,
+        tolerance: f64,
+    ) -> (RegionCells, CellError, Self) {
+        let first = space.error_of_cells(region, tolerance);
+        let mut error = first;
+        loop {
+            let cells = space.cells(region, error);
+            if let Some(modes) = Self::new(space, &cells, error.flux_weight, tolerance) {
+                return (cells, error, modes);
+            }
+            // Somewhere in the region, PSFs are much fainter than expected.
+            error.size *= if error.size > SMALLEST_ERROR * first.size {
+                0.4
+            } else {
+                0.0
+            };
+        }
+    }
+
+    /// The modes of cells without any error. The tolerance must not be below the rounding of f64.
+    pub(crate) fn of_exact_cells(space: &PsfSpace, cells: &RegionCells, tolerance: f64) -> Self {
+        Self::new(space, cells, 0.0, tolerance).expect("these cells have no error")
+    }
+
     /// Computes the modes of a region. The tolerance must not be below the rounding of f64. `None` if
     /// the error of the cells may use most of the tolerance.
     fn new(space: &PsfSpace, cells: &RegionCells, flux_weight: f64, tolerance: f64) -> Option<Self> {
@@ -388,7 +184,7 @@ impl LocalModes {
             let first = first.iter().map(|column| column.insert_axis(Axis(1)));
             let columns: Vec<ArrayView2<'_, f64>> = first.chain([rows.slice(s![.., ..rank])]).collect();
             let joined = ndarray::concatenate(Axis(1), &columns).expect("equally many rows");
-            CornerTable::new(&joined)
+            NodeFunctions::new(&joined)
         };
         let needed = f64::dispatch(CountModes {
             cells,
@@ -438,35 +234,6 @@ impl LocalModes {
     /// `end` holds the weights of the nodes at this corner.
     pub(crate) fn values_into(&self, end: &[(usize, f64)], values: &mut [f64]) {
         self.values.at(end, values);
-    }
-}
-
-/// Functions that are linear in the weights of the nodes.
-#[derive(Debug)]
-struct CornerTable {
-    width: usize,
-    /// The functions of each node, then those that belong to no node, `[node, function]`.
-    values: Vec<f64>,
-}
-
-impl CornerTable {
-    fn new(rows: &Array2<f64>) -> Self {
-        Self {
-            width: rows.ncols(),
-            values: rows.iter().copied().collect(),
-        }
-    }
-
-    /// Writes the functions for some weights of the nodes.
-    #[inline(always)]
-    fn at(&self, end: &[(usize, f64)], values: &mut [f64]) {
-        values.copy_from_slice(&self.values[self.values.len() - self.width..]);
-        for &(node, weight) in end {
-            let row = &self.values[node * self.width..(node + 1) * self.width];
-            for (value, of_node) in values.iter_mut().zip(row) {
-                *value += weight * of_node;
-            }
-        }
     }
 }
 
@@ -533,18 +300,13 @@ impl<'a> Support<'a> {
     }
 
     fn covariance(&self, rows: ArrayView2<'_, f64>) -> Array2<f64> {
-        let table = CornerTable::new(&rows.to_owned());
+        let table = NodeFunctions::new(&rows.to_owned());
         let mut values = Array2::zeros((self.0.len(), rows.ncols()));
         for (mut value, end) in values.outer_iter_mut().zip(&self.0) {
             table.at(end, value.as_slice_mut().expect("row-major"));
         }
         values.t().dot(&values)
     }
-}
-
-/// The sum of the magnitudes of weights, with 1 for the offset.
-fn sum_of_magnitudes(end: &[(usize, f64)]) -> f64 {
-    end.iter().map(|(_, w)| w.abs()).sum::<f64>() + 1.0
 }
 
 /// Returns the directions of the modes as columns, and how many of them must be kept: 1 if the
@@ -614,174 +376,4 @@ fn principal_axes(covariance: &Array2<f64>) -> Array2<f64> {
     let mut order: Vec<usize> = (0..n).collect();
     order.sort_by(|&a, &b| eigen.eigenvalues[b].total_cmp(&eigen.eigenvalues[a]));
     Array2::from_shape_fn((n, n), |(i, j)| eigen.eigenvectors[(i, order[j])])
-}
-
-/// The largest errors that modes may cause, after those of the cells.
-///
-/// Let an unscaled PSF be off by `d`, and its flux by `f`, because of the error of a cell's coefficients:
-/// `sqrt(|d|^2 + weight^2 f^2) <= e`. A PSF `h` scaled to unit flux is then off by at most
-/// `|d| + |f| |h| <= e sqrt(1 + (|h| / weight)^2)`, divided by the flux of the unscaled PSF.
-#[derive(Debug, Clone, Copy)]
-struct AllowedErrors {
-    tolerance: f64,
-    cells: CellError,
-    /// The largest flux in a circle of an error of norm 1. 0 if these fluxes are not bounded.
-    largest_flux: f64,
-    /// The sign of the region's mean flux.
-    sign: f64,
-}
-
-impl AllowedErrors {
-    /// The least allowed error of a PSF at a corner of the cells, divided by the sum of the weights'
-    /// magnitudes there. `betas` and `fluxes` are those of the nodes and of the offset.
-    fn least(&self, cells: &RegionCells, betas: ArrayView1<'_, f64>, fluxes: ArrayView1<'_, f64>) -> f64 {
-        let last = betas.len() - 1;
-        let at = |end: &[(usize, f64)], values: ArrayView1<'_, f64>| {
-            end.iter().map(|&(n, w)| w * values[n]).sum::<f64>() + values[last]
-        };
-        let (mut least, mut most_weight) = (f64::INFINITY, 1.0_f64);
-        for end in cells.corners() {
-            let (beta, flux) = (at(end, betas), self.sign * at(end, fluxes));
-            let by_cells = self.of_cells(beta / flux);
-            let norm = self.norm(beta, by_cells);
-            let flux = self.flux(flux, by_cells) / self.largest_flux;
-            // Without a bound of fluxes, this is infinite or not a number.
-            least = least.min(norm).min(flux);
-            most_weight = most_weight.max(sum_of_magnitudes(end));
-        }
-        least.max(0.0) / most_weight
-    }
-
-    /// The error of an unscaled PSF because of its cell. `scaled_norm` is the norm of the cell's PSF
-    /// divided by its flux. The model's PSF exceeds it by at most a factor of 1 + tolerance, because
-    /// cells use at most half of the tolerance.
-    #[inline(always)]
-    fn of_cells(&self, scaled_norm: f64) -> f64 {
-        let CellError { size, flux_weight } = self.cells;
-        if flux_weight == 0.0 {
-            size
-        } else {
-            size * (1.0 + (scaled_norm * (1.0 + self.tolerance) / flux_weight).powi(2)).sqrt()
-        }
-    }
-
-    /// The allowed norm for a PSF of at least the norm `beta`. The error is relative to the PSF of
-    /// the model, which differs by the error of the cell.
-    #[inline(always)]
-    fn norm(&self, beta: f64, by_cells: f64) -> f64 {
-        self.tolerance * beta - (1.0 + self.tolerance) * by_cells
-    }
-
-    /// The allowed flux in any circle for a PSF of the given flux.
-    #[inline(always)]
-    fn flux(&self, flux: f64, by_cells: f64) -> f64 {
-        self.tolerance * flux - (1.0 + self.tolerance) * self.largest_flux * by_cells
-    }
-}
-
-/// Counts the leading coordinates to keep, so that for every PSF the other coordinates are within
-/// the allowed errors: their norm and, if `growth` is given, their flux in every circle. Returns
-/// `None` if cells may use most of the tolerance.
-struct CountModes<'a> {
-    cells: &'a RegionCells,
-    /// Beta, flux and coordinates.
-    table: &'a CornerTable,
-    errors: AllowedErrors,
-    /// The norm of the reference.
-    reference: f64,
-    /// The norm of what the coordinates leave out of a node.
-    outside: f64,
-    growth: Option<TailGrowth>,
-}
-
-/// The functions before the coordinates in [`CountModes::table`].
-const BEFORE: usize = 2;
-
-impl WithIsa<f64> for CountModes<'_> {
-    type Output = Option<usize>;
-
-    #[inline(always)]
-    fn run<S: Lanes<f64>>(mut self, simd: S) -> Option<usize> {
-        simd.vectorized(
-            #[inline(always)]
-            || self.count(),
-        )
-    }
-}
-
-impl CountModes<'_> {
-    #[inline(always)]
-    fn count(&mut self) -> Option<usize> {
-        let (width, errors) = (self.table.width, self.errors);
-        let mut values = vec![0.0; self.cells.corners().len() * width];
-        let mut outside = Vec::with_capacity(self.cells.corners().len());
-        for (corner, values) in self.cells.corners().zip(values.chunks_exact_mut(width)) {
-            self.table.at(corner, values);
-            outside.push(self.outside * sum_of_magnitudes(corner));
-        }
-        let rounding = ROUNDING_NORM / errors.tolerance;
-        let mut needed = 0;
-        for corners in self.cells.corners_of_cells() {
-            // An allowed error that is linear along rows and columns is nowhere in the cell below
-            // its least value at the corners.
-            let (mut beta, mut flux) = (f64::INFINITY, f64::INFINITY);
-            let (mut left_out, mut scaled_norm) = (0.0_f64, 0.0_f64);
-            for &corner in corners {
-                let values = &values[corner * width..(corner + 1) * width];
-                beta = beta.min(values[0]);
-                flux = flux.min(errors.sign * values[1]);
-                left_out = left_out.max(outside[corner]);
-                if errors.cells.flux_weight > 0.0 && errors.cells.size > 0.0 {
-                    let rest = dot(&values[BEFORE..], &values[BEFORE..]).sqrt() + outside[corner];
-                    scaled_norm = scaled_norm.max(self.reference + rest / values[1].abs());
-                }
-            }
-            let by_cells = errors.of_cells(scaled_norm);
-            let norm = errors.norm(beta, by_cells);
-            let flux_allowed = errors.flux(flux, by_cells);
-            if errors.cells.size > 0.0 {
-                let least = 0.5 * errors.tolerance;
-                // Where the flux vanishes in a cell, a small error of it has no bound.
-                let has_flux = errors.cells.flux_weight == 0.0 || flux > 0.0;
-                let enough = norm >= least * beta && beta > 0.0 && has_flux;
-                if !enough || errors.largest_flux > 0.0 && flux_allowed < least * flux {
-                    return None;
-                }
-            }
-            // The directions left out are orthogonal to the coordinates.
-            let norm_squared = (norm * norm.max(0.0) - left_out * left_out).max(0.0);
-            let flux = (flux_allowed - errors.largest_flux * left_out).max(0.0);
-            for &corner in corners {
-                let values = &values[corner * width + BEFORE..(corner + 1) * width];
-                needed = needed_beyond(needed, values, norm_squared);
-                let Some(growth) = &mut self.growth else { continue };
-                while needed < values.len() {
-                    let tail = &values[needed..];
-                    let size = dot(tail, tail);
-                    if size <= rounding.powi(2) * norm_squared || growth.is_within(needed, tail, flux) {
-                        break;
-                    }
-                    needed += 1;
-                }
-            }
-        }
-        Some(needed)
-    }
-}
-
-/// Returns the smallest number of leading values, at least `first`, so that the squared norm of the
-/// others is at most `limit`.
-#[inline(always)]
-fn needed_beyond(first: usize, values: &[f64], limit: f64) -> usize {
-    let tail = &values[first..];
-    // The negated test also holds for values that are not numbers.
-    if dot(tail, tail) <= limit {
-        return first;
-    }
-    let mut sum = 0.0;
-    let fits = |value: &&f64| {
-        sum += *value * *value;
-        sum <= limit
-    };
-    first + tail.len() - tail.iter().rev().take_while(fits).count()
 }

@@ -9,6 +9,7 @@
 //! computes the modes from these weights in the block ([`region_cells`]). It keeps the stamps and
 //! coefficients of the modes ([`coefficient_table`]).
 
+mod allowed_errors;
 pub(crate) mod axis_cuts;
 pub(crate) mod block;
 #[cfg(test)]
@@ -18,8 +19,10 @@ pub(crate) mod cost_model;
 pub(crate) mod geometry;
 mod growth_curves;
 pub(crate) mod local_modes;
+mod node_functions;
 mod norm;
 mod options;
+pub(crate) mod psf_space;
 pub(crate) mod region_cells;
 mod span;
 mod summary;

@@ -9,8 +9,9 @@ use rayon::prelude::*;
 use super::axis_cuts::{Stretch, at_cuts, even, longest, within};
 use super::cost_model::{CostModel, sizes, transform_size};
 use super::geometry::Geometry;
-use super::local_modes::PsfSpace;
+use super::local_modes::LocalModes;
 use super::options::PlanOptions;
+use super::psf_space::PsfSpace;
 use crate::view::{Reach, View};
 use crate::{ConvError, ConvReal};
 
@@ -239,7 +240,8 @@ impl Tiling {
                 let row = (2 * i + 1) * up / (2 * samples);
                 let column = ((3 * i + 1) % samples * 2 + 1) * across / (2 * samples);
                 let region = self.region(geometry, column.min(across - 1), row.min(up - 1));
-                let modes = space.modes_of(&space.sampled_cells(region), COUNTED * tolerance);
+                let modes =
+                    LocalModes::of_exact_cells(space, &space.sampled_cells(region), COUNTED * tolerance);
                 (modes.rank() + 1, space.expected_cells(region, tolerance))
             })
             .unzip();

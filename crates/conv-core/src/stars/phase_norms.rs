@@ -6,7 +6,8 @@ use ndarray::{Array1, Array2, ArrayView1, Axis, s};
 use psf_types::{DataError, StampGrid};
 use rayon::prelude::*;
 
-use crate::plan::local_modes::{LocalModes, PsfSpace};
+use crate::plan::local_modes::LocalModes;
+use crate::plan::psf_space::PsfSpace;
 use crate::stamp_interpolator::{Kernel, StampInterpolator};
 
 /// The largest number of tabulated phases in a frame pixel along each axis. There are two per pixel

@@ -6,7 +6,8 @@ use psf_types::{PixelRegion, PsfModel, StampGrid};
 use super::phase_norms::{AlongMean, PhaseNorms};
 use super::phases::PhasedAxis;
 use crate::ConvReal;
-use crate::plan::local_modes::{LocalModes, PsfSpace};
+use crate::plan::local_modes::LocalModes;
+use crate::plan::psf_space::PsfSpace;
 use crate::simd::Aligned;
 use crate::stamp_interpolator::Kernel;
 
@@ -110,7 +111,7 @@ impl<T: ConvReal> StarBlock<T> {
         let cells = space.sampled_cells(region);
         let mean = LocalModes::mean(space, &cells);
         let of_modes = MARGIN * tolerance * norms.share(mean.view());
-        let modes = space.modes_of(&cells, of_modes.max(ROUNDING));
+        let modes = LocalModes::of_exact_cells(space, &cells, of_modes.max(ROUNDING));
         let kernels: Vec<Array2<f64>> = modes
             .directions()
             .map(|direction| coefficients_of(space.stamps.view(), direction, model.grid(), columns.kernel))

@@ -15,7 +15,8 @@ use crate::image_memory::{check_shape, with_rows_in_memory};
 use crate::kept::Kept;
 use crate::overlap::region;
 use crate::plan::PlanOptions;
-use crate::plan::local_modes::{LocalModes, PsfSpace};
+use crate::plan::local_modes::LocalModes;
+use crate::plan::psf_space::PsfSpace;
 use crate::{ConvError, ConvReal};
 
 /// A plan for drawing point sources through one model.

@@ -16,7 +16,7 @@ use psf_basis::RankSelection;
 use psf_sample::{SamplingMethod, UniformSampling};
 use psf_types::{Anchor, FrameShape, Image, Interpolation, PsfModelRecord, PsfSource as _, ToleranceOn};
 use psfield::{Device, FitOptions, Psf};
-use psfield_lab::bench::{self, BenchCase, BenchOptions, WorkGroup};
+use psfield_lab::bench::{self, BenchCase, BenchOptions, RealGroup};
 use serde::Serialize;
 
 use crate::UsageError;
@@ -54,7 +54,7 @@ pub(crate) struct BenchArgs {
     /// frames: 1000 frames of 256 x 256 pixels with one plan.
     ///
     /// The method is auto with tolerance 1e-3, in f32. No frame is larger than the largest of
-    /// --sizes. A work whose first run takes more than 10 s runs once. All groups together take
+    /// --sizes. A case whose first run takes more than 10 s runs once. All groups together take
     /// about ten minutes and 2 GiB of memory on two cores.
     #[arg(
         long,
@@ -69,7 +69,7 @@ pub(crate) struct BenchArgs {
         ],
         verbatim_doc_comment
     )]
-    real: Option<Vec<WorkGroup>>,
+    real: Option<Vec<RealGroup>>,
     /// Sides of the square frames (pixels) [default: 512,1024,2048; with --real: 1024,4096,9216]
     #[arg(long, value_name = "N,...", value_delimiter = ',', conflicts_with = "scene", value_parser = side, help_heading = CASES)]
     sizes: Option<Vec<NonZeroUsize>>,
@@ -170,7 +170,7 @@ pub(crate) struct BenchArgs {
     )]
     seed: u64,
     /// Use smaller defaults: --sizes 256, --grids 5, --patches 64, --ranks 10, --tolerances
-    /// 1e-2,1e-4, --repeat 1, --pixels 100. With --real: a small version of every work
+    /// 1e-2,1e-4, --repeat 1, --pixels 100. With --real: a small version of every case
     #[arg(long, help_heading = MEASUREMENT)]
     quick: bool,
     /// Write all numbers as JSON to FILE. Without FILE: print them instead of the table

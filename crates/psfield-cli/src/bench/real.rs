@@ -1,7 +1,7 @@
 //! `psfield bench --real`.
 
 use anyhow::Context as _;
-use psfield_lab::bench::{self, WORK_TOLERANCE, Work, WorkGroup, WorkRow};
+use psfield_lab::bench::{self, REAL_TOLERANCE, RealCase, RealGroup, RealRow};
 
 use crate::bench::report::{line, mebibytes, or_dash};
 use crate::bench::settings::Settings;
@@ -9,16 +9,16 @@ use crate::bench::{BenchArgs, JsonTo};
 use crate::context::{Context, object, without_option};
 
 impl BenchArgs {
-    pub(super) fn run_real(&self, groups: &[WorkGroup], context: &Context) -> anyhow::Result<()> {
+    pub(super) fn run_real(&self, groups: &[RealGroup], context: &Context) -> anyhow::Result<()> {
         let settings = Settings::of(self);
         let options = self.bench_options(&settings);
-        let works: Vec<Work> = groups
+        let cases: Vec<RealCase> = groups
             .iter()
-            .flat_map(|group| group.works(&settings.sizes, self.quick))
+            .flat_map(|group| group.cases(&settings.sizes, self.quick))
             .collect();
         let grid = self.records(&settings, context)?.next().context("one grid")??;
         let bar = context.bar("measuring");
-        let rows = bench::run_works(&works, &grid, &options, &bar).map_err(without_option)?;
+        let rows = bench::run_real_cases(&cases, &grid, &options, &bar).map_err(without_option)?;
         drop(bar);
         let threads = rayon::current_num_threads();
         let report = object! {
@@ -28,7 +28,7 @@ impl BenchArgs {
                 sizes: settings.sizes.clone(),
                 grid: settings.grids[0],
                 rank: grid.basis().rank(),
-                tolerance: WORK_TOLERANCE,
+                tolerance: REAL_TOLERANCE,
                 tolerance_on: settings.tolerance_on,
                 repeat: settings.repeat,
                 pixels: settings.pixels,
@@ -41,7 +41,7 @@ impl BenchArgs {
             psf_io::write_text(path, &serde_json::to_string_pretty(&report)?, self.overwrite)?;
         }
         let title = format!(
-            "auto, f32, tolerance {WORK_TOLERANCE:e} on {}, {} PSF samples, threads: {threads}\n",
+            "auto, f32, tolerance {REAL_TOLERANCE:e} on {}, {} PSF samples, threads: {threads}\n",
             settings.tolerance_on,
             settings.grids[0].pow(2)
         );
@@ -50,13 +50,13 @@ impl BenchArgs {
 }
 
 /// The names of the columns. `single s`: seconds of one convolution with one PSF.
-const COLUMNS: [&str; 11] = [
-    "group", "PSF", "frame", "amount", "plan s", "first s", "min s", "median s", "single s", "rel. L2",
-    "memory",
+const COLUMNS: [&str; 12] = [
+    "group", "PSF", "frame", "amount", "model s", "plan s", "first s", "min s", "median s", "single s",
+    "rel. L2", "memory",
 ];
-const WIDTHS: [usize; 11] = [8, 15, 11, 15, 9, 9, 9, 9, 9, 8, 9];
+const WIDTHS: [usize; 12] = [8, 15, 11, 15, 9, 9, 9, 9, 9, 9, 8, 9];
 
-fn table(rows: &[WorkRow]) -> String {
+fn table(rows: &[RealRow]) -> String {
     let seconds = |s: f64| format!("{s:.4}");
     let lines = rows.iter().map(|row| {
         let cells = [
@@ -64,6 +64,7 @@ fn table(rows: &[WorkRow]) -> String {
             row.psf.clone(),
             format!("{} x {}", row.size[0], row.size[1]),
             format!("{} {}", row.amount, row.unit),
+            seconds(row.seconds_model),
             seconds(row.seconds_plan),
             seconds(row.seconds_first),
             seconds(row.seconds),

@@ -8,8 +8,8 @@
 //! [`BenchOptions::device`] chooses a GPU for the fast engine ([`Contender::LowRank`] and
 //! [`Contender::Auto`]).
 //!
-//! [`run_works`] measures real work instead of methods: how the cost of [`Contender::Auto`] grows
-//! with pixels, light, stars, galaxies and frames ([`WorkGroup`]).
+//! [`run_real_cases`] measures real work instead of methods: how the cost of [`Contender::Auto`] grows
+//! with pixels, light, stars, galaxies and frames ([`RealGroup`]).
 //!
 //! ```
 //! use psfield_lab::bench::{BenchCase, BenchOptions, Contender, lit_scene, run, stretched};
@@ -36,5 +36,5 @@ mod run;
 
 pub use case::{BenchCase, lit_scene, stretched};
 pub use contender::Contender;
-pub use real::{WORK_TOLERANCE, Work, WorkGroup, WorkPsf, WorkRow, run_works};
+pub use real::{REAL_TOLERANCE, RealCase, RealGroup, RealPsf, RealRow, run_real_cases};
 pub use run::{BenchOptions, BenchOutcome, BenchRow, Skipped, run};

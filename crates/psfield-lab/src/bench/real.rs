@@ -27,7 +27,7 @@ use crate::memory::PeakMemory;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 #[non_exhaustive]
-pub enum WorkGroup {
+pub enum RealGroup {
     /// Frames of several sizes through every PSF. Every pixel is lit.
     Pixels,
     /// Frames in which a part of the pixels is lit, chosen at random one by one. No part of the
@@ -43,14 +43,14 @@ pub enum WorkGroup {
 }
 
 named!(
-    WorkGroup, "group of works", "pixels, light, stars, galaxies or frames",
+    RealGroup, "group of cases", "pixels, light, stars, galaxies or frames",
     "pixels" => Pixels, "light" => Light, "stars" => Stars, "galaxies" => Galaxies, "frames" => Frames
 );
 
 /// A PSF over a frame, made from a model on a regular grid.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
-pub enum WorkPsf {
+pub enum RealPsf {
     /// The model on its grid. It is interpolated bilinearly.
     Grid,
     /// The model on its grid, interpolated by bicubic splines.
@@ -62,7 +62,7 @@ pub enum WorkPsf {
     Scattered,
 }
 
-impl fmt::Display for WorkPsf {
+impl fmt::Display for RealPsf {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Grid => f.write_str("grid"),
@@ -75,12 +75,12 @@ impl fmt::Display for WorkPsf {
 
 /// The largest number of scattered samples.
 const SCATTERED: usize = 500;
-/// The tolerance of all works.
-pub const WORK_TOLERANCE: f64 = 1e-3;
-/// A work whose first run takes more seconds does not run again.
+/// The tolerance of all cases.
+pub const REAL_TOLERANCE: f64 = 1e-3;
+/// A case whose first run takes more seconds does not run again.
 const LONG_SECONDS: f64 = 10.0;
 
-impl WorkPsf {
+impl RealPsf {
     /// Makes the model of this PSF over a frame. `grid` is stretched to the frame.
     fn record(
         self,
@@ -121,22 +121,22 @@ impl WorkPsf {
     }
 }
 
-/// A work of the benchmark.
+/// A case of the benchmark.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
-pub struct Work {
+pub struct RealCase {
     /// The group.
-    pub group: WorkGroup,
+    pub group: RealGroup,
     /// The PSF.
-    pub psf: WorkPsf,
+    pub psf: RealPsf,
     /// Columns and rows of a frame.
     pub side: usize,
-    /// The amount in which the works of the group differ, in the [`unit`](WorkGroup::unit) of the
+    /// The amount in which the cases of the group differ, in the [`unit`](RealGroup::unit) of the
     /// group.
     pub amount: f64,
 }
 
-impl WorkGroup {
+impl RealGroup {
     /// All groups.
     pub const ALL: [Self; 5] = [
         Self::Pixels,
@@ -146,7 +146,7 @@ impl WorkGroup {
         Self::Frames,
     ];
 
-    /// The unit of [`Work::amount`].
+    /// The unit of [`RealCase::amount`].
     pub fn unit(self) -> &'static str {
         match self {
             Self::Pixels => "pixels",
@@ -157,28 +157,28 @@ impl WorkGroup {
         }
     }
 
-    /// The works of the group. `sizes` are the sides of the frames of [`Pixels`](Self::Pixels). The
+    /// The cases of the group. `sizes` are the sides of the frames of [`Pixels`](Self::Pixels). The
     /// frames of the other groups are at most as large as the largest of them. `quick` chooses a
     /// few small amounts.
-    pub fn works(self, sizes: &[usize], quick: bool) -> Vec<Work> {
-        const PSFS: [WorkPsf; 5] = [
-            WorkPsf::Grid,
-            WorkPsf::Bicubic,
-            WorkPsf::Psfex(2),
-            WorkPsf::Psfex(3),
-            WorkPsf::Scattered,
+    pub fn cases(self, sizes: &[usize], quick: bool) -> Vec<RealCase> {
+        const PSFS: [RealPsf; 5] = [
+            RealPsf::Grid,
+            RealPsf::Bicubic,
+            RealPsf::Psfex(2),
+            RealPsf::Psfex(3),
+            RealPsf::Scattered,
         ];
         let (side, amounts, quick_amounts): (usize, &[f64], &[f64]) = match self {
             Self::Pixels => {
                 let of_psf = |psf| sizes.iter().map(move |&side| (psf, side));
-                let works = PSFS.into_iter().flat_map(of_psf);
-                let work = |(psf, side)| Work {
+                let cases = PSFS.into_iter().flat_map(of_psf);
+                let case = |(psf, side)| RealCase {
                     group: self,
                     psf,
                     side,
                     amount: (side * side) as f64,
                 };
-                return works.map(work).collect();
+                return cases.map(case).collect();
             }
             Self::Light => (4096, &[0.0, 0.1, 1.0, 3.0, 10.0, 30.0, 100.0], &[0.0, 3.0, 100.0]),
             Self::Stars => (9216, &[1e3, 1e4, 1e5, 1e6, 1e7], &[1e3]),
@@ -186,38 +186,40 @@ impl WorkGroup {
             Self::Frames => (256, &[1000.0], &[10.0]),
         };
         let amounts = if quick { quick_amounts } else { amounts };
-        let work = |&amount| Work {
+        let case = |&amount| RealCase {
             group: self,
-            psf: WorkPsf::Scattered,
+            psf: RealPsf::Scattered,
             side: side.min(sizes.iter().copied().max().unwrap_or(side)),
             amount,
         };
-        amounts.iter().map(work).collect()
+        amounts.iter().map(case).collect()
     }
 }
 
-/// The results of a work.
+/// The results of a case.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[non_exhaustive]
-pub struct WorkRow {
-    /// [`Work::group`].
-    pub group: WorkGroup,
-    /// [`Work::psf`] as text.
+pub struct RealRow {
+    /// [`RealCase::group`].
+    pub group: RealGroup,
+    /// [`RealCase::psf`] as text.
     pub psf: String,
     /// Columns and rows of a frame.
     pub size: [usize; 2],
-    /// [`Work::amount`].
+    /// [`RealCase::amount`].
     pub amount: f64,
-    /// [`WorkGroup::unit`].
+    /// [`RealGroup::unit`].
     pub unit: &'static str,
-    /// Seconds from the model in memory to a simulator that is ready to run. The fit of the model
-    /// is not included.
+    /// Seconds from the coefficients of the samples to the model, with its interpolator. A model
+    /// serves any number of plans. The fit, which makes the coefficients, is not included.
+    pub seconds_model: f64,
+    /// Seconds from the model to a simulator that is ready to run.
     pub seconds_plan: f64,
     /// Seconds of the first run, of all frames. For stars and galaxies, this run also makes the
     /// PSFs of all blocks of the frame. Later runs use them again.
     pub seconds_first: f64,
     /// Seconds of the fastest run after the first one. Equals `seconds_first` if this takes more
-    /// than 10 s, because the work then runs only once.
+    /// than 10 s, because the case then runs only once.
     pub seconds: f64,
     /// Median of the seconds of these runs.
     pub seconds_median: f64,
@@ -227,34 +229,34 @@ pub struct WorkRow {
     /// pixels. For stars and galaxies, these are at most 3 pixels from a source along x and along
     /// y. None if the direct sum is 0 at all these pixels.
     pub relative_l2: Option<f64>,
-    /// The largest memory that the process held between the start of planning and the end of the
+    /// The largest memory that the process held between the start of the model and the end of the
     /// first run. None if the system does not report it. It includes the scenes.
     pub peak_memory_bytes: Option<u64>,
 }
 
-/// Measures works one after the other, with tolerance [`WORK_TOLERANCE`] and the method auto in f32.
+/// Measures cases one after the other, with tolerance [`REAL_TOLERANCE`] and the method auto in f32.
 /// `grid` is a model on a regular grid of samples, interpolated bilinearly.
 ///
-/// For works with images, the method auto and the single PSF run in turn, as in
+/// For cases with images, the method auto and the single PSF run in turn, as in
 /// [`run`](crate::bench::run()).
 ///
 /// # Errors
 /// [`PsfieldError`] if a PSF cannot be made from `grid`, or if a simulation fails.
-pub fn run_works(
-    works: &[Work],
+pub fn run_real_cases(
+    cases: &[RealCase],
     grid: &PsfModelRecord,
     options: &BenchOptions,
     progress: &dyn Progress,
-) -> Result<Vec<WorkRow>, PsfieldError> {
-    progress.start(works.len() as u64);
-    let mut rows = Vec::with_capacity(works.len());
+) -> Result<Vec<RealRow>, PsfieldError> {
+    progress.start(cases.len() as u64);
+    let mut rows = Vec::with_capacity(cases.len());
     // Works of the same PSF and frame are neighbours in the list.
-    for works in works.chunk_by(|a, b| (a.psf, a.side) == (b.psf, b.side)) {
-        let frame = FrameShape::new(works[0].side, works[0].side)?;
+    for cases in cases.chunk_by(|a, b| (a.psf, a.side) == (b.psf, b.side)) {
+        let frame = FrameShape::new(cases[0].side, cases[0].side)?;
         let mut rng = ChaCha8Rng::seed_from_u64(options.seed);
-        let record = works[0].psf.record(grid, frame, &mut rng)?;
-        for work in works {
-            rows.push(measured(work, &record, frame, options)?);
+        let record = cases[0].psf.record(grid, frame, &mut rng)?;
+        for case in cases {
+            rows.push(measured(case, &record, frame, options)?);
             progress.advance(1);
         }
     }
@@ -269,20 +271,23 @@ struct Timed {
 }
 
 fn measured(
-    work: &Work,
+    case: &RealCase,
     record: &PsfModelRecord,
     frame: FrameShape,
     options: &BenchOptions,
-) -> Result<WorkRow, PsfieldError> {
-    let scenes = Scenes::new(work, frame, options.seed)?;
+) -> Result<RealRow, PsfieldError> {
+    let scenes = Scenes::new(case, frame, options.seed)?;
     let last = scenes.get(scenes.count - 1)?;
     let mut image = conv_core::zeros((frame.ny(), frame.nx()));
     let psf = Psf::from(record.clone());
 
     let memory = PeakMemory::start();
     let clock = Instant::now();
+    psf.model()?;
+    let seconds_model = clock.elapsed().as_secs_f64();
+    let clock = Instant::now();
     let auto = Contender::Auto {
-        tolerance: WORK_TOLERANCE,
+        tolerance: REAL_TOLERANCE,
     };
     let simulator = auto.simulator(record, &psf, frame, options)?;
     simulator.prepare(&last, false, &NoProgress)?;
@@ -319,12 +324,13 @@ fn measured(
         }
         timed.later.sort_by(f64::total_cmp);
     }
-    Ok(WorkRow {
-        group: work.group,
-        psf: work.psf.to_string(),
+    Ok(RealRow {
+        group: case.group,
+        psf: case.psf.to_string(),
         size: [frame.nx(), frame.ny()],
-        amount: work.amount,
-        unit: work.group.unit(),
+        amount: case.amount,
+        unit: case.group.unit(),
+        seconds_model,
         seconds_plan,
         seconds_first: first,
         seconds: all[0].later[0],
@@ -335,7 +341,7 @@ fn measured(
     })
 }
 
-/// The scenes of a work.
+/// The scenes of a case.
 struct Scenes {
     frame: FrameShape,
     count: usize,
@@ -347,7 +353,7 @@ struct Scenes {
 }
 
 impl Scenes {
-    fn new(work: &Work, frame: FrameShape, seed: u64) -> Result<Self, PsfieldError> {
+    fn new(case: &RealCase, frame: FrameShape, seed: u64) -> Result<Self, PsfieldError> {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let mut scenes = Self {
             frame,
@@ -356,24 +362,24 @@ impl Scenes {
             stars: Vec::new(),
             galaxies: Vec::new(),
         };
-        let sources = 0..work.amount as usize;
-        match work.group {
-            WorkGroup::Pixels => scenes.image = Some(lit_scene(frame, seed)?.into_pixels()),
-            WorkGroup::Light => {
+        let sources = 0..case.amount as usize;
+        match case.group {
+            RealGroup::Pixels => scenes.image = Some(lit_scene(frame, seed)?.into_pixels()),
+            RealGroup::Light => {
                 let mut image = lit_scene(frame, seed)?.into_pixels();
-                let lit = work.amount / 100.0;
+                let lit = case.amount / 100.0;
                 image.mapv_inplace(|v| if rng.random_bool(lit) { v } else { 0.0 });
                 scenes.image = Some(image);
             }
-            WorkGroup::Stars => {
+            RealGroup::Stars => {
                 scenes.stars = sources.map(|_| star(frame, &mut rng)).collect::<Result<_, _>>()?;
             }
-            WorkGroup::Galaxies => {
+            RealGroup::Galaxies => {
                 scenes.galaxies = sources
                     .map(|_| galaxy(frame, &mut rng))
                     .collect::<Result<_, _>>()?;
             }
-            WorkGroup::Frames => {
+            RealGroup::Frames => {
                 scenes.count = sources.len();
                 let rows = FrameShape::new(frame.nx(), frame.ny() + scenes.count - 1)?;
                 scenes.image = Some(lit_scene(rows, seed)?.into_pixels());
@@ -457,28 +463,28 @@ fn galaxy(frame: FrameShape, rng: &mut ChaCha8Rng) -> Result<SersicSource, Psfie
 mod tests {
     use super::*;
 
-    fn scenes(group: WorkGroup, amount: f64) -> Scenes {
-        let work = Work {
+    fn scenes(group: RealGroup, amount: f64) -> Scenes {
+        let case = RealCase {
             group,
-            psf: WorkPsf::Grid,
+            psf: RealPsf::Grid,
             side: 60,
             amount,
         };
-        Scenes::new(&work, FrameShape::new(60, 60).unwrap(), 1).unwrap()
+        Scenes::new(&case, FrameShape::new(60, 60).unwrap(), 1).unwrap()
     }
 
     #[test]
     fn scenes_have_the_amounts_of_their_works() {
         let lit = |percent| {
-            let scenes = scenes(WorkGroup::Light, percent);
+            let scenes = scenes(RealGroup::Light, percent);
             scenes.image.unwrap().iter().filter(|v| **v != 0.0).count()
         };
         assert_eq!((lit(0.0), lit(100.0)), (0, 3600));
         // 360 pixels on average, with a standard deviation of 18.
         assert!((270..450).contains(&lit(10.0)));
-        assert_eq!(scenes(WorkGroup::Stars, 7.0).stars.len(), 7);
-        assert_eq!(scenes(WorkGroup::Galaxies, 5.0).galaxies.len(), 5);
-        let frames = scenes(WorkGroup::Frames, 3.0);
+        assert_eq!(scenes(RealGroup::Stars, 7.0).stars.len(), 7);
+        assert_eq!(scenes(RealGroup::Galaxies, 5.0).galaxies.len(), 5);
+        let frames = scenes(RealGroup::Frames, 3.0);
         let pixels = |k| frames.get(k).unwrap().image().unwrap().pixels().to_owned();
         assert_eq!((frames.count, pixels(2).dim()), (3, (60, 60)));
         assert_ne!(pixels(0), pixels(2));
@@ -487,12 +493,12 @@ mod tests {
     #[test]
     fn frames_are_no_larger_than_the_largest_size() {
         let sides = |sizes: &[usize]| {
-            let works = WorkGroup::ALL.map(|group| group.works(sizes, false));
-            works.map(|works| works.iter().map(|work| work.side).max().unwrap())
+            let cases = RealGroup::ALL.map(|group| group.cases(sizes, false));
+            cases.map(|cases| cases.iter().map(|case| case.side).max().unwrap())
         };
         assert_eq!(sides(&[1024, 9216]), [9216, 4096, 9216, 4096, 256]);
         assert_eq!(sides(&[200, 100]), [200; 5]);
-        let names = WorkGroup::ALL.map(|group| group.to_string().parse::<WorkGroup>());
-        assert_eq!(names.map(Result::unwrap), WorkGroup::ALL);
+        let names = RealGroup::ALL.map(|group| group.to_string().parse::<RealGroup>());
+        assert_eq!(names.map(Result::unwrap), RealGroup::ALL);
     }
 }
