@@ -315,6 +315,14 @@ impl Lattice {
     }
 }
 
+/// The part of a cell's side in a range. A coordinate where two cells meet belongs to the second of
+/// them, and the end of the tree to the last. `None` if the range has no coordinate in the cell.
+fn overlap((low, high): (f64, f64), range: (f64, f64), tree: (f64, f64)) -> Option<(f64, f64)> {
+    let (first, last) = (low.max(range.0), high.min(range.1));
+    let is_point = range.0 == range.1 && first == last && (first < high || high == tree.1);
+    (first < last || is_point).then_some((first, last))
+}
+
 /// The weights at each corner. A corner inside a longer edge has the weights of this edge, from one end
 /// to the other. `own` returns the weights at any other corner.
 fn joined(
@@ -400,19 +408,24 @@ impl FieldWeights for Lattice {
         _: ErrorLimit<'_>,
     ) -> BilinearCells {
         let ranges = pixel_ranges(region);
-        let overlaps = |sides: &[(f64, f64); 2]| {
-            (0..2).all(|axis| sides[axis].0 <= ranges[axis].1 && ranges[axis].0 <= sides[axis].1)
-        };
-        let [_, (low, high)] = self.cells[0].sides;
-        let (mut lines, mut left) = (vec![low, high], vec![0]);
+        let tree = self.cells[0].sides;
+        let mut lines = vec![tree[1].0, tree[1].1];
+        let (mut leaves, mut left) = (Vec::new(), vec![0]);
         while let Some(index) = left.pop() {
             let cell = &self.cells[index];
-            if let Content::Divided(at, first) = &cell.content
-                && overlaps(&cell.sides)
-            {
-                lines.push(at[1]);
-                left.extend(*first..first + 4);
+            let overlap = [0, 1].map(|axis| overlap(cell.sides[axis], ranges[axis], tree[axis]));
+            let [Some(x), Some(y)] = overlap else { continue };
+            match &cell.content {
+                Content::Divided(at, first) => {
+                    lines.push(at[1]);
+                    left.extend(*first..first + 4);
+                }
+                Content::Leaf(_) => leaves.push([x, y]),
             }
+        }
+        let is_inside = (0..2).all(|axis| tree[axis].0 <= ranges[axis].0 && ranges[axis].1 <= tree[axis].1);
+        if is_inside && self.hull.outside != OutsidePolicy::Error {
+            return BilinearCells::Rectangles(leaves);
         }
         lines.retain(|&line| ranges[1].0 <= line && line <= ranges[1].1);
         lines.sort_by(f64::total_cmp);

@@ -50,35 +50,47 @@ fn cell(lines: &[f64], (first, last): (f64, f64), v: f64) -> (f64, f64) {
 }
 
 /// The size of the largest difference at the pixels of a region, less the error that the cells
-/// promise, and the number of cells. `None` if the region has no lines, or no value at some corner.
+/// promise, and the number of cells. `None` if the region has neither lines nor rectangles, or no value
+/// at some corner.
 fn largest_difference(
     field: &InterpolatedField,
     region: PixelRegion,
     limit: ErrorLimit<'_>,
 ) -> Option<(f64, usize)> {
-    let BilinearCells::Lines {
-        x,
-        y,
-        error: achieved,
-    } = field.bilinear_cells(region, limit)
-    else {
-        return None;
+    let last = region.position(region.shape().nx() - 1, region.shape().ny() - 1);
+    let ends = [(region.x0() as f64, last.x()), (region.y0() as f64, last.y())];
+    type Cells<'a> = Box<dyn Fn(Position) -> Vec<[(f64, f64); 2]> + 'a>;
+    let (cells_at, count, achieved): (Cells<'_>, usize, f64) = match field.bilinear_cells(region, limit) {
+        BilinearCells::Lines { x, y, error } => {
+            let count = (x.len() + 1) * (y.len() + 1);
+            let at = move |p: Position| vec![[cell(&x, ends[0], p.x()), cell(&y, ends[1], p.y())]];
+            (Box::new(at), count, error)
+        }
+        BilinearCells::Rectangles(all) => {
+            let count = all.len();
+            let at = move |p: Position| {
+                let contains =
+                    |[x, y]: &[(f64, f64); 2]| x.0 <= p.x() && p.x() <= x.1 && y.0 <= p.y() && p.y() <= y.1;
+                all.iter().copied().filter(contains).collect()
+            };
+            (Box::new(at), count, 0.0)
+        }
+        _ => return None,
     };
     assert!(achieved <= limit.size, "{achieved} of {limit:?}");
-    let last = region.position(region.shape().nx() - 1, region.shape().ny() - 1);
     let mut largest: f64 = 0.0;
     for row in 0..region.shape().ny() {
         for column in 0..region.shape().nx() {
             let p = region.position(column, row);
-            let sides = [
-                cell(&x, (region.x0() as f64, last.x()), p.x()),
-                cell(&y, (region.y0() as f64, last.y()), p.y()),
-            ];
-            let difference = difference(field, sides, p)?;
-            largest = largest.max(limit.product(&difference, &difference).sqrt() - achieved);
+            let cells = cells_at(p);
+            assert!(!cells.is_empty(), "no cell holds {p}");
+            for sides in cells {
+                let difference = difference(field, sides, p)?;
+                largest = largest.max(limit.product(&difference, &difference).sqrt() - achieved);
+            }
         }
     }
-    Some((largest, (x.len() + 1) * (y.len() + 1)))
+    Some((largest, count))
 }
 
 fn region(x: i64, y: i64, nx: usize, ny: usize) -> PixelRegion {

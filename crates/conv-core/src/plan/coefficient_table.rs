@@ -5,7 +5,7 @@ use std::ops::Range;
 use psf_types::{FieldError, PixelRegion, PsfModel};
 
 use super::local_modes::LocalModes;
-use super::region_cells::{Band, CORNERS, Cell, RegionCells};
+use super::region_cells::{CORNERS, Cell, RegionCells};
 use crate::ConvReal;
 
 /// The role of a PSF's flux in the convolution. The reference is the mean PSF of a region, scaled to
@@ -261,7 +261,7 @@ impl<T: ConvReal> CoefficientTable<T> {
             } else {
                 vec![rows.start, rows.end - 1]
             };
-            let values = values_in_rows(&at_corners, count, band, of_band, &ends);
+            let values = values_in_rows(&at_corners, count, of_band, &ends);
             if !role.divides() || fluxes(&values, count).all(is_positive) {
                 table.push_band(rows.clone());
                 for (cell, values) in of_band.iter().zip(values.chunks_exact(2 * ends.len() * count)) {
@@ -276,7 +276,7 @@ impl<T: ConvReal> CoefficientTable<T> {
             }
             // Some pixels of the band may have no PSF: each row becomes a band of its own.
             for row in rows.clone() {
-                let values = values_in_rows(&at_corners, count, band, of_band, &[row]);
+                let values = values_in_rows(&at_corners, count, of_band, &[row]);
                 table.push_band(row..row + 1);
                 for (cell, ends) in of_band.iter().zip(values.chunks_exact(2 * count)) {
                     if cell.corners.is_none() || fluxes(ends, count).all(is_positive) {
@@ -487,7 +487,7 @@ impl<T: ConvReal> CoefficientTable<T> {
 
 /// The functions at the first and the last pixel of each cell in some rows of a band,
 /// `[cell, row, end, function]`. `at_corners` holds them at the corners, `[corner, function]`.
-fn values_in_rows(at_corners: &[f64], count: usize, band: &Band, cells: &[Cell], rows: &[usize]) -> Vec<f64> {
+fn values_in_rows(at_corners: &[f64], count: usize, cells: &[Cell], rows: &[usize]) -> Vec<f64> {
     let part = |(low, high): (f64, f64), at: usize| {
         if low < high {
             (at as f64 - low) / (high - low)
@@ -507,7 +507,7 @@ fn values_in_rows(at_corners: &[f64], count: usize, band: &Band, cells: &[Cell],
                     values[0] = 1.0;
                     continue;
                 };
-                let (s, t) = (part(cell.sides, column), part(band.sides, row));
+                let (s, t) = (part(cell.sides[0], column), part(cell.sides[1], row));
                 let weights = [(1.0 - s) * (1.0 - t), s * (1.0 - t), (1.0 - s) * t, s * t];
                 for (corner, weight) in corners.into_iter().zip(weights).filter(|&(_, w)| w != 0.0) {
                     let at_corner = &at_corners[corner * count..(corner + 1) * count];

@@ -3,6 +3,7 @@
 //! At each pixel, a field's coefficients are `sum_n w_n v_n`. Node `n` has the values `v_n`
 //! ([`CoefficientField::node_values`]) and, at this pixel, the weight `w_n`.
 
+use std::collections::HashMap;
 use std::{iter, ops::Range};
 
 use psf_types::{BilinearCells, CoefficientField, ErrorLimit, FrameShape, PixelRegion, Position};
@@ -34,8 +35,6 @@ pub struct RegionCells {
 pub(crate) struct Band {
     /// The rows of pixels, counted from the region's first row.
     pub(crate) rows: Range<usize>,
-    /// The y coordinates of the cells' corners, counted from the region's first row.
-    pub(crate) sides: (f64, f64),
     cells: Range<usize>,
 }
 
@@ -44,10 +43,11 @@ pub(crate) struct Band {
 pub(crate) struct Cell {
     /// The columns of pixels, counted from the region's first column.
     pub(crate) columns: Range<usize>,
-    /// The x coordinates of the corners, counted from the region's first column.
-    pub(crate) sides: (f64, f64),
-    /// The corners: left and right at the first side of the band, then at its second side. `None`
-    /// if the field has no value in the cell.
+    /// The x and the y coordinates of the corners, counted from the region's first pixel.
+    pub(crate) sides: [(f64, f64); 2],
+    /// The corners: left and right at the first y coordinate, then at the second. `None` if the field
+    /// has no value in the cell. Cells of neighbouring bands have the same corners if they are parts of
+    /// one rectangle.
     pub(crate) corners: Option<[usize; CORNERS]>,
 }
 
@@ -82,7 +82,7 @@ impl RegionCells {
         let (nx, ny) = (region.shape().nx(), region.shape().ny());
         let has_runs = matches!(
             field.bilinear_cells(region, ErrorLimit::ZERO),
-            BilinearCells::Bands(_)
+            BilinearCells::Bands(_) | BilinearCells::Rectangles(_)
         );
         let mut all = Self::default();
         let count = SAMPLED_ROWS.min(ny);
@@ -117,6 +117,7 @@ impl RegionCells {
     ) -> usize {
         match field.bilinear_cells(region, error) {
             BilinearCells::Lines { x, y, .. } => (x.len() + 1) * (y.len() + 1),
+            BilinearCells::Rectangles(rectangles) => rectangles.len(),
             BilinearCells::Bands(lines) => {
                 let shape = region.shape();
                 let middle = region.y0() + shape.ny() as i64 / 2;
@@ -153,6 +154,10 @@ impl RegionCells {
                     }
                     return;
                 }
+                BilinearCells::Rectangles(rectangles) => {
+                    self.add_rectangles(field, region, rectangles, rows);
+                    return;
+                }
                 BilinearCells::Lines { x, y, error } => {
                     lines.extend(y);
                     self.error = self.error.max(error);
@@ -187,24 +192,81 @@ impl RegionCells {
             .collect();
         for (rows, i) in between(&edges, rows) {
             let (start, mut first) = (self.cells.len(), 0);
-            for Stretch { columns, edges } in &stretches {
-                for (columns, j) in between(edges, columns.clone()) {
+            for Stretch { columns, edges: xs } in &stretches {
+                for (columns, j) in between(xs, columns.clone()) {
                     let at = |i: usize, j: usize| corners[i][first + j];
                     let of_cell = [at(i, j), at(i, j + 1), at(i + 1, j), at(i + 1, j + 1)];
                     self.cells.push(Cell {
                         columns,
-                        sides: (edges[j], edges[j + 1]),
+                        sides: [(xs[j], xs[j + 1]), (edges[i], edges[i + 1])],
                         corners: of_cell
                             .iter()
                             .all(Option::is_some)
                             .then(|| of_cell.map(Option::unwrap_or_default)),
                     });
                 }
-                first += edges.len();
+                first += xs.len();
             }
             self.bands.push(Band {
                 rows,
-                sides: (edges[i], edges[i + 1]),
+                cells: start..self.cells.len(),
+            });
+        }
+    }
+
+    /// Adds rectangles that cover some rows of a region. Bands end where a rectangle begins or ends.
+    fn add_rectangles(
+        &mut self,
+        field: &dyn CoefficientField,
+        region: PixelRegion,
+        mut rectangles: Vec<[(f64, f64); 2]>,
+        rows: Range<usize>,
+    ) {
+        let (origin, nx) = ([region.x0(), region.y0()], region.shape().nx());
+        for sides in &mut rectangles {
+            for (side, origin) in sides.iter_mut().zip(origin) {
+                *side = (side.0 - origin as f64, side.1 - origin as f64);
+            }
+        }
+        rectangles.sort_by(|[a, _], [b, _]| a.0.total_cmp(&b.0));
+        let mut numbers = HashMap::new();
+        let mut corner = |all: &mut Self, at: [f64; 2]| {
+            *numbers
+                .entry(at.map(f64::to_bits))
+                .or_insert_with(|| all.corner(field, region, at))
+        };
+        let corners: Vec<Option<[usize; CORNERS]>> = rectangles
+            .iter()
+            .map(|[x, y]| {
+                let at = [[x.0, y.0], [x.1, y.0], [x.0, y.1], [x.1, y.1]];
+                let [a, b, c, d] = at.map(|at| corner(self, at));
+                Some([a?, b?, c?, d?])
+            })
+            .collect();
+        let mut edges: Vec<f64> = rectangles.iter().flat_map(|[_, y]| [y.0, y.1]).collect();
+        edges.sort_by(f64::total_cmp);
+        edges.dedup();
+        if edges.len() == 1 {
+            edges.push(edges[0]);
+        }
+        for (rows, i) in between(&edges, rows) {
+            let start = self.cells.len();
+            let of_band = rectangles.iter().zip(&corners);
+            let of_band = of_band.filter(|([_, y], _)| y.0 <= edges[i] && edges[i + 1] <= y.1);
+            let of_band: Vec<_> = of_band.collect();
+            for (k, &(&sides, &corners)) in of_band.iter().enumerate() {
+                let first = sides[0].0.ceil() as usize;
+                let end = of_band.get(k + 1).map_or(nx, |([x, _], _)| x.0.ceil() as usize);
+                if first < end {
+                    self.cells.push(Cell {
+                        columns: first..end,
+                        sides,
+                        corners,
+                    });
+                }
+            }
+            self.bands.push(Band {
+                rows,
                 cells: start..self.cells.len(),
             });
         }
@@ -260,13 +322,12 @@ impl RegionCells {
             let corners = first.corners.zip(last.corners);
             let columns = first.columns.clone();
             Cell {
-                sides: (columns.start as f64, (columns.end - 1) as f64),
+                sides: [&columns, &rows].map(|pixels| (pixels.start as f64, (pixels.end - 1) as f64)),
                 columns,
                 corners: corners.map(|([a, b], [c, d])| [a, b, c, d]),
             }
         }));
         self.bands.push(Band {
-            sides: (rows.start as f64, (rows.end - 1) as f64),
             rows,
             cells: start..self.cells.len(),
         });
