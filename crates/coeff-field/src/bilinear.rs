@@ -178,9 +178,9 @@ fn bend<'a>(
         let mut sum = vec![0.0; at(cell.first).len()];
         for (i, &weight) in weights.iter().enumerate().filter(|(_, w)| **w != 0.0) {
             let values = at(cell.first + i);
-            sum.iter_mut()
-                .zip(values)
-                .for_each(|(sum, value)| *sum += factor * weight * value);
+            for (sum, value) in sum.iter_mut().zip(values) {
+                *sum += factor * weight * value;
+            }
         }
         sum
     });
@@ -196,8 +196,8 @@ impl FieldWeights for GridWeights {
         self.grid.xs().len() * self.grid.ys().len()
     }
 
-    /// The cells of bicubic interpolation are whole cells of the grid, or larger parts of them than
-    /// fifths, where the error allows it.
+    /// The cells of bicubic interpolation are cells of the grid, undivided or divided into two, three or
+    /// five parts, as the error requires.
     fn bilinear_cells(
         &self,
         values: ArrayView2<'_, f64>,

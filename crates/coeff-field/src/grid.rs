@@ -435,24 +435,32 @@ const DIVISIONS: [&[usize]; 3] = [&[], &[2], &[2, 3]];
 pub(crate) struct Bend(pub(crate) [f64; 3]);
 
 impl Bend {
-    /// The largest norm of the error at a knot, if values are linear between the sides of the cell and
-    /// some of its inner knots.
+    /// A bound of the error's norm, if values are linear between the sides of the cell and some of its
+    /// inner knots, or between any coordinates in between.
     ///
-    /// The values are those of a cubic. Between `s` and `e`, a straight line is off by
-    /// `(t - s) (t - e) / 2` times the second derivative at `(s + e + t) / 3`.
+    /// Values are linear between knots. At knot `k`, their slope changes by the second derivative of the
+    /// cubic at that knot, times the length of a piece. From `s` to `e`, a straight line is off at `t` by
+    /// the sum of these changes times Green's function `(min(t, k) - s) (e - max(t, k)) / (e - s)`. This
+    /// function is smaller on every part of `s` to `e`.
     fn error(self, inside: &[usize]) -> f64 {
         let Self([aa, ab, bb]) = self;
-        let (mut square, mut start) = (0.0_f64, 0);
+        let size_at = |knot: usize| {
+            let part = knot as f64 / PIECES as f64;
+            let square = (1.0 - part).powi(2) * aa + 2.0 * part * (1.0 - part) * ab + part * part * bb;
+            square.max(0.0).sqrt()
+        };
+        let (mut largest, mut start) = (0.0_f64, 0);
         for &end in inside.iter().chain([&PIECES]) {
-            for knot in start + 1..end {
-                let part = (start + end + knot) as f64 / (3 * PIECES) as f64;
-                let factor = ((knot - start) * (end - knot)) as f64 / 2.0;
-                let bend = (1.0 - part).powi(2) * aa + 2.0 * part * (1.0 - part) * ab + part * part * bb;
-                square = square.max(factor * factor * bend);
+            for t in start + 1..end {
+                let of_knot = |knot: usize| {
+                    let green = ((t.min(knot) - start) * (end - t.max(knot))) as f64 / (end - start) as f64;
+                    green * size_at(knot)
+                };
+                largest = largest.max((start + 1..end).map(of_knot).sum());
             }
             start = end;
         }
-        square.sqrt()
+        largest
     }
 }
 

@@ -49,6 +49,9 @@ fn cell(lines: &[f64], (first, last): (f64, f64), v: f64) -> (f64, f64) {
     (before.fold(first, f64::max), after.fold(last, f64::min))
 }
 
+/// Returns the sides of the cells that hold a position.
+type CellsAt<'a> = Box<dyn Fn(Position) -> Vec<[(f64, f64); 2]> + 'a>;
+
 /// The size of the largest difference at the pixels of a region, less the error that the cells
 /// promise, and the number of cells. `None` if the region has neither lines nor rectangles, or no value
 /// at some corner.
@@ -59,8 +62,7 @@ fn largest_difference(
 ) -> Option<(f64, usize)> {
     let last = region.position(region.shape().nx() - 1, region.shape().ny() - 1);
     let ends = [(region.x0() as f64, last.x()), (region.y0() as f64, last.y())];
-    type Cells<'a> = Box<dyn Fn(Position) -> Vec<[(f64, f64); 2]> + 'a>;
-    let (cells_at, count, achieved): (Cells<'_>, usize, f64) = match field.bilinear_cells(region, limit) {
+    let (cells_at, count, achieved): (CellsAt<'_>, usize, f64) = match field.bilinear_cells(region, limit) {
         BilinearCells::Lines { x, y, error } => {
             let count = (x.len() + 1) * (y.len() + 1);
             let at = move |p: Position| vec![[cell(&x, ends[0], p.x()), cell(&y, ends[1], p.y())]];
