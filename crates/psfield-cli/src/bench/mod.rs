@@ -55,7 +55,7 @@ pub(crate) struct BenchArgs {
     ///
     /// The method is auto with tolerance 1e-3, in f32. No frame is larger than the largest of
     /// --sizes. A case whose first run takes more than 10 s runs once. All groups together take
-    /// about ten minutes and 2 GiB of memory on two cores.
+    /// about five minutes and 2 GiB of memory on two cores.
     #[arg(
         long,
         value_name = "GROUP,...",
