@@ -28,7 +28,7 @@ use crate::simd::SimdReal as _;
 /// limit in between. The projection is at most the PSF's norm, so the relative error is within the
 /// tolerance.
 ///
-/// With [`ToleranceOn::Aperture`], the flux of the error in every circle is bounded too
+/// With [`ToleranceOn::Aperture`](psf_types::ToleranceOn::Aperture), the flux of the error in every circle is bounded too
 /// (`GrowthCurves`). The largest of these fluxes is also convex, and its limit, the tolerance
 /// times the PSF's flux, is also linear along a row or column. So the corners are enough here, too.
 /// The modes are then orthonormal in another scalar product, `<u, v> + weight sum_R u(R) v(R)`. In
