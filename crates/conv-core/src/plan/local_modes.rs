@@ -28,12 +28,13 @@ use crate::simd::SimdReal as _;
 /// limit in between. The projection is at most the PSF's norm, so the relative error is within the
 /// tolerance.
 ///
-/// With [`ToleranceOn::Aperture`](psf_types::ToleranceOn::Aperture), the flux of the error in every circle is bounded too
-/// (`GrowthCurves`). The largest of these fluxes is also convex, and its limit, the tolerance
-/// times the PSF's flux, is also linear along a row or column. So the corners are enough here, too.
-/// The modes are then orthonormal in another scalar product, `<u, v> + weight sum_R u(R) v(R)`. In
-/// this sum, `u(R)` is the flux of `u` in the circle of radius `R`. So the first modes represent
-/// both the PSFs and their curves of growth. The norm of this product is at least the L2 norm.
+/// With [`ToleranceOn::Aperture`](psf_types::ToleranceOn::Aperture), the flux of the error in every
+/// circle is bounded too (`GrowthCurves`). The largest of these fluxes is also convex, and its limit,
+/// the tolerance times the PSF's flux, is also linear along a row or column. So the corners are enough
+/// here, too. The modes are then orthonormal in another scalar product, `<u, v> + weight sum_R u(R)
+/// v(R)`. In this sum, `u(R)` is the flux of `u` in the circle of radius `R`. So the first modes
+/// represent both the PSFs and their curves of growth. The norm of this product is at least the L2
+/// norm.
 #[derive(Debug)]
 pub struct LocalModes {
     /// The region's mean PSF, scaled to unit flux, `[direction]`. `None` if it holds too little
