@@ -7,8 +7,9 @@ use psf_types::{
     SamplePositions,
 };
 
+use crate::axis_weights::{AxisWeights, Bend, CutCell, NeighbouringLines};
 use crate::geometry::{Point, Row, covered_until, known, pixel_ranges, query};
-use crate::grid::{Axis, AxisWeights, Bend, CutCell, NeighbouringLines, RegularGrid};
+use crate::grid::{Axis, RegularGrid};
 use crate::interpolation::{
     FieldInterpolation, FieldWeights, OnRun, Outcomes, Unpredictable, Visited, WeightList, Weights,
     add_weight, admit, in_runs, outcomes_of, prediction_error,

@@ -14,7 +14,7 @@ use crate::geometry::{Hull, Point, Points, Row, covered_until, pixel_ranges, que
 use crate::interpolation::{
     FieldWeights, OnRun, Visited, WeightList, add_weight, admit, check_rows, in_runs,
 };
-use crate::neighbours::SearchTree;
+use crate::search_tree::SearchTree;
 
 /// Weights that are bilinear in the cells of a quadtree.
 ///

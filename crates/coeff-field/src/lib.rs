@@ -44,8 +44,8 @@
 //! # Cells
 //! [`FieldWeights::bilinear_cells`] divides a region into cells in which the coefficients are bilinear,
 //! up to an error. The cost of convolution then grows with the number of cells, not of pixels. Cells
-//! are those of the grid ([`Bilinear`]), fifths of them ([`Bicubic`]), or several of them where the
-//! samples allow it. A [`Polynomial`] has cells as large as its second derivatives allow.
+//! are those of the grid ([`Bilinear`]) or parts of them ([`Bicubic`]). A [`Polynomial`] has cells as
+//! large as its second derivatives allow.
 //! [`NaturalNeighbour`] and [`InverseDistance`] have the leaves of a quadtree.
 //!
 //! [`Delaunay`] and [`Nearest`] have runs instead: [`FieldWeights::weights_along_row`] cuts a row where
@@ -87,6 +87,7 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+mod axis_weights;
 mod bilinear;
 mod boundary;
 mod delaunay;
@@ -100,6 +101,7 @@ mod line;
 mod mesh;
 mod neighbours;
 mod polynomial;
+mod search_tree;
 mod triangles;
 
 pub use bilinear::{Bicubic, Bilinear};
