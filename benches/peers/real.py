@@ -110,7 +110,7 @@ def benchmark(args):
         row["peer"], row["seconds_peer"] = peers.best(row)
     path = args.work / "real.json"
     kept = json.loads(path.read_text()) if path.exists() else {}
-    if kept.get("options") == options:
+    if isinstance(kept, dict) and kept.get("options") == options:
         groups = {row["group"] for row in rows}
         rows += [row for row in kept["rows"] if row["group"] not in groups]
     rows.sort(key=lambda row: ORDER.index(row["group"]))

@@ -24,7 +24,7 @@ def arguments():
     parser.add_argument("--stars", action="store_true", help="2916 one-pixel stars instead of a scene")
     parser.add_argument("--real", nargs="?", const=GROUPS, metavar="GROUP,...", help=f"real work (default {GROUPS})")
     parser.add_argument("--sizes", help="with --real: sides of the frames, separated by commas")
-    parser.add_argument("--quick", action="store_true", help="with --real: a small version of every work")
+    parser.add_argument("--quick", action="store_true", help="with --real: a small version of every case")
     parser.add_argument("--scene", type=Path, help="FITS image of size x size pixels (default: random, from --seed)")
     parser.add_argument("--samples", type=Path, help="psf-samples file on a regular grid (default: made here)")
     parser.add_argument("--preset", help="psfield samples this telescope, for instance survey-2m")

@@ -36,7 +36,7 @@ pub(crate) struct AxisWeights {
     cut: Vec<CutCell>,
 }
 
-/// A cell in which the weights are those of a cubic at [`PIECES`] - 1 knots.
+/// A cell with knots inside. At its knots, the weights are those of a polynomial of degree 3 or less.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct CutCell {
     /// The coordinates of the cell's own lines.
@@ -134,7 +134,8 @@ impl AxisWeights {
     }
 
     /// Some of the knots between two coordinates, and the largest error of values that are linear
-    /// from one to the next of these knots. The error is at most `error`. `bends` returns how values
+    /// from one to the next of these knots. The error is at most `error`. With an error of 0, these are all
+    /// knots. `bends` returns how values
     /// bend in a cell, for one or more lines along the axis.
     pub(crate) fn knots_between(
         &self,
@@ -210,7 +211,12 @@ impl Bend {
         let size_at = |knot: usize| {
             let part = knot as f64 / PIECES as f64;
             let square = (1.0 - part).powi(2) * aa + 2.0 * part * (1.0 - part) * ab + part * part * bb;
-            square.max(0.0).sqrt()
+            // Not a number if the scalar products overflow.
+            if square.is_nan() {
+                f64::INFINITY
+            } else {
+                square.max(0.0).sqrt()
+            }
         };
         let (mut largest, mut start) = (0.0_f64, 0);
         for &end in inside.iter().chain([&PIECES]) {

@@ -168,8 +168,8 @@ impl GridWeights {
     }
 }
 
-/// How values bend along one line of a grid, across a cell, multiplied by a factor. `at(line)` returns
-/// the values at another line's crossing.
+/// The second derivatives along one line of the grid, at both sides of a cell, multiplied by a factor.
+/// `at(i)` returns the values where line `i` of the other axis crosses it.
 fn bend<'a>(
     cell: &CutCell,
     (factor, error): (f64, ErrorLimit<'_>),
@@ -227,7 +227,7 @@ impl FieldWeights for GridWeights {
         let (columns, sum_in_x) = self.x.lines_between(place(&self.grid.x, ranges[0]));
         let (rows, sum_in_y) = self.y.lines_between(place(&self.grid.y, ranges[1]));
         // Let I be linear interpolation along x and J along y. Then f - I J f = (f - I f) + I (f - J f),
-        // and I is a mean. So the errors along both axes add up.
+        // and I takes weighted means. So the errors along both axes add up.
         let half = error.size / 2.0;
         let (x, error_x) = self.x.knots_between(ranges[0], half, |cell| {
             let bend = |row| {

@@ -21,7 +21,8 @@ use crate::search_tree::SearchTree;
 /// The tree covers the samples and the frame, and under the policy extend also the surroundings. A
 /// cell is divided into quarters until its sides are at most 0.4 times the distance from its middle
 /// to the third nearest sample. A cell with a sample inside, on an edge or near it is then divided at
-/// this sample, so that every sample is a corner of all cells around it. Where a corner of small
+/// this sample, so that every sample is a corner of all cells around it, up to the rounding of
+/// coordinates. Where a corner of small
 /// cells lies on an edge of a larger cell, it has the value of this edge. So the field is continuous,
 /// exact at the samples, and reproduces 1, x and y if the interpolator does, except in cells that cross
 /// the hull of the samples.
@@ -315,8 +316,9 @@ impl Lattice {
     }
 }
 
-/// The part of a cell's side in a range. A coordinate where two cells meet belongs to the second of
-/// them, and the end of the tree to the last. `None` if the range has no coordinate in the cell.
+/// The part of a cell's side in a range. `None` if the two share no more than an end. If the range is a
+/// single coordinate where two cells meet, it belongs to the second cell. The end of the tree belongs to
+/// its last cell.
 fn overlap((low, high): (f64, f64), range: (f64, f64), tree: (f64, f64)) -> Option<(f64, f64)> {
     let (first, last) = (low.max(range.0), high.min(range.1));
     let is_point = range.0 == range.1 && first == last && (first < high || high == tree.1);
@@ -409,11 +411,16 @@ impl FieldWeights for Lattice {
     ) -> BilinearCells {
         let ranges = pixel_ranges(region);
         let tree = self.cells[0].sides;
+        // Beyond the tree, the leaves at its edge continue.
+        let in_tree = [0, 1].map(|axis| {
+            let clamp = |v: f64| v.clamp(tree[axis].0, tree[axis].1);
+            (clamp(ranges[axis].0), clamp(ranges[axis].1))
+        });
         let mut lines = vec![tree[1].0, tree[1].1];
         let (mut leaves, mut left) = (Vec::new(), vec![0]);
         while let Some(index) = left.pop() {
             let cell = &self.cells[index];
-            let overlap = [0, 1].map(|axis| overlap(cell.sides[axis], ranges[axis], tree[axis]));
+            let overlap = [0, 1].map(|axis| overlap(cell.sides[axis], in_tree[axis], tree[axis]));
             let [Some(x), Some(y)] = overlap else { continue };
             match &cell.content {
                 Content::Divided(at, first) => {
@@ -423,8 +430,7 @@ impl FieldWeights for Lattice {
                 Content::Leaf(_) => leaves.push([x, y]),
             }
         }
-        let is_inside = (0..2).all(|axis| tree[axis].0 <= ranges[axis].0 && ranges[axis].1 <= tree[axis].1);
-        if is_inside && self.hull.outside != OutsidePolicy::Error {
+        if in_tree == ranges && self.hull.outside != OutsidePolicy::Error {
             return BilinearCells::Rectangles(leaves);
         }
         lines.retain(|&line| ranges[1].0 <= line && line <= ranges[1].1);

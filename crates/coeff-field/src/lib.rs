@@ -44,9 +44,8 @@
 //! # Cells
 //! [`FieldWeights::bilinear_cells`] divides a region into cells in which the coefficients are bilinear,
 //! up to an error. The cost of convolution then grows with the number of cells, not of pixels. Cells
-//! are those of the grid ([`Bilinear`]) or parts of them ([`Bicubic`]). A [`Polynomial`] has cells as
-//! large as its second derivatives allow.
-//! [`NaturalNeighbour`] and [`InverseDistance`] have the leaves of a quadtree.
+//! are those of the grid ([`Bilinear`]), or parts of them where the error requires it ([`Bicubic`]). A
+//! [`Polynomial`] has cells as large as its second derivatives allow. [`NaturalNeighbour`] and [`InverseDistance`] have the leaves of a quadtree.
 //!
 //! [`Delaunay`] and [`Nearest`] have runs instead: [`FieldWeights::weights_along_row`] cuts a row where
 //! it enters another triangle or Voronoi cell. Positions with nonlinear weights are visited pixel by
@@ -59,7 +58,7 @@
 //! corners of its cells, bilinear in each cell. A cell's sides are at most 0.4 times the distance to
 //! the third nearest sample. For 500 samples of a telescope, this changes PSFs by a twentieth of the
 //! error of natural neighbours. Every sample is a corner of all cells around it, so values there are
-//! exact. The tree covers the samples and their frame, and under the policy extend half of their
+//! exact up to the rounding of coordinates. The tree covers the samples and their frame, and under the policy extend half of their
 //! width beyond. Farther outside, the policies are those of a grid ([`Bilinear`]).
 //!
 //! # Measuring the error

@@ -70,6 +70,12 @@ fn largest_difference(
         }
         BilinearCells::Rectangles(all) => {
             let count = all.len();
+            let area: f64 = all.iter().map(|[x, y]| (x.1 - x.0) * (y.1 - y.0)).sum();
+            let whole = (ends[0].1 - ends[0].0) * (ends[1].1 - ends[1].0);
+            assert!(
+                (area - whole).abs() < ROUNDING * (1.0 + whole),
+                "{area} of {whole}"
+            );
             let at = move |p: Position| {
                 let contains =
                     |[x, y]: &[(f64, f64); 2]| x.0 <= p.x() && p.x() <= x.1 && y.0 <= p.y() && p.y() <= y.1;
@@ -93,6 +99,59 @@ fn largest_difference(
         }
     }
     Some((largest, count))
+}
+
+/// The largest size of the difference between the coefficients in bands and those that the first and the
+/// last row of a band give. Bands whose first and last row have runs of other lengths are left out. `None`
+/// if the region has no bands, or no value somewhere.
+fn largest_difference_in_bands(field: &InterpolatedField, region: PixelRegion) -> Option<f64> {
+    let BilinearCells::Bands(lines) = field.bilinear_cells(region, ErrorLimit::ZERO) else {
+        return None;
+    };
+    let (nx, ny) = (region.shape().nx(), region.shape().ny());
+    let band_of = |row: usize| {
+        lines
+            .iter()
+            .filter(|&&line| line <= (region.y0() + row as i64) as f64)
+            .count()
+    };
+    let ends_of_runs = |row: usize| {
+        let mut ends = Vec::new();
+        let mut column = 0;
+        field
+            .weights_along_row((region.x0(), region.y0() + row as i64), nx, &mut |run| {
+                ends.push((column, column + run.length - 1));
+                column += run.length;
+            })
+            .ok()
+            .map(|()| ends)
+    };
+    let value = |column, row| {
+        let mut values = [0.0; COMPONENTS];
+        let at = region.position(column, row);
+        field.evaluate_into(at, &mut values).ok().map(|()| values)
+    };
+    let mut largest: f64 = 0.0;
+    let mut first = 0;
+    while first < ny {
+        let last = (first..ny)
+            .take_while(|&row| band_of(row) == band_of(first))
+            .last()?;
+        let runs = ends_of_runs(first)?;
+        if runs == ends_of_runs(last)? {
+            for row in first..=last {
+                let part = (row - first) as f64 / (last - first).max(1) as f64;
+                for column in runs.iter().flat_map(|&(start, end)| [start, end]) {
+                    let (low, high) = (value(column, first)?, value(column, last)?);
+                    for (k, v) in value(column, row)?.iter().enumerate() {
+                        largest = largest.max((v - (1.0 - part) * low[k] - part * high[k]).abs());
+                    }
+                }
+            }
+        }
+        first = last + 1;
+    }
+    Some(largest)
 }
 
 fn region(x: i64, y: i64, nx: usize, ny: usize) -> PixelRegion {
@@ -121,6 +180,12 @@ fn coefficients_are_bilinear_in_cells_up_to_the_error() {
                     |low: f64, rng: &mut rand_chacha::ChaCha8Rng| low as i64 + rng.random_range(-30..60);
                 let (x, y) = (corner(extent.low.0, &mut rng), corner(extent.low.1, &mut rng));
                 let region = region(x, y, rng.random_range(1..40), rng.random_range(1..40));
+                if let Some(largest) = largest_difference_in_bands(&field, region) {
+                    assert!(
+                        largest < ROUNDING,
+                        "{layout} {name} {outside} {region:?} in bands: {largest:e}"
+                    );
+                }
                 for (size, flux) in [(0.0, &[][..]), (1e-6, &[]), (1e-2, &[5.0, -3.0, 0.1]), (0.3, &[])] {
                     let limit = ErrorLimit { size, flux };
                     if let Some((largest, _)) = largest_difference(&field, region, limit) {

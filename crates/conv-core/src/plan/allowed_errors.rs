@@ -24,8 +24,9 @@ pub struct CellError {
 /// The largest errors that modes may cause, after those of the cells.
 ///
 /// Let an unscaled PSF be off by `d`, and its flux by `f`, because of the error of a cell's coefficients:
-/// `sqrt(|d|^2 + weight^2 f^2) <= e`. A PSF `h` scaled to unit flux is then off by at most
-/// `|d| + |f| |h| <= e sqrt(1 + (|h| / weight)^2)`, divided by the flux of the unscaled PSF.
+/// `sqrt(|d|^2 + weight^2 f^2) <= e`. The cell's PSF, scaled to unit flux, then differs from the model's
+/// scaled PSF `h` by at most `|d| + |f| |h| <= e sqrt(1 + (|h| / weight)^2)`, divided by the flux of the
+/// cell's unscaled PSF.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct AllowedErrors {
     pub(crate) tolerance: f64,
@@ -68,7 +69,7 @@ impl AllowedErrors {
     #[inline(always)]
     pub(crate) fn of_cells(&self, scaled_norm: f64) -> f64 {
         let CellError { size, flux_weight } = self.cells;
-        if flux_weight == 0.0 {
+        if flux_weight == 0.0 || size == 0.0 {
             size
         } else {
             size * (1.0 + (scaled_norm * (1.0 + self.tolerance) / flux_weight).powi(2)).sqrt()
@@ -90,8 +91,8 @@ impl AllowedErrors {
 }
 
 /// Counts the leading coordinates to keep, so that for every PSF the other coordinates are within
-/// the allowed errors: their norm and, if `growth` is given, their flux in every circle. Returns
-/// `None` if cells may use most of the tolerance.
+/// the allowed errors: their norm and, if `growth` is given, their flux in every circle. If cells may use
+/// most of the tolerance, the error is the factor by which their error must become smaller.
 pub(crate) struct CountModes<'a> {
     pub(crate) cells: &'a RegionCells,
     /// Beta, flux and coordinates.
@@ -104,14 +105,16 @@ pub(crate) struct CountModes<'a> {
     pub(crate) growth: Option<TailGrowth>,
 }
 
+/// The usual factor in the error of [`CountModes`].
+const SMALLER: f64 = 0.4;
 /// The functions before the coordinates in [`CountModes::table`].
 const BEFORE: usize = 2;
 
 impl WithIsa<f64> for CountModes<'_> {
-    type Output = Option<usize>;
+    type Output = Result<usize, f64>;
 
     #[inline(always)]
-    fn run<S: Lanes<f64>>(mut self, simd: S) -> Option<usize> {
+    fn run<S: Lanes<f64>>(mut self, simd: S) -> Result<usize, f64> {
         simd.vectorized(
             #[inline(always)]
             || self.count(),
@@ -121,7 +124,7 @@ impl WithIsa<f64> for CountModes<'_> {
 
 impl CountModes<'_> {
     #[inline(always)]
-    fn count(&mut self) -> Option<usize> {
+    fn count(&mut self) -> Result<usize, f64> {
         let (width, errors) = (self.table.width, self.errors);
         let mut values = vec![0.0; self.cells.corners().len() * width];
         let mut outside = Vec::with_capacity(self.cells.corners().len());
@@ -152,10 +155,12 @@ impl CountModes<'_> {
             if errors.cells.size > 0.0 {
                 let least = 0.5 * errors.tolerance;
                 // Where the flux vanishes in a cell, a small error of it has no bound.
-                let has_flux = errors.cells.flux_weight == 0.0 || flux > 0.0;
-                let enough = norm >= least * beta && beta > 0.0 && has_flux;
+                if errors.cells.flux_weight > 0.0 && (flux.is_nan() || flux <= 0.0) {
+                    return Err(0.0);
+                }
+                let enough = norm >= least * beta && beta > 0.0;
                 if !enough || errors.largest_flux > 0.0 && flux_allowed < least * flux {
-                    return None;
+                    return Err(SMALLER);
                 }
             }
             // The directions left out are orthogonal to the coordinates.
@@ -175,7 +180,7 @@ impl CountModes<'_> {
                 }
             }
         }
-        Some(needed)
+        Ok(needed)
     }
 }
 

@@ -70,8 +70,8 @@ impl CostModel {
         self.transform(size) * (0.42 + 0.5 * stamp.0 as f64 / size.0 as f64)
     }
 
-    /// An execution's share of planning a block, without its stamps, and the expansion of its cells.
-    pub(crate) fn cells(cells: f64, kernels: f64) -> f64 {
+    /// An execution's share of planning a block without its stamps, and the time to expand its cells.
+    pub(crate) fn plan_and_expand(cells: f64, kernels: f64) -> f64 {
         PLAN_BLOCK / EXECUTIONS + (PLAN_CELL / EXECUTIONS + EXPAND_CELL) * cells * kernels
     }
 

@@ -23,8 +23,8 @@ use crate::simd::SimdReal as _;
 ///
 /// It is enough to test the corners of each cell ([`RegionCells`]), because PSFs are bilinear in a
 /// cell. Along any row or column of the cell, the norm of the error is convex. The limit for this
-/// norm is the tolerance times the PSF's projection on the region's mean. Along the row or column,
-/// this limit is linear. So if the norm is within the limit at both ends, it is also within the
+/// norm is the tolerance times the PSF's projection on the region's mean, less the error of the cell
+/// (`AllowedErrors`). Along the row or column, this limit is linear. So if the norm is within the limit at both ends, it is also within the
 /// limit in between. The projection is at most the PSF's norm, so the relative error is within the
 /// tolerance.
 ///
@@ -84,15 +84,12 @@ impl LocalModes {
         let mut error = first;
         loop {
             let cells = space.cells(region, error);
-            if let Some(modes) = Self::new(space, &cells, error.flux_weight, tolerance) {
-                return (cells, error, modes);
+            match Self::new(space, &cells, error.flux_weight, tolerance) {
+                Ok(modes) => return (cells, error, modes),
+                // Somewhere in the region, PSFs are much fainter than expected.
+                Err(factor) if error.size > SMALLEST_ERROR * first.size => error.size *= factor,
+                Err(_) => error.size = 0.0,
             }
-            // Somewhere in the region, PSFs are much fainter than expected.
-            error.size *= if error.size > SMALLEST_ERROR * first.size {
-                0.4
-            } else {
-                0.0
-            };
         }
     }
 
@@ -101,9 +98,9 @@ impl LocalModes {
         Self::new(space, cells, 0.0, tolerance).expect("these cells have no error")
     }
 
-    /// Computes the modes of a region. The tolerance must not be below the rounding of f64. `None` if
-    /// the error of the cells may use most of the tolerance.
-    fn new(space: &PsfSpace, cells: &RegionCells, flux_weight: f64, tolerance: f64) -> Option<Self> {
+    /// Computes the modes of a region. The tolerance must not be below the rounding of f64.
+    /// Errors are those of [`CountModes`].
+    fn new(space: &PsfSpace, cells: &RegionCells, flux_weight: f64, tolerance: f64) -> Result<Self, f64> {
         let mut nodes = space.nodes(&cells.nodes);
         let mut offset = space.mean.clone();
         if cells.is_partition_of_unity() {
@@ -197,7 +194,7 @@ impl LocalModes {
         })?;
         let rank = forced.max(needed);
         let kept = rotation.slice(s![.., ..rank]);
-        Some(Self {
+        Ok(Self {
             modes: kept.t().dot(&axes),
             duals: metric.map(|metric| kept.t().dot(&metric.root.t()).dot(&span)),
             values: table(&[fluxes.view()], rank),

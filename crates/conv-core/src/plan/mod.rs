@@ -62,8 +62,9 @@ const BLOCKS_PER_PRODUCT: usize = 32;
 /// In a tile the PSFs are `h(x) = flux(x) reference + sum_j c_j(x) mode_j`. The reference is a PSF
 /// of unit flux. A tile has as few modes as can represent each of its PSFs within the tolerance.
 /// The modes hold no flux, so PSFs of unit flux keep it at any tolerance. Where PSFs have fluxes of
-/// their own and coefficients are not bilinear in cells, fluxes are kept to a small part of the
-/// tolerance. If the PSFs of a tile hold too little flux for a reference, a single mode carries all
+/// their own and coefficients are not bilinear in cells, cells change the flux a little. With a
+/// tolerance on apertures, this change is at most half of the tolerance. A tolerance on L2 does not
+/// bound it. If the PSFs of a tile hold too little flux for a reference, a single mode carries all
 /// flux and is always kept.
 #[derive(Debug)]
 pub struct Plan<T: ConvReal> {

@@ -111,7 +111,8 @@ impl PsfSpace {
             }
             sizes.push((norm(psf.view()), psf.dot(&self.fluxes).abs()));
         }
-        // An error of the flux then counts as much as one of the coefficients.
+        // With this weight, an error of the flux counts as much as an error of coefficients that changes
+        // the scaled PSF equally.
         let flux_weight = if self.model.needs_flux_scaling() {
             let scaled = sizes.iter().map(|(size, flux)| size / flux);
             scaled.fold(0.0, f64::max)
@@ -144,14 +145,14 @@ impl PsfSpace {
         self.with_limit(error, |limit| RegionCells::new(self.model.field(), region, limit))
     }
 
-    fn with_limit<R>(&self, error: CellError, work: impl FnOnce(ErrorLimit<'_>) -> R) -> R {
+    fn with_limit<R>(&self, error: CellError, use_limit: impl FnOnce(ErrorLimit<'_>) -> R) -> R {
         let mut flux = Vec::new();
         if error.flux_weight > 0.0 {
             let components = self.fluxes.iter().take(self.model.field().component_count());
             flux.extend(components.map(|flux| error.flux_weight * flux));
         }
         let size = error.size;
-        work(ErrorLimit { size, flux: &flux })
+        use_limit(ErrorLimit { size, flux: &flux })
     }
 
     /// A few cells of a region, without any error.
@@ -167,7 +168,7 @@ impl PsfSpace {
         })
     }
 
-    /// `sign` is the sign of the PSFs' flux.
+    /// The errors that modes may cause beside those of cells. `sign` is the sign of the PSFs' flux.
     pub(crate) fn errors(&self, tolerance: f64, cells: CellError, sign: f64) -> AllowedErrors {
         AllowedErrors {
             tolerance,

@@ -109,7 +109,7 @@ impl RegionCells {
         all
     }
 
-    /// About how many cells [`new`](Self::new) makes.
+    /// About how many cells [`new`](Self::new) makes. A rectangle that crosses several bands counts once.
     pub(crate) fn expected(
         field: &dyn CoefficientField,
         region: PixelRegion,
@@ -154,8 +154,16 @@ impl RegionCells {
                     }
                     return;
                 }
-                BilinearCells::Rectangles(rectangles) => {
+                BilinearCells::Rectangles(rectangles)
+                    if columns.len() == region.shape().nx() && !rectangles.is_empty() =>
+                {
                     self.add_rectangles(field, region, rectangles, rows);
+                    return;
+                }
+                BilinearCells::Rectangles(_) => {
+                    for row in rows {
+                        self.add_band(field, region, row..row + 1);
+                    }
                     return;
                 }
                 BilinearCells::Lines { x, y, error } => {

@@ -101,9 +101,9 @@ fn best_tiling<T: ConvReal>(
 
 /// Returns the tiling with the lowest predicted cost, and this cost.
 ///
-/// The modes are counted for a few sizes of blocks only, from the smallest on. In between, their
-/// number is interpolated, as a power of the area. It is assumed that larger blocks need at least as
-/// many modes. The search ends when no larger tiling would be faster than the best one, even without
+/// Modes and cells are counted for a few sizes of blocks only, from the smallest on. In between, their
+/// numbers are interpolated, as powers of the area. It is assumed that larger blocks have at least as
+/// many of both. The search ends when no larger tiling would be faster than the best one, even without
 /// more modes.
 fn fastest<T: ConvReal>(
     mut tilings: Vec<Tiling>,
@@ -272,7 +272,7 @@ impl Tiling {
         let bytes = cost.stamp_bytes(geometry.stamp) * kernels * blocks as f64;
         let made_anew = (1.0 - STAMP_MEMORY * options.memory_bytes() as f64 / bytes).clamp(0.0, 1.0);
         let block = kernels * cost.kernel(self.size, geometry.stamp)
-            + CostModel::cells(cells, kernels)
+            + CostModel::plan_and_expand(cells, kernels)
             + CostModel::make_stamps(geometry.stamp, stamps, kernels, made_anew)
             + tiles_a_block * cost.tile(tile, self.size, kernels);
         self.rounds() as f64 * block

@@ -23,7 +23,7 @@ use crate::bench::run::{median, relative_l2, runs_per_turn};
 use crate::bench::{BenchOptions, Contender, lit_scene, stretched};
 use crate::memory::PeakMemory;
 
-/// Works that differ in one amount. Written as the name in lower case.
+/// Cases that differ in one amount. Written as the name in lower case.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 #[non_exhaustive]
@@ -53,7 +53,7 @@ named!(
 pub enum RealPsf {
     /// The model on its grid. It is interpolated bilinearly.
     Grid,
-    /// The model on its grid, interpolated by bicubic splines.
+    /// The model on its grid, with bicubic interpolation.
     Bicubic,
     /// A PSFEx model of this degree, fitted to the PSFs on the grid.
     Psfex(usize),
@@ -211,7 +211,8 @@ pub struct RealRow {
     /// [`RealGroup::unit`].
     pub unit: &'static str,
     /// Seconds from the coefficients of the samples to the model, with its interpolator: the least of
-    /// all repetitions. A model serves any number of plans. The fit, which makes the coefficients, is not included.
+    /// all repetitions. A model serves any number of plans. The fit, which makes the coefficients, is
+    /// not included.
     pub seconds_model: f64,
     /// Seconds from the model to a simulator that is ready to run: the least of all repetitions.
     pub seconds_plan: f64,
@@ -250,7 +251,7 @@ pub fn run_real_cases(
 ) -> Result<Vec<RealRow>, PsfieldError> {
     progress.start(cases.len() as u64);
     let mut rows = Vec::with_capacity(cases.len());
-    // Works of the same PSF and frame are neighbours in the list.
+    // Cases of one PSF and frame are neighbours in the list.
     for cases in cases.chunk_by(|a, b| (a.psf, a.side) == (b.psf, b.side)) {
         let frame = FrameShape::new(cases[0].side, cases[0].side)?;
         let mut rng = ChaCha8Rng::seed_from_u64(options.seed);
@@ -483,7 +484,7 @@ mod tests {
     }
 
     #[test]
-    fn scenes_have_the_amounts_of_their_works() {
+    fn scenes_have_the_amounts_of_their_cases() {
         let lit = |percent| {
             let scenes = scenes(RealGroup::Light, percent);
             scenes.image.unwrap().iter().filter(|v| **v != 0.0).count()
