@@ -36,7 +36,8 @@ pub(crate) struct AxisWeights {
     cut: Vec<CutCell>,
 }
 
-/// A cell with knots inside. At its knots, the weights are those of a polynomial of degree 3 or less.
+/// A cell with knots inside. At its knots, the weights are those of a polynomial of degree 3 or
+/// less.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct CutCell {
     /// The coordinates of the cell's own lines.
@@ -133,10 +134,16 @@ impl AxisWeights {
         }
     }
 
+    /// The knots between two coordinates.
+    pub(crate) fn all_knots_between(&self, (low, high): (f64, f64)) -> Vec<f64> {
+        let knots = self.knots.lines.iter().copied();
+        knots.filter(|&knot| low < knot && knot < high).collect()
+    }
+
     /// Some of the knots between two coordinates, and the largest error of values that are linear
-    /// from one to the next of these knots. The error is at most `error`. With an error of 0, these are all
-    /// knots. `bends` returns how values
-    /// bend in a cell, for one or more lines along the axis.
+    /// from one to the next of these knots. The error is at most `error`. With an error of 0, these
+    /// are all knots. `bends` returns how values bend in a cell, for one or more lines along the
+    /// axis.
     pub(crate) fn knots_between(
         &self,
         (low, high): (f64, f64),
@@ -177,7 +184,7 @@ impl AxisWeights {
     /// The lines with a weight between two coordinates, and the largest sum of their weights'
     /// magnitudes.
     pub(crate) fn lines_between(&self, (low, high): (f64, f64)) -> (Range<usize>, f64) {
-        let inside = self.knots_between((low, high), 0.0, |_| Vec::new()).0;
+        let inside = self.all_knots_between((low, high));
         let (mut lines, mut largest) = (Vec::new(), 0.0_f64);
         for v in inside.into_iter().chain([low, high]) {
             let weights = self.at(v);
@@ -189,23 +196,24 @@ impl AxisWeights {
     }
 }
 
-/// The inner knots at which a cell can be divided, the fewest first. Knot `k` is `k` pieces after the
-/// cell's first side.
+/// The inner knots at which a cell can be divided, the fewest first. Knot `k` is `k` pieces after
+/// the cell's first side.
 const DIVISIONS: [&[usize]; 3] = [&[], &[2], &[2, 3]];
 
-/// The second derivatives `a` and `b` of values at the two sides of a cell, multiplied by the square of
-/// a piece's length: the scalar products `a a`, `a b` and `b b`.
+/// The second derivatives `a` and `b` of values at the two sides of a cell, multiplied by the
+/// square of a piece's length: the scalar products `a a`, `a b` and `b b`.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Bend(pub(crate) [f64; 3]);
 
 impl Bend {
-    /// A bound of the error's norm, if values are linear between the sides of the cell and some of its
-    /// inner knots, or between any coordinates in between.
+    /// A bound of the error's norm, if values are linear between the sides of the cell and some of
+    /// its inner knots, or between any coordinates in between.
     ///
-    /// Values are linear between knots. At knot `k`, their slope changes by the second derivative of the
-    /// cubic at that knot, times the length of a piece. From `s` to `e`, a straight line is off at `t` by
-    /// the sum of these changes times Green's function `(min(t, k) - s) (e - max(t, k)) / (e - s)`. This
-    /// function is smaller on every part of `s` to `e`.
+    /// Values are linear between knots. At knot `k`, their slope changes by the second derivative
+    /// of the cubic at that knot, times the length of a piece. From `s` to `e`, a straight line is
+    /// off at `t` by the sum of these changes times Green's function
+    /// `(min(t, k) - s) (e - max(t, k)) / (e - s)`. This function is smaller on every part of `s` to
+    /// `e`.
     fn error(self, inside: &[usize]) -> f64 {
         let Self([aa, ab, bb]) = self;
         let size_at = |knot: usize| {

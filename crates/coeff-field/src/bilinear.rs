@@ -1,6 +1,8 @@
 //! Bilinear and bicubic interpolation on a regular grid. Weights are products of the weights along
 //! the two axes of the grid.
 
+use std::cell::LazyCell;
+
 use ndarray::{ArrayView1, ArrayView2};
 use psf_types::{
     BilinearCells, ErrorLimit, FieldError, OutsidePolicy, PixelRegion, Position, SampleCoefficients,
@@ -168,8 +170,8 @@ impl GridWeights {
     }
 }
 
-/// The second derivatives along one line of the grid, at both sides of a cell, multiplied by a factor.
-/// `at(i)` returns the values where line `i` of the other axis crosses it.
+/// The second derivatives along one line of the grid, at both sides of a cell, multiplied by a
+/// factor. `at(i)` returns the values where line `i` of the other axis crosses it.
 fn bend<'a>(
     cell: &CutCell,
     (factor, error): (f64, ErrorLimit<'_>),
@@ -197,8 +199,8 @@ impl FieldWeights for GridWeights {
         self.grid.xs().len() * self.grid.ys().len()
     }
 
-    /// The cells of bicubic interpolation are cells of the grid, undivided or divided into two, three or
-    /// five parts, as the error requires.
+    /// The cells of bicubic interpolation are cells of the grid, undivided or divided into two,
+    /// three or five parts, as the error requires.
     fn bilinear_cells(
         &self,
         values: ArrayView2<'_, f64>,
@@ -218,28 +220,32 @@ impl FieldWeights for GridWeights {
         let corners = [[x0, y0], [x1, y0], [x0, y1], [x1, y1]];
         if corners.iter().any(|&p| self.admit(p).is_none()) {
             // Some pixels have no value.
-            return BilinearCells::Bands(self.y.knots_between(ranges[1], 0.0, |_| Vec::new()).0);
+            return BilinearCells::Bands(self.y.all_knots_between(ranges[1]));
         }
         let place = |axis: &Axis, (low, high)| {
             let place = |v| axis.place(v, self.outside);
             (place(low), place(high))
         };
-        let (columns, sum_in_x) = self.x.lines_between(place(&self.grid.x, ranges[0]));
-        let (rows, sum_in_y) = self.y.lines_between(place(&self.grid.y, ranges[1]));
-        // Let I be linear interpolation along x and J along y. Then f - I J f = (f - I f) + I (f - J f),
-        // and I takes weighted means. So the errors along both axes add up.
+        // Not needed if cells have no knots inside, or no error is allowed.
+        let columns = LazyCell::new(|| self.x.lines_between(place(&self.grid.x, ranges[0])));
+        let rows = LazyCell::new(|| self.y.lines_between(place(&self.grid.y, ranges[1])));
+        // Let I be linear interpolation along x and J along y. Then
+        // f - I J f = (f - I f) + I (f - J f), and I takes weighted means. So the errors along both
+        // axes add up.
         let half = error.size / 2.0;
         let (x, error_x) = self.x.knots_between(ranges[0], half, |cell| {
+            let (rows, sum_in_y) = &*rows;
             let bend = |row| {
-                bend(cell, (sum_in_y, error), |column| {
+                bend(cell, (*sum_in_y, error), |column| {
                     values.row(self.grid.sample(column, row))
                 })
             };
             rows.clone().map(bend).collect()
         });
         let (y, error_y) = self.y.knots_between(ranges[1], half, |cell| {
+            let (columns, sum_in_x) = &*columns;
             let bend = |column| {
-                bend(cell, (sum_in_x, error), |row| {
+                bend(cell, (*sum_in_x, error), |row| {
                     values.row(self.grid.sample(column, row))
                 })
             };

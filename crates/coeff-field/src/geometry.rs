@@ -350,8 +350,8 @@ impl Row {
     }
 }
 
-/// Returns the end of the columns from `start` on that are covered, at most `end`. The covered area is
-/// convex, so these columns have no gaps.
+/// Returns the end of the columns from `start` on that are covered, at most `end`. The covered area
+/// is convex, so these columns have no gaps.
 pub(crate) fn covered_until(start: usize, end: usize, is_covered: impl Fn(usize) -> bool) -> usize {
     if is_covered(end - 1) {
         end

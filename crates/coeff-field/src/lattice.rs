@@ -20,12 +20,11 @@ use crate::search_tree::SearchTree;
 ///
 /// The tree covers the samples and the frame, and under the policy extend also the surroundings. A
 /// cell is divided into quarters until its sides are at most 0.4 times the distance from its middle
-/// to the third nearest sample. A cell with a sample inside, on an edge or near it is then divided at
-/// this sample, so that every sample is a corner of all cells around it, up to the rounding of
-/// coordinates. Where a corner of small
-/// cells lies on an edge of a larger cell, it has the value of this edge. So the field is continuous,
-/// exact at the samples, and reproduces 1, x and y if the interpolator does, except in cells that cross
-/// the hull of the samples.
+/// to the third nearest sample. A cell with a sample inside, on an edge or near it is then divided
+/// at this sample, so that every sample is a corner of all cells around it, up to the rounding of
+/// coordinates. Where a corner of small cells lies on an edge of a larger cell, it has the value of
+/// this edge. So the field is continuous, exact at the samples, and reproduces 1, x and y if the
+/// interpolator does, except in cells that cross the hull of the samples.
 ///
 /// The nodes are the corners of the cells.
 ///
@@ -230,9 +229,9 @@ impl Lattice {
         at
     }
 
-    /// For each corner inside the edge of a cell, the two ends of this edge. Edges on either side of a
-    /// line may overlap without being equal. The field is linear along each of them, so it is linear
-    /// along all of them together, and the ends are those of the whole.
+    /// For each corner inside the edge of a cell, the two ends of this edge. Edges on either side
+    /// of a line may overlap without being equal. The field is linear along each of them, so it is
+    /// linear along all of them together, and the ends are those of the whole.
     fn longer_edges(&self, at: &[Point]) -> Vec<Option<[usize; 2]>> {
         let mut ends = vec![None; at.len()];
         for axis in 0..2 {
@@ -316,17 +315,17 @@ impl Lattice {
     }
 }
 
-/// The part of a cell's side in a range. `None` if the two share no more than an end. If the range is a
-/// single coordinate where two cells meet, it belongs to the second cell. The end of the tree belongs to
-/// its last cell.
+/// The part of a cell's side in a range. `None` if the two share no more than an end. If the range
+/// is a single coordinate where two cells meet, it belongs to the second cell. The end of the tree
+/// belongs to its last cell.
 fn overlap((low, high): (f64, f64), range: (f64, f64), tree: (f64, f64)) -> Option<(f64, f64)> {
     let (first, last) = (low.max(range.0), high.min(range.1));
     let is_point = range.0 == range.1 && first == last && (first < high || high == tree.1);
     (first < last || is_point).then_some((first, last))
 }
 
-/// The weights at each corner. A corner inside a longer edge has the weights of this edge, from one end
-/// to the other. `own` returns the weights at any other corner.
+/// The weights at each corner. A corner inside a longer edge has the weights of this edge, from one
+/// end to the other. `own` returns the weights at any other corner.
 fn joined(
     longer_edges: &[Option<[usize; 2]>],
     at: &[Point],
@@ -346,7 +345,8 @@ fn joined(
                         let points = [ends[0], corner, ends[1]].map(|corner| at[corner]);
                         Some(between(points, first, last))
                     }
-                    // Where rounding makes edges end on each other, one corner gets its own weights.
+                    // Where rounding makes edges end on each other, one corner gets its own
+                    // weights.
                     _ if is_asked[corner] => Some(own(corner)),
                     lists => {
                         is_asked[corner] = true;

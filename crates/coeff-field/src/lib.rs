@@ -8,9 +8,10 @@
 //! ```
 //!
 //! Here `w_n(x)` is the weight of node `n` at the position `x`, and `v_nk` is the value of
-//! coefficient `k` (component `k`) at this node. Nodes are the samples, the terms of a polynomial, or
-//! the corners of a quadtree. All interpolators are linear in the sample values. So a position needs
-//! one short list of (node, weight) pairs for all components, and no cube of coefficients is stored.
+//! coefficient `k` (component `k`) at this node. Nodes are the samples, the terms of a polynomial,
+//! or the corners of a quadtree. All interpolators are linear in the sample values. So a position
+//! needs one short list of (node, weight) pairs for all components, and no cube of coefficients is
+//! stored.
 //!
 //! | method | weights per position | at the samples | reproduces | continuity |
 //! |---|---|---|---|---|
@@ -42,10 +43,11 @@
 //! range of components that is evaluated.
 //!
 //! # Cells
-//! [`FieldWeights::bilinear_cells`] divides a region into cells in which the coefficients are bilinear,
-//! up to an error. The cost of convolution then grows with the number of cells, not of pixels. Cells
-//! are those of the grid ([`Bilinear`]), or parts of them where the error requires it ([`Bicubic`]). A
-//! [`Polynomial`] has cells as large as its second derivatives allow. [`NaturalNeighbour`] and [`InverseDistance`] have the leaves of a quadtree.
+//! [`FieldWeights::bilinear_cells`] divides a region into cells in which the coefficients are
+//! bilinear, up to an error. The cost of convolution then grows with the number of cells, not of
+//! pixels. Cells are those of the grid ([`Bilinear`]), or parts of them where the error requires it
+//! ([`Bicubic`]). A [`Polynomial`] has cells as large as its second derivatives allow.
+//! [`NaturalNeighbour`] and [`InverseDistance`] have the leaves of a quadtree.
 //!
 //! [`Delaunay`] and [`Nearest`] have runs instead: [`FieldWeights::weights_along_row`] cuts a row where
 //! it enters another triangle or Voronoi cell. Positions with nonlinear weights are visited pixel by
@@ -54,12 +56,13 @@
 //!
 //! # Quadtree
 //! Natural neighbour weights and inverse distance weights have no bound of their curvature: at a
-//! sample it is infinite. So these interpolators are defined on a quadtree: their own weights at the
-//! corners of its cells, bilinear in each cell. A cell's sides are at most 0.4 times the distance to
-//! the third nearest sample. For 500 samples of a telescope, this changes PSFs by a twentieth of the
-//! error of natural neighbours. Every sample is a corner of all cells around it, so values there are
-//! exact up to the rounding of coordinates. The tree covers the samples and their frame, and under the policy extend half of their
-//! width beyond. Farther outside, the policies are those of a grid ([`Bilinear`]).
+//! sample it is infinite. So these interpolators are defined on a quadtree: their own weights at
+//! the corners of its cells, bilinear in each cell. A cell's sides are at most 0.4 times the
+//! distance to the third nearest sample. For 500 samples of a telescope, this changes PSFs by a
+//! twentieth of the error of natural neighbours. Every sample is a corner of all cells around it,
+//! so values there are exact up to the rounding of coordinates. The tree covers the samples and
+//! their frame, and under the policy extend half of their width beyond. Farther outside, the
+//! policies are those of a grid ([`Bilinear`]).
 //!
 //! # Measuring the error
 //! [`leave_one_out`] predicts every sample from all others.

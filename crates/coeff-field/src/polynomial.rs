@@ -204,8 +204,8 @@ impl FieldWeights for PolynomialWeights {
         }
     }
 
-    /// In a cell of `m` by `n` pixels, the bilinear function through the values at the corners
-    /// is off by at most `(m^2 max|a_xx| + n^2 max|a_yy|) / 8`, with the sizes ([`ErrorLimit`]) of the
+    /// In a cell of `m` by `n` pixels, the bilinear function through the values at the corners is
+    /// off by at most `(m^2 max|a_xx| + n^2 max|a_yy|) / 8`, with the sizes ([`ErrorLimit`]) of the
     /// second derivatives. Both parts use half of the error.
     fn bilinear_cells(
         &self,

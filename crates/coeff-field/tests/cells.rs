@@ -14,8 +14,8 @@ use rand::RngExt;
 const ROUNDING: f64 = 1e-9;
 const COMPONENTS: usize = 3;
 
-/// The difference between the coefficients at a position and those that the corners of its cell give.
-/// `None` if a corner has no value.
+/// The difference between the coefficients at a position and those that the corners of its cell
+/// give. `None` if a corner has no value.
 fn difference(
     field: &dyn CoefficientField,
     [x, y]: [(f64, f64); 2],
@@ -53,8 +53,8 @@ fn cell(lines: &[f64], (first, last): (f64, f64), v: f64) -> (f64, f64) {
 type CellsAt<'a> = Box<dyn Fn(Position) -> Vec<[(f64, f64); 2]> + 'a>;
 
 /// The size of the largest difference at the pixels of a region, less the error that the cells
-/// promise, and the number of cells. `None` if the region has neither lines nor rectangles, or no value
-/// at some corner.
+/// promise, and the number of cells. `None` if the region has neither lines nor rectangles, or no
+/// value at some corner.
 fn largest_difference(
     field: &InterpolatedField,
     region: PixelRegion,
@@ -101,9 +101,9 @@ fn largest_difference(
     Some((largest, count))
 }
 
-/// The largest size of the difference between the coefficients in bands and those that the first and the
-/// last row of a band give. Bands whose first and last row have runs of other lengths are left out. `None`
-/// if the region has no bands, or no value somewhere.
+/// The largest size of the difference between the coefficients in bands and those that the first
+/// and the last row of a band give. Bands whose first and last row have runs of other lengths are
+/// left out. `None` if the region has no bands, or no value somewhere.
 fn largest_difference_in_bands(field: &InterpolatedField, region: PixelRegion) -> Option<f64> {
     let BilinearCells::Bands(lines) = field.bilinear_cells(region, ErrorLimit::ZERO) else {
         return None;

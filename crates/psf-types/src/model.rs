@@ -156,8 +156,8 @@ pub enum BilinearCells {
         /// The largest size of errors, at most the [`ErrorLimit`].
         error: f64,
     },
-    /// Rectangles that cover the region and do not overlap. Each has its sides along x and along y. In
-    /// each of them, every weight is bilinear. Coefficients are continuous from one to the next.
+    /// Rectangles that cover the region and do not overlap. Each has its sides along x and along y.
+    /// In each of them, every weight is bilinear. Coefficients are continuous from one to the next.
     Rectangles(Vec<[(f64, f64); 2]>),
     /// Between lines at these y coordinates (ascending), all rows have runs ([`RowRun`]) of equal
     /// lengths. Each weight is bilinear in the cells that the runs of the first and the last row

@@ -31,8 +31,8 @@ const CONSTANT: f64 = 1e-12;
 /// Limit for a linear function, in addition to the rounding of coordinates. Triangles of 1e-9
 /// pixels amplify the rounding of weights.
 const LINEAR: f64 = 1e-10;
-/// Natural neighbours are bilinear in the cells of a quadtree. In a cell that crosses the hull of the
-/// samples, outside of which values are constant, they do not follow slopes quite.
+/// Natural neighbours are bilinear in the cells of a quadtree. In a cell that crosses the hull of
+/// the samples, outside of which values are constant, they do not follow slopes quite.
 const ACROSS_THE_HULL: f64 = 0.1;
 /// Rounding of the largest coordinate, in multiples of the precision, relative to the samples'
 /// extent.

@@ -239,7 +239,8 @@ fn wings() -> Vec<Case> {
             // Limits for transforms, drawing and the direct sum, relative to the wings.
             let (transforms, drawn, direct) = match precision {
                 Precision::F64 => (1e-15 / WING, 1e-15 / WING, 1e-10),
-                // The modes of a block may leave out 7e-9 of a PSF. Little of that reaches the wings.
+                // The modes of a block may leave out 7e-9 of a PSF. Little of that reaches the
+                // wings.
                 Precision::F32 => (1e-6 / WING, 1e-2, 1e-6),
             };
             Case::new(

@@ -23,10 +23,10 @@ pub struct CellError {
 
 /// The largest errors that modes may cause, after those of the cells.
 ///
-/// Let an unscaled PSF be off by `d`, and its flux by `f`, because of the error of a cell's coefficients:
-/// `sqrt(|d|^2 + weight^2 f^2) <= e`. The cell's PSF, scaled to unit flux, then differs from the model's
-/// scaled PSF `h` by at most `|d| + |f| |h| <= e sqrt(1 + (|h| / weight)^2)`, divided by the flux of the
-/// cell's unscaled PSF.
+/// Let an unscaled PSF be off by `d`, and its flux by `f`, because of the error of a cell's
+/// coefficients: `sqrt(|d|^2 + weight^2 f^2) <= e`. The cell's PSF, scaled to unit flux, then
+/// differs from the model's scaled PSF `h` by at most
+/// `|d| + |f| |h| <= e sqrt(1 + (|h| / weight)^2)`, divided by the flux of the cell's unscaled PSF.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct AllowedErrors {
     pub(crate) tolerance: f64,
@@ -38,8 +38,8 @@ pub(crate) struct AllowedErrors {
 }
 
 impl AllowedErrors {
-    /// The least allowed error of a PSF at a corner of the cells, divided by the sum of the weights'
-    /// magnitudes there. `betas` and `fluxes` are those of the nodes and of the offset.
+    /// The least allowed error of a PSF at a corner of the cells, divided by the sum of the
+    /// weights' magnitudes there. `betas` and `fluxes` are those of the nodes and of the offset.
     pub(crate) fn least(
         &self,
         cells: &RegionCells,
@@ -63,9 +63,9 @@ impl AllowedErrors {
         least.max(0.0) / most_weight
     }
 
-    /// The error of an unscaled PSF because of its cell. `scaled_norm` is the norm of the cell's PSF
-    /// divided by its flux. The model's PSF exceeds it by at most a factor of 1 + tolerance, because
-    /// cells use at most half of the tolerance.
+    /// The error of an unscaled PSF because of its cell. `scaled_norm` is the norm of the cell's
+    /// PSF divided by its flux. The model's PSF exceeds it by at most a factor of 1 + tolerance,
+    /// because cells use at most half of the tolerance.
     #[inline(always)]
     pub(crate) fn of_cells(&self, scaled_norm: f64) -> f64 {
         let CellError { size, flux_weight } = self.cells;
@@ -91,8 +91,8 @@ impl AllowedErrors {
 }
 
 /// Counts the leading coordinates to keep, so that for every PSF the other coordinates are within
-/// the allowed errors: their norm and, if `growth` is given, their flux in every circle. If cells may use
-/// most of the tolerance, the error is the factor by which their error must become smaller.
+/// the allowed errors: their norm and, if `growth` is given, their flux in every circle. If cells
+/// may use most of the tolerance, the error is the factor by which their error must become smaller.
 pub(crate) struct CountModes<'a> {
     pub(crate) cells: &'a RegionCells,
     /// Beta, flux and coordinates.

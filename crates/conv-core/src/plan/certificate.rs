@@ -116,8 +116,8 @@ fn orthonormalise(rows: &mut Array2<f64>) {
     }
 }
 
-/// A model with random samples, which may lie outside the frame or crowd together. Without a mean, some
-/// of its PSFs are much fainter than others.
+/// A model with random samples, which may lie outside the frame or crowd together. Without a mean,
+/// some of its PSFs are much fainter than others.
 fn random_model(rng: &mut ChaCha8Rng, name: &str, on_grid: bool) -> PsfModel {
     let (nx, ny, components) = (7, 6, rng.random_range(1..4));
     let has_mean = rng.random_bool(0.5);

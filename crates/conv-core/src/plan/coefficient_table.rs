@@ -243,8 +243,8 @@ impl<T: ConvReal> CoefficientTable<T> {
             modes.values_into(corner, values);
         }
         if role.divides() {
-            // Light is divided by the flux before it is multiplied. Fluxes near 1 keep it in range. A
-            // power of 2 does not round.
+            // Light is divided by the flux before it is multiplied. Fluxes near 1 keep it in range.
+            // A power of 2 does not round.
             let largest = fluxes(&at_corners, count).fold(0.0_f64, |m, flux| m.max(flux.abs()));
             let scale = (-largest.log2().floor()).exp2();
             if scale.is_normal() {

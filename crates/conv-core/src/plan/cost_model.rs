@@ -70,13 +70,14 @@ impl CostModel {
         self.transform(size) * (0.42 + 0.5 * stamp.0 as f64 / size.0 as f64)
     }
 
-    /// An execution's share of planning a block without its stamps, and the time to expand its cells.
+    /// An execution's share of planning a block without its stamps, and the time to expand its
+    /// cells.
     pub(crate) fn plan_and_expand(cells: f64, kernels: f64) -> f64 {
         PLAN_BLOCK / EXECUTIONS + (PLAN_CELL / EXECUTIONS + EXPAND_CELL) * cells * kernels
     }
 
-    /// An execution's share of computing the kernels of a block from the `stamps` of the model. Each
-    /// execution computes a part `made_anew` of the kernels again.
+    /// An execution's share of computing the kernels of a block from the `stamps` of the model.
+    /// Each execution computes a part `made_anew` of the kernels again.
     pub(crate) fn make_stamps(stamp: (usize, usize), stamps: usize, kernels: f64, made_anew: f64) -> f64 {
         (1.0 / EXECUTIONS + made_anew) * MAKE_STAMP * kernels * (stamp.0 * stamp.1 * stamps) as f64
     }

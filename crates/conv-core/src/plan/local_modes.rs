@@ -23,18 +23,18 @@ use crate::simd::SimdReal as _;
 ///
 /// It is enough to test the corners of each cell ([`RegionCells`]), because PSFs are bilinear in a
 /// cell. Along any row or column of the cell, the norm of the error is convex. The limit for this
-/// norm is the tolerance times the PSF's projection on the region's mean, less the error of the cell
-/// (`AllowedErrors`). Along the row or column, this limit is linear. So if the norm is within the limit at both ends, it is also within the
-/// limit in between. The projection is at most the PSF's norm, so the relative error is within the
-/// tolerance.
+/// norm is the tolerance times the PSF's projection on the region's mean, less the error of the
+/// cell (`AllowedErrors`). Along the row or column, this limit is linear. So if the norm is within
+/// the limit at both ends, it is also within the limit in between. The projection is at most the
+/// PSF's norm, so the relative error is within the tolerance.
 ///
 /// With [`ToleranceOn::Aperture`](psf_types::ToleranceOn::Aperture), the flux of the error in every
-/// circle is bounded too (`GrowthCurves`). The largest of these fluxes is also convex, and its limit,
-/// the tolerance times the PSF's flux, is also linear along a row or column. So the corners are enough
-/// here, too. The modes are then orthonormal in another scalar product, `<u, v> + weight sum_R u(R)
-/// v(R)`. In this sum, `u(R)` is the flux of `u` in the circle of radius `R`. So the first modes
-/// represent both the PSFs and their curves of growth. The norm of this product is at least the L2
-/// norm.
+/// circle is bounded too (`GrowthCurves`). The largest of these fluxes is also convex, and its
+/// limit, the tolerance times the PSF's flux, is also linear along a row or column. So the corners
+/// are enough here, too. The modes are then orthonormal in another scalar product,
+/// `<u, v> + weight sum_R u(R) v(R)`. In this sum, `u(R)` is the flux of `u` in the circle of radius
+/// `R`. So the first modes represent both the PSFs and their curves of growth. The norm of this
+/// product is at least the L2 norm.
 #[derive(Debug)]
 pub struct LocalModes {
     /// The region's mean PSF, scaled to unit flux, `[direction]`. `None` if it holds too little
@@ -73,8 +73,8 @@ const OUTSIDE_SPAN: f64 = 0.2;
 const SMALLEST_ERROR: f64 = 1e-6;
 
 impl LocalModes {
-    /// The cells of a region, their error, and the modes. The tolerance must not be below the rounding
-    /// of f64.
+    /// The cells of a region, their error, and the modes. The tolerance must not be below the
+    /// rounding of f64.
     pub fn of_region(
         space: &PsfSpace,
         region: PixelRegion,

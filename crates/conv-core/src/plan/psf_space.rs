@@ -93,8 +93,8 @@ impl PsfSpace {
         }
     }
 
-    /// A first guess of the error of cells that leaves most of the tolerance to the modes of a region:
-    /// [`SHARE_OF_CELLS`] of it for the faintest of a few PSFs.
+    /// A first guess of the error of cells that leaves most of the tolerance to the modes of a
+    /// region: [`SHARE_OF_CELLS`] of it for the faintest of a few PSFs.
     pub(crate) fn error_of_cells(&self, region: PixelRegion, tolerance: f64) -> CellError {
         let last = (region.shape().nx() - 1, region.shape().ny() - 1);
         let first = usize::from(self.model.is_mean_centred());
@@ -111,8 +111,8 @@ impl PsfSpace {
             }
             sizes.push((norm(psf.view()), psf.dot(&self.fluxes).abs()));
         }
-        // With this weight, an error of the flux counts as much as an error of coefficients that changes
-        // the scaled PSF equally.
+        // With this weight, an error of the flux counts as much as an error of coefficients that
+        // changes the scaled PSF equally.
         let flux_weight = if self.model.needs_flux_scaling() {
             let scaled = sizes.iter().map(|(size, flux)| size / flux);
             scaled.fold(0.0, f64::max)

@@ -45,9 +45,9 @@ pub(crate) struct Cell {
     pub(crate) columns: Range<usize>,
     /// The x and the y coordinates of the corners, counted from the region's first pixel.
     pub(crate) sides: [(f64, f64); 2],
-    /// The corners: left and right at the first y coordinate, then at the second. `None` if the field
-    /// has no value in the cell. Cells of neighbouring bands have the same corners if they are parts of
-    /// one rectangle.
+    /// The corners: left and right at the first y coordinate, then at the second. `None` if the
+    /// field has no value in the cell. Cells of neighbouring bands have the same corners if they
+    /// are parts of one rectangle.
     pub(crate) corners: Option<[usize; CORNERS]>,
 }
 
@@ -109,7 +109,8 @@ impl RegionCells {
         all
     }
 
-    /// About how many cells [`new`](Self::new) makes. A rectangle that crosses several bands counts once.
+    /// About how many cells [`new`](Self::new) makes. A rectangle that crosses several bands counts
+    /// once.
     pub(crate) fn expected(
         field: &dyn CoefficientField,
         region: PixelRegion,
@@ -222,7 +223,8 @@ impl RegionCells {
         }
     }
 
-    /// Adds rectangles that cover some rows of a region. Bands end where a rectangle begins or ends.
+    /// Adds rectangles that cover some rows of a region. Bands end where a rectangle begins or
+    /// ends.
     fn add_rectangles(
         &mut self,
         field: &dyn CoefficientField,

@@ -26,8 +26,8 @@ pub(crate) struct Tiling {
 
 /// The number of blocks whose modes are counted to predict the cost of a tiling.
 const SAMPLES: usize = 5;
-/// The fraction of the tolerance with which modes are counted. It makes up for the error of cells, and
-/// for the PSFs that are not looked at.
+/// The fraction of the tolerance with which modes are counted. It makes up for the error of cells,
+/// and for the PSFs that are not looked at.
 const COUNTED: f64 = 0.7;
 /// The largest size of transforms, as a multiple of the stamp's size. Larger transforms gain
 /// nothing, because padding is already small and tiles need more modes.
@@ -101,10 +101,10 @@ fn best_tiling<T: ConvReal>(
 
 /// Returns the tiling with the lowest predicted cost, and this cost.
 ///
-/// Modes and cells are counted for a few sizes of blocks only, from the smallest on. In between, their
-/// numbers are interpolated, as powers of the area. It is assumed that larger blocks have at least as
-/// many of both. The search ends when no larger tiling would be faster than the best one, even without
-/// more modes.
+/// Modes and cells are counted for a few sizes of blocks only, from the smallest on. In between,
+/// their numbers are interpolated, as powers of the area. It is assumed that larger blocks have at
+/// least as many of both. The search ends when no larger tiling would be faster than the best one,
+/// even without more modes.
 fn fastest<T: ConvReal>(
     mut tilings: Vec<Tiling>,
     space: &PsfSpace,
@@ -252,8 +252,8 @@ impl Tiling {
         }
     }
 
-    /// Predicted seconds of an execution if every pixel is lit, with its share of the plan. `stamps`
-    /// is the number of stamps of the model.
+    /// Predicted seconds of an execution if every pixel is lit, with its share of the plan.
+    /// `stamps` is the number of stamps of the model.
     fn seconds<T: ConvReal>(
         &self,
         Contents { kernels, cells }: Contents,

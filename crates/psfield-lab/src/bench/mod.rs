@@ -8,8 +8,8 @@
 //! [`BenchOptions::device`] chooses a GPU for the fast engine ([`Contender::LowRank`] and
 //! [`Contender::Auto`]).
 //!
-//! [`run_real_cases`] measures real work instead of methods: how the cost of [`Contender::Auto`] grows
-//! with pixels, light, stars, galaxies and frames ([`RealGroup`]).
+//! [`run_real_cases`] measures real work instead of methods: how the cost of [`Contender::Auto`]
+//! grows with pixels, light, stars, galaxies and frames ([`RealGroup`]).
 //!
 //! ```
 //! use psfield_lab::bench::{BenchCase, BenchOptions, Contender, lit_scene, run, stretched};

@@ -210,9 +210,9 @@ pub struct RealRow {
     pub amount: f64,
     /// [`RealGroup::unit`].
     pub unit: &'static str,
-    /// Seconds from the coefficients of the samples to the model, with its interpolator: the least of
-    /// all repetitions. A model serves any number of plans. The fit, which makes the coefficients, is
-    /// not included.
+    /// Seconds from the coefficients of the samples to the model, with its interpolator: the least
+    /// of all repetitions. A model serves any number of plans. The fit, which makes the
+    /// coefficients, is not included.
     pub seconds_model: f64,
     /// Seconds from the model to a simulator that is ready to run: the least of all repetitions.
     pub seconds_plan: f64,
@@ -235,8 +235,8 @@ pub struct RealRow {
     pub peak_memory_bytes: Option<u64>,
 }
 
-/// Measures cases one after the other, with tolerance [`REAL_TOLERANCE`] and the method auto in f32.
-/// `grid` is a model on a regular grid of samples, interpolated bilinearly.
+/// Measures cases one after the other, with tolerance [`REAL_TOLERANCE`] and the method auto in
+/// f32. `grid` is a model on a regular grid of samples, interpolated bilinearly.
 ///
 /// For cases with images, the method auto and the single PSF run in turn, as in
 /// [`run`](crate::bench::run()).
