@@ -4,16 +4,14 @@
 use std::collections::{HashMap, VecDeque};
 use std::num::NonZeroUsize;
 
-use ndarray::{Array2, ArrayView2};
+use ndarray::ArrayView2;
 use psf_types::{
     BilinearCells, ErrorLimit, FieldError, OutsidePolicy, PixelRegion, Position, SamplePositions,
 };
 
 use crate::error::CoeffFieldError;
 use crate::geometry::{Hull, Point, Points, Row, covered_until, pixel_ranges, query, range, sub};
-use crate::interpolation::{
-    FieldWeights, OnRun, Visited, WeightList, add_weight, admit, check_rows, in_runs,
-};
+use crate::interpolation::{FieldWeights, OnRun, Visited, WeightList, add_weight, admit, in_runs};
 use crate::search_tree::SearchTree;
 
 /// Weights that are bilinear in the cells of a quadtree.
@@ -25,8 +23,6 @@ use crate::search_tree::SearchTree;
 /// coordinates. Where a corner of small cells lies on an edge of a larger cell, it has the value of
 /// this edge. So the field is continuous, exact at the samples, and reproduces 1, x and y if the
 /// interpolator does, except in cells that cross the hull of the samples.
-///
-/// The nodes are the corners of the cells.
 ///
 /// # Outside the tree
 /// * Nearest: the value at the nearest position of the tree.
@@ -66,8 +62,8 @@ const NEIGHBOURS: NonZeroUsize = NonZeroUsize::new(3).expect("3 is not 0");
 const NEAR: f64 = 0.25;
 /// Only samples in a cell divide it after this number of divisions at samples.
 const MOST_NEAR: usize = 2;
-/// Under the policy extend, the tree reaches this multiple of the width of the samples and the frame
-/// beyond them, to either side.
+/// Under the policy extend, the tree reaches this multiple of the extent of the samples and the
+/// frame beyond them, to either side.
 const BEYOND: f64 = 0.5;
 /// The largest number of times that the tree is divided into quarters, so that samples very close to
 /// each other do not divide it without end.
@@ -88,15 +84,15 @@ impl Lattice {
                 (*low, *high) = (low.min(first), high.max(last));
             }
         }
-        let least = points.scale.extent.max(1.0);
+        let extent = points.scale.extent;
+        let least = if extent > 0.0 { extent } else { 1.0 };
         for (low, high) in &mut sides {
             // Samples on a line along an axis get a tree of some width. Under the policy extend, the
             // tree reaches far beyond the samples, where its cells are large.
-            let width = if low < high { *high - *low } else { least };
             let beyond = match outside {
-                OutsidePolicy::Extend => BEYOND * width,
+                OutsidePolicy::Extend => BEYOND * (*high - *low).max(least),
                 _ if low < high => 0.0,
-                _ => 0.5 * width,
+                _ => 0.5 * least,
             };
             (*low, *high) = (*low - beyond, *high + beyond);
         }
@@ -299,7 +295,12 @@ impl Lattice {
     }
 
     /// Writes the weights at a point, with the formula of a leaf.
-    fn bilinear(p: Point, (sides, corners): (&[(f64, f64); 2], &[usize; 4]), weights: &mut WeightList) {
+    fn bilinear(
+        &self,
+        p: Point,
+        (sides, corners): (&[(f64, f64); 2], &[usize; 4]),
+        weights: &mut WeightList,
+    ) {
         let part = |axis: usize| {
             let (low, high) = sides[axis];
             if low < high {
@@ -311,7 +312,15 @@ impl Lattice {
         let (s, t) = (part(0), part(1));
         let products = [(1.0 - s) * (1.0 - t), s * (1.0 - t), (1.0 - s) * t, s * t];
         weights.clear();
-        weights.extend(corners.iter().copied().zip(products).filter(|&(_, w)| w != 0.0));
+        for (&corner, product) in corners.iter().zip(products).filter(|&(_, w)| w != 0.0) {
+            let list = self.corners[corner].iter();
+            let list = list.map(|&(sample, weight)| (sample, product * weight));
+            if weights.is_empty() {
+                weights.extend(list);
+            } else {
+                list.for_each(|(sample, weight)| add_weight(weights, sample, weight));
+            }
+        }
     }
 }
 
@@ -380,26 +389,11 @@ impl FieldWeights for Lattice {
         self.samples
     }
 
-    fn node_count(&self) -> usize {
-        self.corners.len()
-    }
-
-    fn node_values(&self, sample_values: ArrayView2<'_, f64>) -> Result<Array2<f64>, CoeffFieldError> {
-        check_rows(self.samples, sample_values)?;
-        let mut values = Array2::zeros((self.corners.len(), sample_values.ncols()));
-        for (mut value, weights) in values.outer_iter_mut().zip(&self.corners) {
-            for &(sample, weight) in weights {
-                value.scaled_add(weight, &sample_values.row(sample));
-            }
-        }
-        Ok(values)
-    }
-
     fn weights_into(&self, position: Position, weights: &mut WeightList) -> Result<(), FieldError> {
         let p = query(position)?;
         admit(self.is_admitted(p), self.hull.outside, position)?;
         let at = self.place(p);
-        Self::bilinear(at, self.leaf(at), weights);
+        self.bilinear(at, self.leaf(at), weights);
         Ok(())
     }
 

@@ -509,11 +509,9 @@ fn values_in_rows(at_corners: &[f64], count: usize, cells: &[Cell], rows: &[usiz
                 };
                 let (s, t) = (part(cell.sides[0], column), part(cell.sides[1], row));
                 let weights = [(1.0 - s) * (1.0 - t), s * (1.0 - t), (1.0 - s) * t, s * t];
-                for (corner, weight) in corners.into_iter().zip(weights).filter(|&(_, w)| w != 0.0) {
-                    let at_corner = &at_corners[corner * count..(corner + 1) * count];
-                    for (value, at_corner) in values.iter_mut().zip(at_corner) {
-                        *value += weight * at_corner;
-                    }
+                let [a, b, c, d] = corners.map(|corner| &at_corners[corner * count..][..count]);
+                for (value, (((a, b), c), d)) in values.iter_mut().zip(a.iter().zip(b).zip(c).zip(d)) {
+                    *value = weights[0] * a + weights[1] * b + weights[2] * c + weights[3] * d;
                 }
             }
         }

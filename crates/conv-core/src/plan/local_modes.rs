@@ -101,28 +101,16 @@ impl LocalModes {
     /// Computes the modes of a region. The tolerance must not be below the rounding of f64.
     /// Errors are those of [`CountModes`].
     fn new(space: &PsfSpace, cells: &RegionCells, flux_weight: f64, tolerance: f64) -> Result<Self, f64> {
-        let mut nodes = space.nodes(&cells.nodes);
-        let mut offset = space.mean.clone();
-        if cells.is_partition_of_unity() {
-            nodes += &offset;
-            offset.fill(0.0);
-        }
+        let mut rows = space.rows(cells);
         let support = Support::of(cells);
-        let centre = support.mean_weights(nodes.nrows()).dot(&nodes) + &offset;
+        let centre = support.mean(&rows);
         // beta(x) = <h(x), centre> / |centre| is linear in the weights of the nodes. It is at most
         // the norm of h(x).
         let along = &centre / norm(centre.view()).max(f64::MIN_POSITIVE);
         let flux = centre.dot(&space.fluxes);
         let possible = norm(centre.view()) * norm(space.fluxes.view());
         let reference = (flux.abs() > MIN_REFERENCE_FLUX * possible).then(|| &centre / flux);
-        let scale = nodes
-            .outer_iter()
-            .chain([offset.view()])
-            .map(norm)
-            .fold(0.0, f64::max);
-        // The last row is the offset.
-        let mut rows = ndarray::concatenate(Axis(0), &[nodes.view(), offset.view().insert_axis(Axis(0))])
-            .expect("equally many columns");
+        let scale = rows.outer_iter().map(norm).fold(0.0, f64::max);
         let (betas, fluxes) = (rows.dot(&along), rows.dot(&space.fluxes));
         if let Some(reference) = &reference {
             for (mut row, &flux) in rows.outer_iter_mut().zip(&fluxes) {
@@ -182,7 +170,7 @@ impl LocalModes {
             let first = first.iter().map(|column| column.insert_axis(Axis(1)));
             let columns: Vec<ArrayView2<'_, f64>> = first.chain([rows.slice(s![.., ..rank])]).collect();
             let joined = ndarray::concatenate(Axis(1), &columns).expect("equally many rows");
-            NodeFunctions::new(&joined)
+            NodeFunctions::new(joined.view())
         };
         let needed = f64::dispatch(CountModes {
             cells,
@@ -204,8 +192,7 @@ impl LocalModes {
 
     /// The mean PSF of a region, `[direction]`, not scaled to unit flux.
     pub(crate) fn mean(space: &PsfSpace, cells: &RegionCells) -> Array1<f64> {
-        let weights = Support::of(cells).mean_weights(cells.nodes.len());
-        weights.dot(&space.nodes(&cells.nodes)) + &space.mean
+        Support::of(cells).mean(&space.rows(cells))
     }
 
     /// The number of modes, without the reference.
@@ -289,16 +276,18 @@ impl<'a> Support<'a> {
         Self(ends.into_iter().map(|corner| cells.weights(corner)).collect())
     }
 
-    fn mean_weights(&self, nodes: usize) -> Array1<f64> {
-        let mut mean = Array1::zeros(nodes);
+    /// The mean PSF. `rows` are those of [`PsfSpace::rows`].
+    fn mean(&self, rows: &Array2<f64>) -> Array1<f64> {
+        let mut weights = Array1::zeros(rows.nrows());
         for &(node, weight) in self.0.iter().copied().flatten() {
-            mean[node] += weight / self.0.len() as f64;
+            weights[node] += weight / self.0.len() as f64;
         }
-        mean
+        weights[rows.nrows() - 1] = 1.0;
+        weights.dot(rows)
     }
 
     fn covariance(&self, rows: ArrayView2<'_, f64>) -> Array2<f64> {
-        let table = NodeFunctions::new(&rows.to_owned());
+        let table = NodeFunctions::new(rows);
         let mut values = Array2::zeros((self.0.len(), rows.ncols()));
         for (mut value, end) in values.outer_iter_mut().zip(&self.0) {
             table.at(end, value.as_slice_mut().expect("row-major"));

@@ -1,6 +1,6 @@
 //! Functions that are linear in the weights of a field's nodes.
 
-use ndarray::Array2;
+use ndarray::ArrayView2;
 
 /// Functions that are linear in the weights of the nodes.
 #[derive(Debug)]
@@ -11,10 +11,11 @@ pub(crate) struct NodeFunctions {
 }
 
 impl NodeFunctions {
-    pub(crate) fn new(rows: &Array2<f64>) -> Self {
+    pub(crate) fn new(rows: ArrayView2<'_, f64>) -> Self {
+        let rows = rows.as_standard_layout();
         Self {
             width: rows.ncols(),
-            values: rows.iter().copied().collect(),
+            values: rows.as_slice().expect("row-major").to_vec(),
         }
     }
 

@@ -30,7 +30,7 @@ pub struct PsfSpace {
 /// of the mean's norm.
 const NEGLIGIBLE_REMAINDER: f64 = 1e-14;
 /// The fraction of the tolerance that is left to the cells. Small cells cost little.
-const SHARE_OF_CELLS: f64 = 0.2;
+const SHARE_OF_CELLS: f64 = 0.3;
 
 impl PsfSpace {
     /// The space of a model's PSFs. Plans that use this space bound the errors that `on` names.
@@ -195,12 +195,19 @@ impl PsfSpace {
             && (size <= ROUNDING_NORM * psf_norm || growth.largest_flux(error) <= tolerance * flux.abs())
     }
 
-    /// The PSFs of nodes of the coefficient field, without the mean, `[node, direction]`.
-    pub(crate) fn nodes(&self, nodes: &[usize]) -> Array2<f64> {
+    /// The rows whose sum, weighted by the nodes' weights, is a PSF: one for each node of some
+    /// cells, `[node, direction]`, then the offset, whose weight is 1.
+    pub(crate) fn rows(&self, cells: &RegionCells) -> Array2<f64> {
         let values = self.model.field().node_values();
-        let mut rows = Array2::zeros((nodes.len(), self.mean.len()));
-        for (mut row, &node) in rows.outer_iter_mut().zip(nodes) {
+        let mut rows = Array2::zeros((cells.nodes.len() + 1, self.mean.len()));
+        let (mut nodes, mut offset) = rows.view_mut().split_at(Axis(0), cells.nodes.len());
+        for (mut row, &node) in nodes.outer_iter_mut().zip(&cells.nodes) {
             row.slice_mut(s![..values.ncols()]).assign(&values.row(node));
+        }
+        if cells.is_partition_of_unity() {
+            nodes += &self.mean;
+        } else {
+            offset += &self.mean;
         }
         rows
     }

@@ -3,10 +3,10 @@
 //! At each pixel, a field's coefficients are `sum_n w_n v_n`. Node `n` has the values `v_n`
 //! ([`CoefficientField::node_values`]) and, at this pixel, the weight `w_n`.
 
-use std::collections::HashMap;
 use std::{iter, ops::Range};
 
 use psf_types::{BilinearCells, CoefficientField, ErrorLimit, FrameShape, PixelRegion, Position};
+use rustc_hash::FxHashMap;
 
 use super::axis_cuts::parts;
 
@@ -239,7 +239,7 @@ impl RegionCells {
             }
         }
         rectangles.sort_by(|[a, _], [b, _]| a.0.total_cmp(&b.0));
-        let mut numbers = HashMap::new();
+        let mut numbers = FxHashMap::default();
         let mut corner = |all: &mut Self, at: [f64; 2]| {
             *numbers
                 .entry(at.map(f64::to_bits))
@@ -259,19 +259,25 @@ impl RegionCells {
         if edges.len() == 1 {
             edges.push(edges[0]);
         }
+        // The rectangles between each edge and the next, from left to right.
+        let mut of_bands = vec![Vec::new(); edges.len() - 1];
+        for (rectangle, [_, y]) in rectangles.iter().enumerate() {
+            let [first, end] = [y.0, y.1].map(|y| edges.partition_point(|&edge| edge < y));
+            for of_band in &mut of_bands[first..end.max(first + 1)] {
+                of_band.push(rectangle);
+            }
+        }
         for (rows, i) in between(&edges, rows) {
             let start = self.cells.len();
-            let of_band = rectangles.iter().zip(&corners);
-            let of_band = of_band.filter(|([_, y], _)| y.0 <= edges[i] && edges[i + 1] <= y.1);
-            let of_band: Vec<_> = of_band.collect();
-            for (k, &(&sides, &corners)) in of_band.iter().enumerate() {
-                let first = sides[0].0.ceil() as usize;
-                let end = of_band.get(k + 1).map_or(nx, |([x, _], _)| x.0.ceil() as usize);
-                if first < end {
+            for (k, &rectangle) in of_bands[i].iter().enumerate() {
+                let first_column = |rectangle: usize| rectangles[rectangle][0].0.ceil() as usize;
+                let end = of_bands[i].get(k + 1).map_or(nx, |&next| first_column(next));
+                let columns = first_column(rectangle)..end;
+                if !columns.is_empty() {
                     self.cells.push(Cell {
-                        columns: first..end,
-                        sides,
-                        corners,
+                        columns,
+                        sides: rectangles[rectangle],
+                        corners: corners[rectangle],
                     });
                 }
             }
