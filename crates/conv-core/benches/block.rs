@@ -68,7 +68,7 @@ impl<T: ConvReal> WithIsa<T> for Weigh<'_, T> {
         let Self(block, light, weighted) = self;
         let nx = block.region.shape().nx();
         let last = block.table.kernel_count() - 1;
-        simd.vectorized(
+        simd.vectorize(
             #[inline(always)]
             || {
                 let rows = light.chunks_exact(nx).zip(weighted.chunks_exact_mut(nx));

@@ -79,7 +79,7 @@ impl<T: ConvReal> WithIsa<T> for Run<'_, T> {
         let Self(all, step) = self;
         let [tile, stamp] = all.sides;
         let (plane, column) = (all.plane.get(), all.column.get_mut());
-        simd.vectorized(
+        simd.vectorize(
             #[inline(always)]
             || match step {
                 Step::Forward => all

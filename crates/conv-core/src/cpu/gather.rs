@@ -10,7 +10,7 @@ use super::treatment::{TileCounts, TileMethod, each_tile};
 use crate::overlap::split;
 use crate::plan::axis_cuts::Stretch;
 use crate::plan::geometry::Direction;
-use crate::simd::{Lanes, WithIsa};
+use crate::simd::{Lanes, WithIsa, vectorized};
 use crate::{ConvError, ConvReal};
 
 /// Gathers light of the other side: `output(p) += c(p) sum_q light(q) k(p - q)`, or `k(q - p)` in
@@ -88,12 +88,12 @@ fn gather_block<T: ConvReal, S: Lanes<T>>(
             let mut output = output.slice_mut(s![j..j + rows, i..i + columns]);
             if let Some(method) = treatment.method {
                 let gather = |workspace: &mut Workspace<T>, output: &mut ArrayViewMut2<'_, T>| {
-                    simd.vectorized(
-                        #[inline(always)]
-                        || match method {
-                            TileMethod::Directly => engine.gather_directly(simd, local, workspace, output),
+                    vectorized!(
+                        simd,
+                        match method {
+                            TileMethod::Directly => engine.gather_directly(local, workspace, output),
                             TileMethod::ByTransforms => engine.gather(simd, local, workspace, output),
-                        },
+                        }
                     );
                 };
                 match treatment.back {
@@ -107,10 +107,7 @@ fn gather_block<T: ConvReal, S: Lanes<T>>(
                 }
             }
             if !treatment.drawn.is_empty() {
-                simd.vectorized(
-                    #[inline(always)]
-                    || engine.draw_gathered(simd, local, &treatment.drawn, &mut output),
-                );
+                vectorized!(simd, engine.draw_gathered(local, &treatment.drawn, &mut output));
             }
         },
     )

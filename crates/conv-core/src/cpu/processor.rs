@@ -13,7 +13,7 @@ use crate::plan::Plan;
 use crate::plan::block::{Block, Stamps};
 use crate::plan::coefficient_table::CoefficientTable;
 use crate::plan::geometry::TilePart;
-use crate::simd::Lanes;
+use crate::simd::{Lanes, vectorized};
 use crate::transform::TileTransform;
 
 /// A plan and the data with which threads of the processor execute it. A plan on a GPU needs these
@@ -144,10 +144,7 @@ impl<'a, T: ConvReal> BlockKernels<'a, T> {
     ) {
         if !self.transformed {
             let stamps = self.stamps();
-            simd.vectorized(
-                #[inline(always)]
-                || engine.transform_kernels(simd, stamps, workspace),
-            );
+            vectorized!(simd, engine.transform_kernels(simd, stamps, workspace));
             self.transformed = true;
         }
     }

@@ -9,7 +9,7 @@ use super::tile_engine::Workspace;
 use super::treatment::{TileCounts, TileMethod, each_tile};
 use crate::overlap::{colours, split};
 use crate::plan::geometry::Direction;
-use crate::simd::{Lanes, WithIsa};
+use crate::simd::{Lanes, WithIsa, vectorized};
 use crate::{ConvError, ConvReal};
 
 /// Spreads light of the weighted side: `output(q) += sum_p c(p) light(p) k(q - p)`, or `k(p - q)`
@@ -133,27 +133,24 @@ fn scatter_block<T: ConvReal, S: Lanes<T>>(
             let reach = plan.geometry.reach_from(x, y);
             let place = (reach.0 - origin.0 as i64, reach.1 - origin.1 as i64);
             if let Some(method) = treatment.method {
-                simd.vectorized(
-                    #[inline(always)]
-                    || {
-                        match method {
-                            TileMethod::Directly => engine.scatter_directly(simd, local, workspace),
-                            TileMethod::ByTransforms => engine.scatter(simd, local, workspace),
+                vectorized!(simd, {
+                    match method {
+                        TileMethod::Directly => engine.scatter_directly(local, workspace),
+                        TileMethod::ByTransforms => engine.scatter(simd, local, workspace),
+                    }
+                    let size = plan.geometry.around(local.part.size);
+                    if let Some(back) = treatment.back {
+                        for value in workspace.weighted.get_mut() {
+                            *value *= back;
                         }
-                        let size = plan.geometry.around(local.part.size);
-                        if let Some(back) = treatment.back {
-                            for value in workspace.weighted.get_mut() {
-                                *value *= back;
-                            }
-                        }
-                        engine.add(simd, workspace.weighted.get(), size, &mut output, place);
-                    },
-                );
+                    }
+                    engine.add(workspace.weighted.get(), size, &mut output, place);
+                });
             }
             if !treatment.drawn.is_empty() {
-                simd.vectorized(
-                    #[inline(always)]
-                    || engine.draw_scattered(simd, local, &treatment.drawn, &mut output, place),
+                vectorized!(
+                    simd,
+                    engine.draw_scattered(simd, local, &treatment.drawn, &mut output, place)
                 );
             }
         },

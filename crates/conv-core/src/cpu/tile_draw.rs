@@ -63,9 +63,8 @@ impl<T: ConvReal> TileEngine<'_, T> {
     /// Draws single pixels of the light around a tile: adds the light that falls on the tile to
     /// `output`, which has the tile's size.
     #[inline(always)]
-    pub(crate) fn draw_gathered<S: Lanes<T>>(
+    pub(crate) fn draw_gathered(
         &self,
-        _: S,
         local: LocalTile<'_, T>,
         pixels: &[LitPixel<T>],
         output: &mut ArrayViewMut2<'_, T>,

@@ -127,9 +127,8 @@ impl<T: ConvReal> TileEngine<'_, T> {
     /// Copies a rectangle of `source` that begins at (`column`, `row`) to `plane`. Pixels outside
     /// `source`, and the padding of rows, become zeros.
     #[inline(always)]
-    pub(crate) fn load<S: Lanes<T>>(
+    pub(crate) fn load(
         &self,
-        _: S,
         source: ArrayView2<'_, T>,
         (column, row): (i64, i64),
         (columns, rows): (usize, usize),
@@ -158,9 +157,8 @@ impl<T: ConvReal> TileEngine<'_, T> {
     /// Adds the first `columns` and `rows` of a plane to `output`, beginning at (`column`, `row`).
     /// Values beyond `output` are ignored.
     #[inline(always)]
-    pub(crate) fn add<S: Lanes<T>>(
+    pub(crate) fn add(
         &self,
-        _: S,
         plane: &[T],
         (columns, rows): (usize, usize),
         output: &mut ArrayViewMut2<'_, T>,
@@ -309,12 +307,7 @@ impl<T: ConvReal> TileEngine<'_, T> {
 
     /// Like [`scatter`](Self::scatter), but by the direct sum from stamps.
     #[inline(always)]
-    pub(crate) fn scatter_directly<S: Lanes<T>>(
-        &self,
-        _: S,
-        local: LocalTile<'_, T>,
-        workspace: &mut Workspace<T>,
-    ) {
+    pub(crate) fn scatter_directly(&self, local: LocalTile<'_, T>, workspace: &mut Workspace<T>) {
         let (columns, rows) = local.part.size;
         let (sx, sy) = self.geometry.stamp;
         let pitch = self.fft.pitch();
@@ -345,9 +338,8 @@ impl<T: ConvReal> TileEngine<'_, T> {
 
     /// Like [`gather`](Self::gather), but by the direct sum from stamps.
     #[inline(always)]
-    pub(crate) fn gather_directly<S: Lanes<T>>(
+    pub(crate) fn gather_directly(
         &self,
-        _: S,
         local: LocalTile<'_, T>,
         workspace: &mut Workspace<T>,
         output: &mut ArrayViewMut2<'_, T>,

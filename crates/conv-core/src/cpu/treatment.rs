@@ -7,7 +7,7 @@ use super::processor::{BlockKernels, LightPass};
 use super::tile_engine::{LocalTile, Workspace};
 use crate::plan::Paths;
 use crate::plan::geometry::{Direction, PlacedTile, TilePart};
-use crate::simd::Lanes;
+use crate::simd::{Lanes, vectorized};
 use crate::working_range::Rescaling;
 use crate::{ConvError, ConvReal};
 
@@ -223,8 +223,7 @@ fn choose<T: ConvReal>(
 /// Loads the light of a tile, or the light around it, into `workspace.light` and chooses its
 /// treatment. Returns `None` if the light is zero everywhere. The progress object is polled here,
 /// once per tile.
-pub(crate) fn treated<T: ConvReal, S: Lanes<T>>(
-    simd: S,
+pub(crate) fn treated<T: ConvReal>(
     pass: &LightPass<'_, T>,
     kernels: &BlockKernels<'_, T>,
     direction: Direction,
@@ -242,14 +241,11 @@ pub(crate) fn treated<T: ConvReal, S: Lanes<T>>(
             plan.geometry.around(tile.part.size),
         ),
     };
-    let mut seen = simd.vectorized(
-        #[inline(always)]
-        || {
-            let corner = (corner.0, corner.1 - pass.first_light as i64);
-            engine.load(simd, pass.light, corner, size, workspace.light.get_mut());
-            look(workspace.light.get(), pitch, (size.1, size.0))
-        },
-    );
+    let mut seen = vectorized!({
+        let corner = (corner.0, corner.1 - pass.first_light as i64);
+        engine.load(pass.light, corner, size, workspace.light.get_mut());
+        look(workspace.light.get(), pitch, (size.1, size.0))
+    });
     if seen.lit == 0 {
         return Ok(None);
     }
@@ -347,7 +343,7 @@ pub(crate) fn each_tile<T: ConvReal, S: Lanes<T>>(
                 size: (columns, rows),
             };
             let tile = PlacedTile { first: (x, y), part };
-            let Some(treatment) = treated(simd, pass, &kernels, direction, tile, workspace)? else {
+            let Some(treatment) = treated(pass, &kernels, direction, tile, workspace)? else {
                 counts.dark += 1;
                 continue;
             };

@@ -8,6 +8,7 @@ use psf_types::{LightProfile, Progress};
 use rayon::prelude::*;
 
 use crate::overlap::{Piece, add_pieces};
+use crate::simd::vectorized;
 use crate::{ConvError, ConvReal};
 
 /// Pixels along each side of a tile. Tiles, their blocks and the windows of galaxies begin at
@@ -136,18 +137,15 @@ impl<T: ConvReal> PolynomialWeights<T> {
 
     /// Adds the values at the pixels of a row.
     fn add(&self, line: [T; NODES], pixels: &mut [T]) {
-        pulp::Arch::new().dispatch(
-            #[inline(always)]
-            || {
-                // Half of the nodes at a time, which fit the processor's registers.
-                for (weights, line) in self.0.chunks_exact(NODES / 2).zip(line.chunks_exact(NODES / 2)) {
-                    let [a, b, c] = [&weights[0], &weights[1], &weights[2]];
-                    for (((pixel, &a), &b), &c) in pixels.iter_mut().zip(a).zip(b).zip(c) {
-                        *pixel += a * line[0] + b * line[1] + c * line[2];
-                    }
+        vectorized!({
+            // Half of the nodes at a time, which fit the processor's registers.
+            for (weights, line) in self.0.chunks_exact(NODES / 2).zip(line.chunks_exact(NODES / 2)) {
+                let [a, b, c] = [&weights[0], &weights[1], &weights[2]];
+                for (((pixel, &a), &b), &c) in pixels.iter_mut().zip(a).zip(b).zip(c) {
+                    *pixel += a * line[0] + b * line[1] + c * line[2];
                 }
-            },
-        );
+            }
+        });
     }
 }
 

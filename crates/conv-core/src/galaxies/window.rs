@@ -11,7 +11,7 @@ use rustfft::{Fft, FftPlanner};
 use super::power_spectrum::Outline;
 use super::spectrum::Wavenumbers;
 use crate::ConvReal;
-use crate::simd::{Lanes, WithIsa};
+use crate::simd::vectorized;
 
 /// The transformed stamps from which the PSFs of some galaxies are combined.
 #[derive(Debug)]
@@ -87,7 +87,7 @@ impl<T: ConvReal> WindowDrawer<T> {
     /// Computes the rows `rows` of a galaxy's image, which repeats with the period of the window.
     /// Returns the values `[row, column]`.
     pub(super) fn draw(&mut self, galaxy: &Drawn<'_, T>, rows: std::ops::Range<usize>) -> Array2<T> {
-        let columns = T::dispatch(Fold { galaxy, drawer: self });
+        let columns = self.fold(galaxy);
         let (side, half) = (self.side, self.side / 2 + 1);
         let Self {
             folded,
@@ -117,20 +117,11 @@ impl<T: ConvReal> WindowDrawer<T> {
         }
         values
     }
-}
 
-/// Multiplies the transforms of galaxy and PSF, and folds them into the wavenumbers of the window's
-/// pixels. Returns the number of columns, from the first on, that hold light.
-struct Fold<'a, 'b, T: ConvReal> {
-    galaxy: &'a Drawn<'b, T>,
-    drawer: &'a mut WindowDrawer<T>,
-}
-
-impl<T: ConvReal> WithIsa<T> for Fold<'_, '_, T> {
-    type Output = usize;
-    fn run<S: Lanes<T>>(self, simd: S) -> usize {
-        let Self { galaxy, drawer } = self;
-        let side = drawer.side;
+    /// Multiplies the transforms of galaxy and PSF, and folds them into the wavenumbers of the
+    /// window's pixels. Returns the number of columns, from the first on, that hold light.
+    fn fold(&mut self, galaxy: &Drawn<'_, T>) -> usize {
+        let side = self.side;
         let wavenumbers = &galaxy.spectra.wavenumbers;
         let step = wavenumbers.step();
         let copies = &wavenumbers.copies;
@@ -147,12 +138,12 @@ impl<T: ConvReal> WithIsa<T> for Fold<'_, '_, T> {
         let row = (2 * most + 1) as usize;
         let lines = wavenumbers.most_ky.len();
         let angles = [galaxy.centre.0, galaxy.centre.1].map(|centre| step * centre);
-        copies.turns_into(0, angles[0], radius, 0..lines as i64, &mut drawer.turns_x);
-        copies.turns_into(1, angles[1], radius, -most..most + 1, &mut drawer.turns);
-        drawer.folded.fill(zero);
-        drawer.psf.resize(row, zero);
-        drawer.product.resize(row, zero);
-        drawer.transform.resize(2 * most_ky as usize + 1, 0.0);
+        copies.turns_into(0, angles[0], radius, 0..lines as i64, &mut self.turns_x);
+        copies.turns_into(1, angles[1], radius, -most..most + 1, &mut self.turns);
+        self.folded.fill(zero);
+        self.psf.resize(row, zero);
+        self.product.resize(row, zero);
+        self.transform.resize(2 * most_ky as usize + 1, 0.0);
         let area = (side * side) as f64;
         let coefficients: Vec<T> = galaxy.coefficients.iter().map(|c| T::nearest(c / area)).collect();
         let mut columns = 0;
@@ -165,30 +156,27 @@ impl<T: ConvReal> WithIsa<T> for Fold<'_, '_, T> {
             };
             let count = (2 * most_ky + 1) as usize;
             let start = start + stored - most_ky as usize;
-            let psf = &mut drawer.psf[..count];
-            simd.vectorized(
-                #[inline(always)]
-                || {
-                    psf.fill(zero);
-                    for (stamp, &c) in galaxy.spectra.stamps.iter().zip(&coefficients) {
-                        for (sum, v) in psf.iter_mut().zip(&stamp[start..start + count]) {
-                            sum.re += c * v.re;
-                            sum.im += c * v.im;
-                        }
+            let psf = &mut self.psf[..count];
+            vectorized!({
+                psf.fill(zero);
+                for (stamp, &c) in galaxy.spectra.stamps.iter().zip(&coefficients) {
+                    for (sum, v) in psf.iter_mut().zip(&stamp[start..start + count]) {
+                        sum.re += c * v.re;
+                        sum.im += c * v.im;
                     }
-                },
-            );
-            let product = &mut drawer.product[..count];
+                }
+            });
+            let product = &mut self.product[..count];
             product.fill(zero);
-            for (across, turns_x) in copies.numbers(radius).zip(drawer.turns_x.chunks_exact(lines)) {
+            for (across, turns_x) in copies.numbers(radius).zip(self.turns_x.chunks_exact(lines)) {
                 let kx = line as i64 + copies.distance(across);
                 let Some(end) = most_at(kx) else { continue };
-                let transform = &mut drawer.transform[..(2 * end + 1) as usize];
+                let transform = &mut self.transform[..(2 * end + 1) as usize];
                 galaxy
                     .light
                     .transform_into(kx as f64 * step, -(end as f64) * step, step, transform);
                 let turn_x = turns_x[line];
-                for (up, turns) in copies.numbers(radius).zip(drawer.turns.chunks_exact(row)) {
+                for (up, turns) in copies.numbers(radius).zip(self.turns.chunks_exact(row)) {
                     // The wavenumbers of this copy that are within the outline.
                     let distance = copies.distance(up);
                     let from = (-most_ky).max(-end - distance);
@@ -200,16 +188,10 @@ impl<T: ConvReal> WithIsa<T> for Fold<'_, '_, T> {
                     let product = &mut product[part(-most_ky)];
                     let psf = &psf[part(-most_ky)];
                     let (transform, turns) = (&transform[part(-end - distance)], &turns[part(-most)]);
-                    simd.vectorized(
-                        #[inline(always)]
-                        || add_product(product, psf, transform, turn_x, turns),
-                    );
+                    vectorized!(add_product(product, psf, transform, turn_x, turns));
                 }
             }
-            simd.vectorized(
-                #[inline(always)]
-                || add_line(&mut drawer.folded, side, line, product),
-            );
+            vectorized!(add_line(&mut self.folded, side, line, product));
             columns = line + 1;
         }
         columns.min(side / 2 + 1)
@@ -282,7 +264,6 @@ mod tests {
     use super::*;
     use crate::galaxies::power_spectrum::{CopiesOfPower, PowerSpectrum};
     use crate::galaxies::spectrum::{discrete_transform, spectrum};
-    use crate::simd::SimdReal;
 
     /// Of columns that are not counted, the transform would be left out.
     #[test]
@@ -316,10 +297,7 @@ mod tests {
                     coefficients: &[1.0],
                     outline: &outline,
                 };
-                let columns = f64::dispatch(Fold {
-                    galaxy: &galaxy,
-                    drawer: &mut drawer,
-                });
+                let columns = drawer.fold(&galaxy);
                 lines.insert(columns);
                 let beyond = &drawer.folded[columns * 64..];
                 assert!(

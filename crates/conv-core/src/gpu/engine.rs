@@ -85,7 +85,7 @@ impl GpuEngine {
             }
         };
         let plan = (&self.plan, layout);
-        let (counts, times) = T::dispatch(Run::new(&attempt, plan, pass, &mut working, output))?;
+        let (counts, times) = Run::new(&attempt, plan, pass, &mut working, output).run()?;
         // After an error the buffers are not put back, because work in progress may still write to
         // them.
         locked(&self.working).push(working);

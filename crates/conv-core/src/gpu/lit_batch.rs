@@ -11,7 +11,6 @@ use crate::cpu::processor::{BlockKernels, LightPass};
 use crate::cpu::treatment::{TileCounts, Treatment, treated};
 use crate::error::GpuError;
 use crate::plan::geometry::{Direction, Geometry};
-use crate::simd::Lanes;
 use crate::{ConvError, ConvReal};
 
 /// The lit tiles to be transformed, and the tiles of which single pixels are drawn. Each tile comes
@@ -66,7 +65,7 @@ pub(super) struct Examination<'a, 'j, T: ConvReal> {
 }
 
 impl<T: ConvReal> Examination<'_, '_, T> {
-    pub(super) fn examine<S: Lanes<T>>(&self, simd: S) -> Result<LitBatch, ConvError> {
+    pub(super) fn examine(&self) -> Result<LitBatch, ConvError> {
         let parts = self.batch.parts.iter();
         // Each tile is a task. But if the plan does not keep a block's data, the block's tiles are
         // one task, which computes the data once.
@@ -84,7 +83,7 @@ impl<T: ConvReal> Examination<'_, '_, T> {
         let parts: Vec<Result<LitBatch, ConvError>> = tasks
             .into_par_iter()
             .with_max_len(1)
-            .map(|(part, tiles)| self.tiles(simd, part, tiles))
+            .map(|(part, tiles)| self.tiles(part, tiles))
             .collect();
         let mut all = LitBatch::default();
         for part in parts {
@@ -101,20 +100,13 @@ impl<T: ConvReal> Examination<'_, '_, T> {
     }
 
     /// Inspects some tiles of a part.
-    fn tiles<S: Lanes<T>>(&self, simd: S, part: &Part, tiles: &[TileSlot]) -> Result<LitBatch, ConvError> {
+    fn tiles(&self, part: &Part, tiles: &[TileSlot]) -> Result<LitBatch, ConvError> {
         let processor = self.pass.processor;
         let mut lit = LitBatch::default();
         let kernels = BlockKernels::new(&processor.plan, part.block);
         processor.with_workspace(|workspace| {
             for slot in tiles {
-                let treatment = treated(
-                    simd,
-                    self.pass,
-                    &kernels,
-                    self.layout.direction,
-                    slot.tile,
-                    workspace,
-                )?;
+                let treatment = treated(self.pass, &kernels, self.layout.direction, slot.tile, workspace)?;
                 // A tile whose kernels are in several parts counts once.
                 let first = part.kernels.start == 0;
                 let Some(treatment) = treatment else {

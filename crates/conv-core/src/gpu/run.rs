@@ -20,7 +20,6 @@ use super::stopwatch::{GpuTimes, Marks, Stopwatch};
 use crate::cpu::processor::LightPass;
 use crate::cpu::treatment::TileCounts;
 use crate::error::GpuError;
-use crate::simd::{Lanes, WithIsa};
 use crate::{ConvError, ConvReal};
 
 /// The most batches submitted and not finished. This number limits the memory for their data.
@@ -42,17 +41,6 @@ pub(super) struct Run<'a, 'j, T: ConvReal> {
     batches: VecDeque<wgpu::SubmissionIndex>,
     /// The index of the next readback buffer, 0 or 1.
     slot: usize,
-}
-
-impl<T: ConvReal> WithIsa<T> for Run<'_, '_, T> {
-    type Output = Result<(TileCounts, GpuTimes), ConvError>;
-
-    fn run<S: Lanes<T>>(mut self, simd: S) -> Self::Output {
-        let clock = Instant::now();
-        self.all(simd)?;
-        let total = clock.elapsed();
-        Ok((self.counts, GpuTimes { total, ..self.times }))
-    }
 }
 
 impl<'a, 'j, T: ConvReal> Run<'a, 'j, T> {
@@ -83,7 +71,9 @@ impl<'a, 'j, T: ConvReal> Run<'a, 'j, T> {
         }
     }
 
-    fn all<S: Lanes<T>>(&mut self, simd: S) -> Result<(), ConvError> {
+    /// Returns the numbers of tiles, and the times.
+    pub(super) fn run(mut self) -> Result<(TileCounts, GpuTimes), ConvError> {
+        let clock = Instant::now();
         let layout = self.layout;
         let rows = &self.pass.rows;
         let mut done = rows.start;
@@ -91,7 +81,7 @@ impl<'a, 'j, T: ConvReal> Run<'a, 'j, T> {
             if panel.block_rows.start < rows.start || panel.block_rows.end > rows.end {
                 continue;
             }
-            let submitted = self.submit(simd, panel, kept)?;
+            let submitted = self.submit(panel, kept)?;
             self.finish()?;
             self.pending = submitted;
             if panel.block_rows.start > done {
@@ -101,21 +91,17 @@ impl<'a, 'j, T: ConvReal> Run<'a, 'j, T> {
         }
         self.finish()?;
         self.pass.progress.advance((rows.end - done) as u64);
-        Ok(())
+        let total = clock.elapsed();
+        Ok((self.counts, GpuTimes { total, ..self.times }))
     }
 
     /// Submits a panel to the GPU. Returns `None` if the panel is dark.
-    fn submit<S: Lanes<T>>(
-        &mut self,
-        simd: S,
-        panel: &Panel,
-        kept: &[Option<BatchData>],
-    ) -> Result<Option<InFlight>, ConvError> {
+    fn submit(&mut self, panel: &Panel, kept: &[Option<BatchData>]) -> Result<Option<InFlight>, ConvError> {
         let mut marks = Marks::default();
         let bytes = panel.output.bytes();
         let mut begun = false;
         for (batch, kept) in panel.batches.iter().zip(kept) {
-            let (staging, mut lit) = self.examine(simd, panel, batch)?;
+            let (staging, mut lit) = self.examine(panel, batch)?;
             self.counts += lit.counts;
             if lit.is_dark() {
                 staging.unmap();
@@ -171,12 +157,7 @@ impl<'a, 'j, T: ConvReal> Run<'a, 'j, T> {
     }
 
     /// Inspects the light of a batch and writes it to a buffer from which the GPU can copy.
-    fn examine<S: Lanes<T>>(
-        &mut self,
-        simd: S,
-        panel: &Panel,
-        batch: &Batch,
-    ) -> Result<(wgpu::Buffer, LitBatch), ConvError> {
+    fn examine(&mut self, panel: &Panel, batch: &Batch) -> Result<(wgpu::Buffer, LitBatch), ConvError> {
         let clock = Instant::now();
         let staging = self.working.staging.take(self.device, 4 * batch.light as u64);
         let examination = Examination {
@@ -187,7 +168,7 @@ impl<'a, 'j, T: ConvReal> Run<'a, 'j, T> {
             pass: self.pass,
             staging: &staging,
         };
-        let lit = examination.examine(simd)?;
+        let lit = examination.examine()?;
         self.times.host += clock.elapsed();
         Ok((staging, lit))
     }

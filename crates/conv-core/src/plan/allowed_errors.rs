@@ -6,7 +6,7 @@ use super::growth_curves::TailGrowth;
 use super::node_functions::{NodeFunctions, sum_of_magnitudes};
 use super::norm::dot;
 use super::region_cells::RegionCells;
-use crate::simd::{Lanes, WithIsa};
+use crate::simd::vectorized;
 
 /// An error is rounding if its norm is at most this fraction of the PSF's norm. Its flux in circles
 /// is then not tested.
@@ -110,21 +110,13 @@ const SMALLER: f64 = 0.4;
 /// The functions before the coordinates in [`CountModes::table`].
 const BEFORE: usize = 2;
 
-impl WithIsa<f64> for CountModes<'_> {
-    type Output = Result<usize, f64>;
-
-    #[inline(always)]
-    fn run<S: Lanes<f64>>(mut self, simd: S) -> Result<usize, f64> {
-        simd.vectorized(
-            #[inline(always)]
-            || self.count(),
-        )
-    }
-}
-
 impl CountModes<'_> {
+    pub(crate) fn count(mut self) -> Result<usize, f64> {
+        vectorized!(self.counted())
+    }
+
     #[inline(always)]
-    fn count(&mut self) -> Result<usize, f64> {
+    fn counted(&mut self) -> Result<usize, f64> {
         let (width, errors) = (self.table.width, self.errors);
         let mut values = vec![0.0; self.cells.corners().len() * width];
         let mut outside = Vec::with_capacity(self.cells.corners().len());

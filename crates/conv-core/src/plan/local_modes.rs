@@ -11,7 +11,6 @@ use super::norm::norm;
 use super::psf_space::PsfSpace;
 use super::region_cells::RegionCells;
 use super::span::span;
-use crate::simd::SimdReal as _;
 
 /// A local basis: `h(x) = flux(x) reference + sum_j c_j(x) mode_j`. The modes hold no flux, so
 /// leaving out modes keeps the flux. The exception is a region without a reference: its first mode
@@ -172,14 +171,15 @@ impl LocalModes {
             let joined = ndarray::concatenate(Axis(1), &columns).expect("equally many rows");
             NodeFunctions::new(joined.view())
         };
-        let needed = f64::dispatch(CountModes {
+        let needed = CountModes {
             cells,
             table: &table(&[betas.view(), fluxes.view()], rows.ncols()),
             errors,
             reference: reference.as_ref().map_or(0.0, |reference| norm(reference.view())),
             outside,
             growth,
-        })?;
+        }
+        .count()?;
         let rank = forced.max(needed);
         let kept = rotation.slice(s![.., ..rank]);
         Ok(Self {
@@ -310,7 +310,6 @@ fn mode_axes(
         rest.dot(&principal_axes(&rest.t().dot(covariance).dot(&rest)))
     };
     match flux_axis {
-        None => (principal_axes(covariance), 0),
         // Without a reference, the mode along the flux axis carries all flux and must be kept.
         Some(axis) if !has_reference => {
             let rest = beside(&axis);
@@ -322,14 +321,8 @@ fn mode_axes(
         }
         // With a reference, the nodes have no part along the flux direction, except for
         // rounding. If this rounding is small, the modes are chosen without such a part.
-        Some(axis) => {
-            let along = rows.dot(&axis).iter().fold(0.0_f64, |m, v| m.max(v.abs()));
-            if along <= no_flux {
-                (beside(&axis), 0)
-            } else {
-                (principal_axes(covariance), 0)
-            }
-        }
+        Some(axis) if rows.dot(&axis).iter().all(|v| v.abs() <= no_flux) => (beside(&axis), 0),
+        _ => (principal_axes(covariance), 0),
     }
 }
 

@@ -188,11 +188,10 @@ impl PsfSpace {
         flux: f64,
     ) -> bool {
         let size = norm(error);
-        let Some(growth) = &self.growth else {
-            return size <= tolerance * psf_norm;
-        };
         size <= tolerance * psf_norm
-            && (size <= ROUNDING_NORM * psf_norm || growth.largest_flux(error) <= tolerance * flux.abs())
+            && self.growth.as_ref().is_none_or(|growth| {
+                size <= ROUNDING_NORM * psf_norm || growth.largest_flux(error) <= tolerance * flux.abs()
+            })
     }
 
     /// The rows whose sum, weighted by the nodes' weights, is a PSF: one for each node of some

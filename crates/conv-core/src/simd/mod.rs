@@ -2,15 +2,34 @@
 //!
 //! [`Isa`] is an instruction set, [`Lanes<T>`] its vectors of `T`. Code that is generic over both
 //! is compiled once for each instruction set. [`SimdReal::dispatch`] chooses one at run time. Hot
-//! loops run inside [`Isa::vectorized`], where the compiler may use the wide instructions. All
-//! functions called there must be inlined.
+//! loops run inside `vectorized!`, where the compiler may use the wide instructions. All functions
+//! called there must be inlined.
 
 mod transpose;
 
 use psf_types::Real;
+use pulp::Simd;
 use pulp::bytemuck::Pod;
-use pulp::{Simd, WithSimd};
 use rustfft::FftNum;
+
+/// `vectorized!(simd, work)` computes an expression with all instructions of an instruction set, and
+/// `vectorized!(work)` with those of the best one that this machine has.
+macro_rules! vectorized {
+    ($simd:ident, $work:expr) => {
+        pulp::Simd::vectorize(
+            $simd,
+            #[inline(always)]
+            || $work,
+        )
+    };
+    ($work:expr) => {
+        pulp::Arch::new().dispatch(
+            #[inline(always)]
+            || $work,
+        )
+    };
+}
+pub(crate) use vectorized;
 
 /// The working precisions of this crate: `f32` and `f64`.
 pub trait ConvReal: Real + FftNum + SimdReal {}
@@ -32,20 +51,6 @@ pub trait Isa: Simd {
     #[inline(always)]
     fn transpose_f64(self, from: &[Pair<Self::f64s>], into: &mut [Pair<Self::f64s>]) {
         transpose::through_memory::<f64, _>(from, into, Self::F64_LANES);
-    }
-
-    /// Runs `work` compiled for this instruction set.
-    #[inline(always)]
-    fn vectorized<R>(self, work: impl FnOnce() -> R) -> R {
-        struct Inlined<F>(F);
-        impl<R, F: FnOnce() -> R> WithSimd for Inlined<F> {
-            type Output = R;
-            #[inline(always)]
-            fn with_simd<S: Simd>(self, _: S) -> R {
-                (self.0)()
-            }
-        }
-        self.vectorize(Inlined(work))
     }
 }
 

@@ -147,7 +147,7 @@ mod x86 {
 
 #[cfg(test)]
 mod tests {
-    use super::super::{Lanes, Pair, SimdReal, WithIsa};
+    use super::super::{Lanes, Pair, SimdReal, WithIsa, vectorized};
     use pulp::bytemuck;
 
     #[derive(Clone, Copy)]
@@ -159,10 +159,7 @@ mod tests {
             let values: Vec<T> = (0..2 * n * n).map(|i| T::nearest(i as f64)).collect();
             let from: Vec<Pair<S::V>> = bytemuck::cast_slice(&values).to_vec();
             let mut into = vec![[simd.splat(T::nan()); 2]; n];
-            simd.vectorized(
-                #[inline(always)]
-                || simd.transpose(&from, &mut into),
-            );
+            vectorized!(simd, simd.transpose(&from, &mut into));
             let back: Vec<T> = bytemuck::cast_slice(&into).to_vec();
             for row in 0..n {
                 for part in 0..2 {

@@ -12,7 +12,7 @@ use rayon::prelude::*;
 use super::phases::{PhasedAxis, PhasedStar};
 use super::star_block::{BlockKey, CHUNK, RowLayout, StarBlock};
 use crate::overlap::{Piece, add_pieces};
-use crate::simd::{Aligned, Lanes, WithIsa};
+use crate::simd::{Aligned, Lanes, WithIsa, vectorized};
 use crate::stamp_interpolator::MOST_TAPS;
 use crate::{ConvError, ConvReal};
 
@@ -69,78 +69,56 @@ pub(super) struct DrawGroups<'a, T> {
 impl<T: ConvReal> WithIsa<T> for DrawGroups<'_, T> {
     type Output = Result<(), ConvError>;
     fn run<S: Lanes<T>>(self, simd: S) -> Self::Output {
-        let Self {
-            axes,
-            layout,
-            groups,
-            image,
-            first: (first_column, first_row),
-            progress,
-        } = self;
-        let height = image.nrows() as i64;
-        let draw = |group: &Group<T>| {
-            progress.check_cancelled()?;
-            let rows = group.rows.start.max(first_row)..group.rows.end.min(first_row + height);
-            let length = |range: &Range<i64>| (range.end - range.start).max(0) as usize;
-            let mut tile = Piece {
-                first_column: group.columns.start,
-                first_row: rows.start,
-                values: Array2::zeros((length(&rows), length(&group.columns))),
-            };
-            let draw = BlockDraw {
-                oversampling: axes[0].oversampling,
-                layout,
-                group,
-                progress,
-            };
-            simd.vectorized(
-                #[inline(always)]
-                || match axes[0].tap_count() {
-                    4 => draw.draw::<S, 4>(simd, &mut tile),
-                    _ => draw.draw::<S, MOST_TAPS>(simd, &mut tile),
-                },
-            )?;
-            Ok(tile)
-        };
-        let tiles: Vec<Piece<T>> = groups.par_iter().map(draw).collect::<Result<_, ConvError>>()?;
-        add_pieces(tiles.iter(), image, (first_column, first_row), BAND);
+        let tiles = self.groups.par_iter().map(|group| self.tile(simd, group));
+        let tiles: Vec<Piece<T>> = tiles.collect::<Result<_, ConvError>>()?;
+        add_pieces(tiles.iter(), self.image, self.first, BAND);
         Ok(())
     }
-}
-
-/// The smallest range that contains all ranges.
-fn hull<'a>(ranges: impl Iterator<Item = &'a Range<i64>>) -> Range<i64> {
-    ranges
-        .cloned()
-        .reduce(|a, b| a.start.min(b.start)..a.end.max(b.end))
-        .unwrap_or(0..0)
-}
-
-/// Draws stars of one block.
-struct BlockDraw<'a, T> {
-    oversampling: usize,
-    layout: RowLayout,
-    group: &'a Group<T>,
-    progress: &'a dyn Progress,
 }
 
 /// Groups of at least this many stars poll the progress object at every row.
 const STARS_PER_POLL: usize = 1 << 10;
 
-impl<T: ConvReal> BlockDraw<'_, T> {
+impl<T: ConvReal> DrawGroups<'_, T> {
+    /// A tile with the stars of a group.
+    fn tile<S: Lanes<T>>(&self, simd: S, group: &Group<T>) -> Result<Piece<T>, ConvError> {
+        self.progress.check_cancelled()?;
+        let (first, height) = (self.first.1, self.image.nrows() as i64);
+        let rows = group.rows.start.max(first)..group.rows.end.min(first + height);
+        let length = |range: &Range<i64>| (range.end - range.start).max(0) as usize;
+        let mut tile = Piece {
+            first_column: group.columns.start,
+            first_row: rows.start,
+            values: Array2::zeros((length(&rows), length(&group.columns))),
+        };
+        vectorized!(
+            simd,
+            match self.axes[0].tap_count() {
+                4 => self.draw::<S, 4>(simd, group, &mut tile),
+                _ => self.draw::<S, MOST_TAPS>(simd, group, &mut tile),
+            }
+        )?;
+        Ok(tile)
+    }
+
     /// Adds the stars to a tile that holds all their columns. Adds row `j` of every star before row
     /// `j + 1` of any star. The rows `j` of all stars are computed from the same few rows of
     /// coefficients, which therefore stay in the first-level cache.
     ///
     /// The order of additions to a pixel does not depend on which rows the tile holds.
     #[inline(always)]
-    fn draw<S: Lanes<T>, const TAPS: usize>(&self, simd: S, tile: &mut Piece<T>) -> Result<(), ConvError> {
+    fn draw<S: Lanes<T>, const TAPS: usize>(
+        &self,
+        simd: S,
+        group: &Group<T>,
+        tile: &mut Piece<T>,
+    ) -> Result<(), ConvError> {
         let Group {
             block,
             stars,
             weights,
             ..
-        } = self.group;
+        } = group;
         let longest = stars.iter().map(|star| star.rows.end - star.rows.start).max();
         let (height, width) = tile.values.dim();
         let rows = tile.first_row..tile.first_row + height as i64;
@@ -156,7 +134,7 @@ impl<T: ConvReal> BlockDraw<'_, T> {
                 if row >= star.rows.end || !rows.contains(&row) {
                     continue;
                 }
-                let kept = star.first_row + j as usize * self.oversampling;
+                let kept = star.first_row + j as usize * self.axes[0].oversampling;
                 let column = (star.columns.start - tile.first_column) as usize;
                 let length = (star.columns.end - star.columns.start) as usize;
                 let first = (row - rows.start) as usize * width + column;
@@ -172,6 +150,14 @@ impl<T: ConvReal> BlockDraw<'_, T> {
         }
         Ok(())
     }
+}
+
+/// The smallest range that contains all ranges.
+fn hull<'a>(ranges: impl Iterator<Item = &'a Range<i64>>) -> Range<i64> {
+    ranges
+        .cloned()
+        .reduce(|a, b| a.start.min(b.start)..a.end.max(b.end))
+        .unwrap_or(0..0)
 }
 
 /// One row of one star. It is a sum over the block's kernels, over the *row taps* (the rows of

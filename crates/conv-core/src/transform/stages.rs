@@ -205,7 +205,7 @@ fn radices(len: usize) -> Vec<usize> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::simd::{SimdReal, WithIsa};
+    use crate::simd::{SimdReal, WithIsa, vectorized};
     use pulp::bytemuck;
 
     #[test]
@@ -236,10 +236,7 @@ mod tests {
                         .map(|i| T::nearest(value(i / lanes / 2, (i / lanes) % 2, i % lanes)))
                         .collect();
                     let mut buffer: Vec<Pair<S::V>> = bytemuck::cast_slice(&flat).to_vec();
-                    simd.vectorized(
-                        #[inline(always)]
-                        || stages.forward(simd, &mut buffer, filled),
-                    );
+                    vectorized!(simd, stages.forward(simd, &mut buffer, filled));
                     // The order is scrambled, so each frequency is searched for in the whole
                     // spectrum.
                     let spectrum: Vec<T> = bytemuck::cast_slice(&buffer).to_vec();
@@ -261,10 +258,7 @@ mod tests {
                     for pair in &mut buffer {
                         pair.swap(0, 1);
                     }
-                    simd.vectorized(
-                        #[inline(always)]
-                        || stages.inverse_of_swapped(simd, &mut buffer),
-                    );
+                    vectorized!(simd, stages.inverse_of_swapped(simd, &mut buffer));
                     for pair in &mut buffer {
                         pair.swap(0, 1);
                     }

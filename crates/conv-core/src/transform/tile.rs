@@ -272,7 +272,7 @@ fn load<T: ConvReal, S: Lanes<T>>(_: S, plane: &[T], pitch: usize, row: usize, b
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::simd::{SimdReal, WithIsa};
+    use crate::simd::{SimdReal, WithIsa, vectorized};
 
     #[derive(Clone, Copy)]
     struct Convolves(f64);
@@ -304,26 +304,23 @@ mod tests {
                     let mut column = vec![T::nan(); fft.column_len()];
                     let (light_plane, stamp_plane) =
                         (plane(rows, columns, &light), plane(height, width, &stamp));
-                    simd.vectorized(
-                        #[inline(always)]
-                        || {
-                            fft.forward(simd, &light_plane, (rows, columns), &mut a, &mut column);
-                            fft.forward(simd, &stamp_plane, (height, width), &mut b, &mut column);
-                            fft.multiply_swapped(simd, &a, &b, &mut sum, false);
-                            fft.forward_multiply_swapped(
-                                simd,
-                                &light_plane,
-                                (rows, columns),
-                                &b,
-                                &mut sum,
-                                true,
-                                &mut a,
-                                &mut column,
-                            );
-                            let size = (rows + height - 1, columns + width - 1);
-                            fft.inverse_of_swapped(simd, &mut sum, size, &mut result, &mut column);
-                        },
-                    );
+                    vectorized!(simd, {
+                        fft.forward(simd, &light_plane, (rows, columns), &mut a, &mut column);
+                        fft.forward(simd, &stamp_plane, (height, width), &mut b, &mut column);
+                        fft.multiply_swapped(simd, &a, &b, &mut sum, false);
+                        fft.forward_multiply_swapped(
+                            simd,
+                            &light_plane,
+                            (rows, columns),
+                            &b,
+                            &mut sum,
+                            true,
+                            &mut a,
+                            &mut column,
+                        );
+                        let size = (rows + height - 1, columns + width - 1);
+                        fft.inverse_of_swapped(simd, &mut sum, size, &mut result, &mut column);
+                    });
                     for y in 0..rows + height - 1 {
                         for x in 0..columns + width - 1 {
                             let mut exact = 0.0;
