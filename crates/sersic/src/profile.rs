@@ -97,7 +97,7 @@ impl SersicLight {
     fn between(&self, nearest: f64, farthest: f64, sine: f64) -> Outskirts {
         let (half, b) = ((0.5 / self.index) as f32, self.b as f32);
         let ratios = [nearest, farthest].map(|radius| (radius / self.re) as f32);
-        let [brightness, exponent] = pulp::Arch::new().dispatch(
+        let [brightness, exponent] = pulp::Arch::new().dispatch(once(
             #[inline(always)]
             || {
                 let [nearest, farthest] = ratios.map(
@@ -106,7 +106,7 @@ impl SersicLight {
                 );
                 [exp(-nearest), farthest]
             },
-        );
+        ));
         let k = f64::from(exponent) / self.index;
         // A step of a pixel along the minor axis is 1 / q in (u, v).
         let along = (k + ALONG_RADIUS) * (sine / self.q).max(1.0);
@@ -116,6 +116,13 @@ impl SersicLight {
             scale_px: nearest / along.max(across),
         }
     }
+}
+
+/// Returns a closure that can be called once only. Any other closure would be called through a
+/// function that is not inlined, and so not compiled for the processor's instructions.
+#[inline(always)]
+fn once<R, F: FnOnce() -> R>(work: F) -> F {
+    work
 }
 
 impl LightProfile for SersicLight {

@@ -114,9 +114,13 @@ impl<'a, T: ConvReal> BlockKernels<'a, T> {
     }
 
     /// A tile with the coefficients and stamps of the block.
-    pub(crate) fn local(&self, part: TilePart) -> LocalTile<'_, T> {
-        let (table, stamps) = (self.table(), self.stamps());
-        LocalTile { part, table, stamps }
+    pub(crate) fn local(&self, part: TilePart, is_alone: bool) -> LocalTile<'_, T> {
+        LocalTile {
+            part,
+            table: self.table(),
+            stamps: self.stamps(),
+            is_alone,
+        }
     }
 
     /// Returns an error if a pixel of a tile needs a PSF but has none. The error names the first

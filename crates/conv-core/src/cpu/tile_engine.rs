@@ -61,6 +61,9 @@ pub(crate) struct LocalTile<'a, T> {
     pub(crate) table: &'a CoefficientTable<T>,
     /// `[kernel, y, x]`.
     pub(crate) stamps: &'a [T],
+    /// True if the block has no other tile, and the tile scatters its light. Then the kernels'
+    /// spectra are not in the workspace.
+    pub(crate) is_alone: bool,
 }
 
 impl<T: ConvReal> LocalTile<'_, T> {
@@ -188,29 +191,37 @@ impl<T: ConvReal> TileEngine<'_, T> {
     #[inline(always)]
     pub(crate) fn transform_kernels<S: Lanes<T>>(&self, simd: S, stamps: &[T], workspace: &mut Workspace<T>) {
         let (sx, sy) = self.geometry.stamp;
-        let (pitch, length) = (self.fft.pitch(), self.fft.spectrum_len());
-        let count = stamps.len() / (sx * sy);
-        workspace.kernels.at_least(count * length);
-        let plane = workspace.weighted.get_mut();
-        let spectra = workspace.kernels.get_mut().chunks_exact_mut(length);
+        let length = self.fft.spectrum_len();
+        workspace.kernels.at_least(stamps.len() / (sx * sy) * length);
+        let w = workspace;
+        let spectra = w.kernels.get_mut().chunks_exact_mut(length);
         for (stamp, spectrum) in stamps.chunks_exact(sx * sy).zip(spectra) {
-            for (y, into) in plane.chunks_exact_mut(pitch).take(sy).enumerate() {
-                let row = if self.flip { sy - 1 - y } else { y };
-                let values = &stamp[row * sx..(row + 1) * sx];
-                into[..sx].copy_from_slice(values);
-                if self.flip {
-                    into[..sx].reverse();
-                }
-                into[sx..sx.next_multiple_of(X_STEP)].fill(T::zero());
-            }
+            self.load_stamp(stamp, w.weighted.get_mut());
+            let plane = w.weighted.get();
             self.fft
-                .forward(simd, plane, (sy, sx), spectrum, workspace.column.get_mut());
+                .forward(simd, plane, (sy, sx), spectrum, w.column.get_mut());
         }
     }
 
-    /// Spreads the light of a tile (`workspace.light`) with the kernels whose spectra are in the
-    /// workspace. Writes the result to `workspace.weighted`. The result is larger than the tile by
-    /// the stamp's size less one pixel.
+    /// Copies a stamp to the first pixels of a plane.
+    #[inline(always)]
+    fn load_stamp(&self, stamp: &[T], plane: &mut [T]) {
+        let (sx, sy) = self.geometry.stamp;
+        for (y, into) in plane.chunks_exact_mut(self.fft.pitch()).take(sy).enumerate() {
+            let row = if self.flip { sy - 1 - y } else { y };
+            into[..sx].copy_from_slice(&stamp[row * sx..(row + 1) * sx]);
+            if self.flip {
+                into[..sx].reverse();
+            }
+            into[sx..sx.next_multiple_of(X_STEP)].fill(T::zero());
+        }
+    }
+
+    /// Spreads the light of a tile (`workspace.light`) with its kernels. Writes the result to
+    /// `workspace.weighted`. The result is larger than the tile by the stamp's size less one pixel.
+    ///
+    /// The kernels' spectra are in the workspace unless the tile is alone in its block. Then each
+    /// kernel is transformed when it is needed, so that it stays in the second-level cache.
     #[inline(always)]
     pub(crate) fn scatter<S: Lanes<T>>(
         &self,
@@ -221,8 +232,20 @@ impl<T: ConvReal> TileEngine<'_, T> {
         let (columns, rows) = local.part.size;
         let (pitch, length) = (self.fft.pitch(), self.fft.spectrum_len());
         let padded = columns.next_multiple_of(X_STEP);
+        let (sx, sy) = self.geometry.stamp;
         let w = workspace;
-        for kernel in 0..local.table.kernel_count() {
+        for (kernel, stamp) in local.stamps.chunks_exact(sx * sy).enumerate() {
+            let factor = if local.is_alone {
+                self.load_stamp(stamp, w.weighted.get_mut());
+                w.kernels.at_least(self.fft.half_len(sx));
+                let (plane, half) = (w.weighted.get(), w.kernels.get_mut());
+                let half = &mut half[..self.fft.half_len(sx)];
+                self.fft
+                    .half_forward(simd, plane, (sy, sx), half, w.column.get_mut());
+                (&*half, Some(sx))
+            } else {
+                (&w.kernels.get()[kernel * length..(kernel + 1) * length], None)
+            };
             local.divide_light(kernel, w.light.get_mut(), pitch, &mut w.coefficients);
             let light = w.light.get().chunks_exact(pitch);
             let weighted = w.weighted.get_mut().chunks_exact_mut(pitch);
@@ -237,7 +260,7 @@ impl<T: ConvReal> TileEngine<'_, T> {
                 simd,
                 w.weighted.get(),
                 (rows, columns),
-                &w.kernels.get()[kernel * length..(kernel + 1) * length],
+                factor,
                 w.sum.get_mut(),
                 kernel > 0,
                 w.spectrum.get_mut(),

@@ -336,6 +336,7 @@ pub(crate) fn each_tile<T: ConvReal, S: Lanes<T>>(
     let mut kernels = BlockKernels::new(plan, (column, row));
     let mut counts = TileCounts::default();
     let (across, up) = (&plan.tiling.columns[column], &plan.tiling.rows[row]);
+    let is_alone = direction == Direction::Scatter && across.tiles.len() * up.tiles.len() == 1;
     for (y, rows, below) in up.placed() {
         for (x, columns, left) in across.placed() {
             let part = TilePart {
@@ -348,10 +349,10 @@ pub(crate) fn each_tile<T: ConvReal, S: Lanes<T>>(
                 continue;
             };
             counts.count(&treatment, kernels.block.kernel_count());
-            if treatment.method == Some(TileMethod::ByTransforms) {
+            if treatment.method == Some(TileMethod::ByTransforms) && !is_alone {
                 kernels.transform(simd, &pass.tile_engine(), workspace);
             }
-            convolve(kernels.local(part), (x, y), &treatment, workspace);
+            convolve(kernels.local(part, is_alone), (x, y), &treatment, workspace);
         }
     }
     Ok(counts)

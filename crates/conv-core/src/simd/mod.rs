@@ -8,8 +8,8 @@
 mod transpose;
 
 use psf_types::Real;
-use pulp::Simd;
 use pulp::bytemuck::Pod;
+use pulp::{Simd, WithSimd};
 use rustfft::FftNum;
 
 /// `vectorized!(simd, work)` computes an expression with all instructions of an instruction set, and
@@ -18,18 +18,40 @@ macro_rules! vectorized {
     ($simd:ident, $work:expr) => {
         pulp::Simd::vectorize(
             $simd,
-            #[inline(always)]
-            || $work,
+            $crate::simd::Inlined::new(
+                #[inline(always)]
+                || $work,
+            ),
         )
     };
     ($work:expr) => {
-        pulp::Arch::new().dispatch(
+        pulp::Arch::new().dispatch($crate::simd::Inlined::new(
             #[inline(always)]
             || $work,
-        )
+        ))
     };
 }
 pub(crate) use vectorized;
+
+/// Work for `vectorized!`.
+pub(crate) struct Inlined<F>(F);
+
+impl<R, F: FnOnce() -> R> Inlined<F> {
+    /// The bound `FnOnce` makes the closure one that can be called once only. Any other closure
+    /// would be called through a function that is not inlined.
+    #[inline(always)]
+    pub(crate) fn new(work: F) -> Self {
+        Self(work)
+    }
+}
+
+impl<R, F: FnOnce() -> R> WithSimd for Inlined<F> {
+    type Output = R;
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) -> R {
+        (self.0)()
+    }
+}
 
 /// The working precisions of this crate: `f32` and `f64`.
 pub trait ConvReal: Real + FftNum + SimdReal {}

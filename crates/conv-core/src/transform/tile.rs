@@ -78,10 +78,15 @@ impl<T: ConvReal> TileTransform<T> {
         self.nx + 1
     }
 
-    /// The number of values of working memory for a transform: one column of vectors, large enough
-    /// for any instruction set.
+    /// The number of values of working memory for a transform: one column or one group of vectors,
+    /// large enough for any instruction set.
     pub fn column_len(&self) -> usize {
-        self.ny * X_STEP
+        self.ny.max(2 * self.nx) * X_STEP
+    }
+
+    /// The number of values of a [half spectrum](Self::half_forward).
+    pub(crate) fn half_len(&self, columns: usize) -> usize {
+        half_group(columns) * self.ny
     }
 
     /// Computes the spectrum of a plane `[y, x]`. From one row to the next there are
@@ -97,17 +102,33 @@ impl<T: ConvReal> TileTransform<T> {
         spectrum: &mut [T],
         column: &mut [T],
     ) {
-        self.down(simd, plane, (rows, columns), spectrum, column);
+        self.down(simd, plane, (rows, columns), spectrum, self.group(), column);
         let spectrum: &mut [Pair<S::V>] = cast_slice_mut(&mut spectrum[..self.spectrum_len()]);
         for group in spectrum.chunks_exact_mut(self.group()) {
             self.across(simd, group, columns);
         }
     }
 
+    /// Computes the first half of [`forward`](Self::forward): transforms along y only, and columns
+    /// that are used only. A half spectrum takes less room than the whole.
+    #[inline(always)]
+    pub(crate) fn half_forward<S: Lanes<T>>(
+        &self,
+        simd: S,
+        plane: &[T],
+        (rows, columns): (usize, usize),
+        half: &mut [T],
+        column: &mut [T],
+    ) {
+        self.down(simd, plane, (rows, columns), half, half_group(columns), column);
+    }
+
     /// Computes the spectrum of a plane like [`forward`](Self::forward), multiplies it by another
     /// spectrum, and swaps real and imaginary parts of the product. The product is added to `sum`
     /// if `add` is true, otherwise it replaces `sum`. Each group stays in the first-level cache
     /// from its transform to the sum. `spectrum` is overwritten.
+    ///
+    /// The other spectrum is whole, or a [half](Self::half_forward) of some columns.
     #[inline(always)]
     #[allow(clippy::too_many_arguments, reason = "two inputs, a sum and two buffers")]
     pub(crate) fn forward_multiply_swapped<S: Lanes<T>>(
@@ -115,28 +136,36 @@ impl<T: ConvReal> TileTransform<T> {
         simd: S,
         plane: &[T],
         (rows, columns): (usize, usize),
-        factor: &[T],
+        (factor, half_of): (&[T], Option<usize>),
         sum: &mut [T],
         add: bool,
         spectrum: &mut [T],
         column: &mut [T],
     ) {
-        self.down(simd, plane, (rows, columns), spectrum, column);
+        self.down(simd, plane, (rows, columns), spectrum, self.group(), column);
+        let n = self.nx;
         let spectrum: &mut [Pair<S::V>] = cast_slice_mut(&mut spectrum[..self.spectrum_len()]);
-        let factor: &[Pair<S::V>] = cast_slice(&factor[..self.spectrum_len()]);
         let sum: &mut [Pair<S::V>] = cast_slice_mut(&mut sum[..self.spectrum_len()]);
-        let groups = spectrum.chunks_exact_mut(self.group());
-        let others = factor
-            .chunks_exact(self.group())
-            .zip(sum.chunks_exact_mut(self.group()));
-        for (group, (factor, sum)) in groups.zip(others) {
+        let others = cast_slice(factor).chunks_exact(half_of.map_or(self.group(), half_group));
+        let other: &mut [Pair<S::V>] = &mut cast_slice_mut(column)[..n];
+        let groups = spectrum.chunks_exact_mut(self.group()).zip(others);
+        for ((group, factor), sum) in groups.zip(sum.chunks_exact_mut(self.group())) {
             self.across(simd, group, columns);
-            let n = self.nx;
-            multiply_swapped(simd, &group[..n], &factor[..n], &mut sum[..n], add);
+            let factor: &[Pair<S::V>] = match half_of {
+                None => &factor[..n],
+                Some(columns) => {
+                    let filled = columns.next_multiple_of(S::LANES);
+                    other[..filled].copy_from_slice(&factor[..filled]);
+                    self.across(simd, other, columns);
+                    other
+                }
+            };
+            multiply_swapped(simd, &group[..n], factor, &mut sum[..n], add);
         }
     }
 
-    /// The transforms along y of a plane's columns, stored as groups of a spectrum.
+    /// The transforms along y of a plane's columns, stored as groups of a spectrum. From one group to
+    /// the next there are `group_len` complex vectors.
     #[inline(always)]
     fn down<S: Lanes<T>>(
         &self,
@@ -144,10 +173,11 @@ impl<T: ConvReal> TileTransform<T> {
         plane: &[T],
         (rows, columns): (usize, usize),
         spectrum: &mut [T],
+        group_len: usize,
         column: &mut [T],
     ) {
         let half = self.ny / 2;
-        let spectrum: &mut [Pair<S::V>] = cast_slice_mut(&mut spectrum[..self.spectrum_len()]);
+        let spectrum: &mut [Pair<S::V>] = cast_slice_mut(&mut spectrum[..group_len * self.ny]);
         let column: &mut [Pair<S::V>] = &mut cast_slice_mut(column)[..half];
         let zero = simd.splat(T::zero());
         for block in 0..columns.div_ceil(S::LANES) {
@@ -171,7 +201,7 @@ impl<T: ConvReal> TileTransform<T> {
                 };
             }
             self.down.forward(simd, column, rows.min(half));
-            let groups = spectrum.chunks_exact_mut(self.group());
+            let groups = spectrum.chunks_exact_mut(group_len);
             for (from, group) in column.chunks_exact(S::LANES).zip(groups) {
                 simd.transpose(from, &mut group[block * S::LANES..(block + 1) * S::LANES]);
             }
@@ -235,6 +265,12 @@ impl<T: ConvReal> TileTransform<T> {
         let sum: &mut [Pair<S::V>] = cast_slice_mut(&mut sum[..self.spectrum_len()]);
         multiply_swapped(simd, a, b, sum, add);
     }
+}
+
+/// The number of complex vectors from one group of a half spectrum to the next, padded like the
+/// groups of a spectrum.
+fn half_group(columns: usize) -> usize {
+    columns.next_multiple_of(X_STEP) + 1
 }
 
 #[inline(always)]
@@ -308,16 +344,20 @@ mod tests {
                         fft.forward(simd, &light_plane, (rows, columns), &mut a, &mut column);
                         fft.forward(simd, &stamp_plane, (height, width), &mut b, &mut column);
                         fft.multiply_swapped(simd, &a, &b, &mut sum, false);
-                        fft.forward_multiply_swapped(
-                            simd,
-                            &light_plane,
-                            (rows, columns),
-                            &b,
-                            &mut sum,
-                            true,
-                            &mut a,
-                            &mut column,
-                        );
+                        let mut half = vec![T::nan(); fft.half_len(width)];
+                        fft.half_forward(simd, &stamp_plane, (height, width), &mut half, &mut column);
+                        for factor in [(&b, None), (&half, Some(width))] {
+                            fft.forward_multiply_swapped(
+                                simd,
+                                &light_plane,
+                                (rows, columns),
+                                (factor.0, factor.1),
+                                &mut sum,
+                                true,
+                                &mut a,
+                                &mut column,
+                            );
+                        }
                         let size = (rows + height - 1, columns + width - 1);
                         fft.inverse_of_swapped(simd, &mut sum, size, &mut result, &mut column);
                     });
@@ -327,7 +367,7 @@ mod tests {
                             for j in 0..height.min(y + 1) {
                                 for i in 0..width.min(x + 1) {
                                     if y - j < rows && x - i < columns {
-                                        exact += 2.0 * light(y - j, x - i) * stamp(j, i);
+                                        exact += 3.0 * light(y - j, x - i) * stamp(j, i);
                                     }
                                 }
                             }
