@@ -3,6 +3,7 @@
 
 use std::collections::{HashMap, VecDeque};
 use std::num::NonZeroUsize;
+use std::ops::Range;
 
 use ndarray::ArrayView2;
 use psf_types::{
@@ -32,8 +33,10 @@ use crate::search_tree::SearchTree;
 pub(crate) struct Lattice {
     samples: usize,
     cells: Vec<Cell>,
-    /// For each corner, the weights of the samples.
-    corners: Vec<WeightList>,
+    /// For each corner, its range of the list `weights`.
+    corners: Vec<Range<usize>>,
+    /// Samples and their weights.
+    weights: WeightList,
     hull: Hull,
 }
 
@@ -103,6 +106,7 @@ impl Lattice {
                 content: Content::Leaf([0; 4]),
             }],
             corners: Vec::new(),
+            weights: Vec::new(),
             hull: Hull::new(points, outside)?,
         };
         lattice.divide(points, &SearchTree::new(points)?);
@@ -112,7 +116,11 @@ impl Lattice {
             weights(at[corner], &mut list);
             list
         };
-        lattice.corners = joined(&lattice.longer_edges(&at), &at, own);
+        for list in joined(&lattice.longer_edges(&at), &at, own) {
+            let start = lattice.weights.len();
+            lattice.weights.extend(list);
+            lattice.corners.push(start..lattice.weights.len());
+        }
         Ok(lattice)
     }
 
@@ -313,7 +321,7 @@ impl Lattice {
         let products = [(1.0 - s) * (1.0 - t), s * (1.0 - t), (1.0 - s) * t, s * t];
         weights.clear();
         for (&corner, product) in corners.iter().zip(products).filter(|&(_, w)| w != 0.0) {
-            let list = self.corners[corner].iter();
+            let list = self.weights[self.corners[corner].clone()].iter();
             let list = list.map(|&(sample, weight)| (sample, product * weight));
             if weights.is_empty() {
                 weights.extend(list);

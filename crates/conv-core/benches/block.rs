@@ -32,9 +32,9 @@ impl<T: ConvReal> BlockSteps<T> {
     fn new(model: &PsfModel, region: PixelRegion, tolerance: f64) -> Self {
         let space = PsfSpace::new(model, ToleranceOn::default());
         let (cells, _, modes) = LocalModes::of_region(&space, region, tolerance);
-        let (role, _) = FluxRole::of(model, &modes, &cells);
+        let (role, _) = FluxRole::of(model, &modes, &modes.at_corners(&cells));
         Self {
-            table: CoefficientTable::new(region, role, &modes, &cells),
+            table: CoefficientTable::new(region, role, modes.at_corners(&cells), &cells),
             space,
             region,
             tolerance,
@@ -51,7 +51,12 @@ impl<T: ConvReal> BlockSteps<T> {
 
     /// Tabulates the modes' coefficients over the region.
     fn coefficients(&mut self) {
-        self.table = CoefficientTable::new(self.region, self.role, &self.modes, &self.cells);
+        self.table = CoefficientTable::new(
+            self.region,
+            self.role,
+            self.modes.at_corners(&self.cells),
+            &self.cells,
+        );
     }
 
     /// Multiplies the region's light `[y, x]` by the coefficient of the last mode.

@@ -2,7 +2,7 @@
 
 use std::sync::{Arc, OnceLock};
 
-use ndarray::{Array1, Array2, ArrayViewMut2, s};
+use ndarray::{Array1, ArrayViewMut2, Axis, s};
 use psf_types::{Anchor, LightProfile, PixelRegion, Position, Progress, PsfModel, SersicSource};
 use rayon::prelude::*;
 
@@ -342,20 +342,12 @@ impl<T: ConvReal> GalaxyPlan<T> {
             let cells = self.space().sampled_cells(region);
             let modes = LocalModes::of_exact_cells(self.space(), &cells, MARGIN * self.tolerance);
             // No rows if the PSF has no value in the block. Then each galaxy uses all components.
-            let mut directions = Array2::zeros((modes.directions().count(), modes.modes.ncols()));
-            for (mut to, row) in directions.outer_iter_mut().zip(modes.directions()) {
-                to.assign(&row);
-            }
+            let directions = modes.kernels();
             // The values at the corners of cells begin with the flux, also without a reference.
-            let mut values = vec![0.0; modes.rank() + 1];
-            let mut largest = vec![0.0_f64; directions.nrows()];
-            let first = values.len() - directions.nrows();
-            for corner in cells.corners() {
-                modes.values_into(corner, &mut values);
-                for (largest, value) in largest.iter_mut().zip(&values[first..]) {
-                    *largest = largest.max(value.abs());
-                }
-            }
+            let values = modes.at_corners(&cells);
+            let values = values.slice(s![.., values.ncols() - directions.nrows()..]);
+            let largest = values.map_axis(Axis(0), |values| values.fold(0.0_f64, |m, v| m.max(v.abs())));
+            let largest = largest.to_vec();
             let typical = LocalModes::mean(self.space(), &cells);
             let kernels = Kernels::new(
                 self.stamps(),

@@ -61,8 +61,9 @@ impl<T: ConvReal> Block<T> {
         keep_table: bool,
     ) -> Self {
         let (cells, error, modes) = LocalModes::of_region(space, region, tolerance);
-        let (role, flux) = FluxRole::of(model, &modes, &cells);
-        let table = keep_table.then(|| Arc::new(CoefficientTable::new(region, role, &modes, &cells)));
+        let values = modes.at_corners(&cells);
+        let (role, flux) = FluxRole::of(model, &modes, &values);
+        let table = keep_table.then(|| Arc::new(CoefficientTable::new(region, role, values, &cells)));
         Self {
             region,
             error,
@@ -76,7 +77,7 @@ impl<T: ConvReal> Block<T> {
 
     /// The number of kernels: the modes, plus 1 if there is a reference.
     pub(crate) fn kernel_count(&self) -> usize {
-        self.modes.rank() + usize::from(self.modes.reference().is_some())
+        self.modes.kernel_count()
     }
 
     pub(crate) fn table_bytes(&self) -> usize {
@@ -93,7 +94,8 @@ impl<T: ConvReal> Block<T> {
     pub(crate) fn table_or_new(&self, space: &PsfSpace) -> Arc<CoefficientTable<T>> {
         self.table.clone().unwrap_or_else(|| {
             let cells = space.cells(self.region, self.error);
-            Arc::new(CoefficientTable::new(self.region, self.role, &self.modes, &cells))
+            let values = self.modes.at_corners(&cells);
+            Arc::new(CoefficientTable::new(self.region, self.role, values, &cells))
         })
     }
 
@@ -108,14 +110,11 @@ impl<T: ConvReal> Block<T> {
     /// The kernels as vectors `[kernel, direction]` in a [`PsfSpace`]: the reference, if there is
     /// one, then the modes.
     pub(crate) fn directions(&self) -> Array2<f64> {
-        let modes = self.modes.modes.view();
-        match self.modes.reference() {
-            None => modes.to_owned(),
-            Some(reference) => {
-                let reference = (&reference * self.flux).insert_axis(Axis(0));
-                ndarray::concatenate(Axis(0), &[reference.view(), modes]).expect("equally many directions")
-            }
+        let mut kernels = self.modes.kernels();
+        if self.modes.reference().is_some() {
+            kernels.row_mut(0).mapv_inplace(|v| self.flux * v);
         }
+        kernels
     }
 }
 

@@ -2,6 +2,7 @@
 
 use std::ops::Range;
 
+use ndarray::Array2;
 use psf_types::{FieldError, PixelRegion, PsfModel};
 
 use super::local_modes::LocalModes;
@@ -173,8 +174,9 @@ const SAME_FLUX: f64 = 4e-15;
 
 impl FluxRole {
     /// Returns the role of the flux in a region, and the flux to which the reference is scaled: the
-    /// PSFs' flux if that is constant, otherwise 1.
-    pub fn of(model: &PsfModel, modes: &LocalModes, cells: &RegionCells) -> (Self, f64) {
+    /// PSFs' flux if that is constant, otherwise 1. `at_corners` holds the modes'
+    /// [values](LocalModes::at_corners).
+    pub fn of(model: &PsfModel, modes: &LocalModes, at_corners: &Array2<f64>) -> (Self, f64) {
         let scaled = model.needs_flux_scaling();
         if modes.reference().is_none() {
             return (Self::NoReference { scaled }, 1.0);
@@ -182,19 +184,15 @@ impl FluxRole {
         if scaled {
             return (Self::Divisor, 1.0);
         }
-        let mut values = vec![0.0; 1 + modes.rank()];
-        let mut range: Option<(f64, f64)> = None;
-        for corner in cells.corners() {
-            modes.values_into(corner, &mut values);
-            let flux = values[0];
-            range = Some(range.map_or((flux, flux), |(low, high)| (low.min(flux), high.max(flux))));
-        }
-        match range {
-            None => (Self::Constant, 1.0),
-            Some((low, high)) if high - low <= SAME_FLUX * high.abs().max(low.abs()) => {
-                (Self::Constant, f64::midpoint(low, high))
-            }
-            Some(_) => (Self::Weight, 1.0),
+        let fluxes = at_corners.column(0);
+        let low = fluxes.iter().copied().fold(f64::INFINITY, f64::min);
+        let high = fluxes.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        if fluxes.is_empty() {
+            (Self::Constant, 1.0)
+        } else if high - low <= SAME_FLUX * high.abs().max(low.abs()) {
+            (Self::Constant, f64::midpoint(low, high))
+        } else {
+            (Self::Weight, 1.0)
         }
     }
 
@@ -225,34 +223,35 @@ impl FluxRole {
 }
 
 impl<T: ConvReal> CoefficientTable<T> {
-    /// Tabulates the coefficients of modes over a region. `cells` are the cells of that region.
-    pub fn new(region: PixelRegion, role: FluxRole, modes: &LocalModes, cells: &RegionCells) -> Self {
+    /// Tabulates the coefficients of modes over a region. `at_corners` holds the modes'
+    /// [values](LocalModes::at_corners) at the corners of the region's `cells`.
+    pub fn new(
+        region: PixelRegion,
+        role: FluxRole,
+        mut at_corners: Array2<f64>,
+        cells: &RegionCells,
+    ) -> Self {
+        let count = at_corners.ncols();
         let skip = usize::from(!role.has_flux_function());
         let mut table = Self {
             region,
             role,
-            functions: 1 + modes.rank() - skip,
+            functions: count - skip,
             bands: Vec::with_capacity(cells.bands.len()),
             cells: Vec::new(),
             values: Vec::new(),
             undefined: Vec::new(),
         };
-        let count = 1 + modes.rank();
-        let mut at_corners = vec![0.0; cells.corners().len() * count];
-        for (corner, values) in cells.corners().zip(at_corners.chunks_exact_mut(count)) {
-            modes.values_into(corner, values);
-        }
         if role.divides() {
             // Light is divided by the flux before it is multiplied. Fluxes near 1 keep it in range.
             // A power of 2 does not round.
-            let largest = fluxes(&at_corners, count).fold(0.0_f64, |m, flux| m.max(flux.abs()));
+            let largest = at_corners.column(0).fold(0.0_f64, |m, flux| m.max(flux.abs()));
             let scale = (-largest.log2().floor()).exp2();
             if scale.is_normal() {
-                for value in &mut at_corners {
-                    *value *= scale;
-                }
+                at_corners *= scale;
             }
         }
+        let at_corners = at_corners.as_slice().expect("row-major");
         for band in &cells.bands {
             let of_band = cells.cells_of(band);
             let rows = &band.rows;
@@ -261,7 +260,7 @@ impl<T: ConvReal> CoefficientTable<T> {
             } else {
                 vec![rows.start, rows.end - 1]
             };
-            let values = values_in_rows(&at_corners, count, of_band, &ends);
+            let values = values_in_rows(at_corners, count, of_band, &ends);
             if !role.divides() || fluxes(&values, count).all(is_positive) {
                 table.push_band(rows.clone());
                 for (cell, values) in of_band.iter().zip(values.chunks_exact(2 * ends.len() * count)) {
@@ -276,7 +275,7 @@ impl<T: ConvReal> CoefficientTable<T> {
             }
             // Some pixels of the band may have no PSF: each row becomes a band of its own.
             for row in rows.clone() {
-                let values = values_in_rows(&at_corners, count, of_band, &[row]);
+                let values = values_in_rows(at_corners, count, of_band, &[row]);
                 table.push_band(row..row + 1);
                 for (cell, ends) in of_band.iter().zip(values.chunks_exact(2 * count)) {
                     if cell.corners.is_none() || fluxes(ends, count).all(is_positive) {

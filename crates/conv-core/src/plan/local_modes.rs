@@ -11,6 +11,7 @@ use super::norm::norm;
 use super::psf_space::PsfSpace;
 use super::region_cells::RegionCells;
 use super::span::span;
+use crate::simd::vectorized;
 
 /// A local basis: `h(x) = flux(x) reference + sum_j c_j(x) mode_j`. The modes hold no flux, so
 /// leaving out modes keeps the flux. The exception is a region without a reference: its first mode
@@ -210,15 +211,28 @@ impl LocalModes {
         self.reference.as_ref().map(|r| r.view())
     }
 
-    /// The PSFs that combine to those of the block: the reference if there is one, then the modes.
-    pub(crate) fn directions(&self) -> impl Iterator<Item = ArrayView1<'_, f64>> {
-        self.reference().into_iter().chain(self.modes.outer_iter())
+    /// The number of kernels: the modes, plus 1 if there is a reference.
+    pub(crate) fn kernel_count(&self) -> usize {
+        self.rank() + usize::from(self.reference.is_some())
     }
 
-    /// Computes the values at one corner of a cell: the flux, then the coefficient of each mode.
-    /// `end` holds the weights of the nodes at this corner.
-    pub(crate) fn values_into(&self, end: &[(usize, f64)], values: &mut [f64]) {
-        self.values.at(end, values);
+    /// The PSFs that combine to those of the region, `[kernel, direction]`: the reference if there
+    /// is one, then the modes.
+    pub(crate) fn kernels(&self) -> Array2<f64> {
+        let reference = self.reference.iter().map(|row| row.view().insert_axis(Axis(0)));
+        let rows: Vec<ArrayView2<'_, f64>> = reference.chain([self.modes.view()]).collect();
+        ndarray::concatenate(Axis(0), &rows).expect("equally many directions")
+    }
+
+    /// The flux and the coefficient of each mode at the corners of cells, `[corner, function]`.
+    pub fn at_corners(&self, cells: &RegionCells) -> Array2<f64> {
+        let mut values = Array2::zeros((cells.corners().len(), self.values.width));
+        vectorized!(
+            for (mut values, corner) in values.outer_iter_mut().zip(cells.corners()) {
+                self.values.at(corner, values.as_slice_mut().expect("row-major"));
+            }
+        );
+        values
     }
 }
 

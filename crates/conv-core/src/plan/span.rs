@@ -57,7 +57,9 @@ fn directions(rows: ArrayView2<'_, f64>, stop: f64) -> (Vec<f64>, f64) {
                 continue;
             }
             // Removes the rounding errors along earlier directions.
-            row.iter_mut().for_each(|v| *v /= *size);
+            for value in &mut *row {
+                *value /= *size;
+            }
             remove(&basis, row);
             let new = norm(row);
             *size = 0.0;

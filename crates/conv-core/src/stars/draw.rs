@@ -123,7 +123,7 @@ impl<T: ConvReal> DrawGroups<'_, T> {
         let (height, width) = tile.values.dim();
         let rows = tile.first_row..tile.first_row + height as i64;
         let values = tile.values.as_slice_mut().expect("new arrays are row-major");
-        let row_of_kernels = block.kernel_count() * self.layout.kernel;
+        let row_of_kernels = block.modes.kernel_count() * self.layout.kernel;
         let mut sums = Aligned::zeros(self.layout.kernel + S::LANES);
         for j in 0..longest.unwrap_or(0) {
             if stars.len() >= STARS_PER_POLL {

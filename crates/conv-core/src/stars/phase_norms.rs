@@ -162,15 +162,13 @@ impl PhaseNorms {
 
     /// Tabulates the products of a block.
     pub(super) fn along_mean(&self, mean: ArrayView1<'_, f64>, modes: &LocalModes) -> AlongMean {
-        let kernels: Vec<ArrayView1<'_, f64>> = modes.directions().collect();
-        let mut table = Array2::zeros((self.products.len(), kernels.len()));
+        let kernels = modes.kernels();
+        let mut table = Array2::zeros((self.products.len(), kernels.nrows()));
         for (mut row, products) in table.outer_iter_mut().zip(&self.products) {
             let along = products.dot(&mean);
             let length = mean.dot(&along).max(0.0).sqrt();
             if length > 0.0 {
-                for (value, kernel) in row.iter_mut().zip(&kernels) {
-                    *value = kernel.dot(&along) / length;
-                }
+                row.assign(&(kernels.dot(&along) / length));
             }
         }
         table

@@ -1,7 +1,7 @@
 //! Blocks of the field whose stars are drawn from one local basis.
 
-use ndarray::{Array1, Array2, ArrayView1, ArrayView2};
-use psf_types::{PixelRegion, PsfModel, StampGrid};
+use ndarray::Array2;
+use psf_types::{PixelRegion, PsfModel};
 
 use super::phase_norms::{AlongMean, PhaseNorms};
 use super::phases::PhasedAxis;
@@ -9,7 +9,6 @@ use crate::ConvReal;
 use crate::plan::local_modes::LocalModes;
 use crate::plan::psf_space::PsfSpace;
 use crate::simd::Aligned;
-use crate::stamp_interpolator::Kernel;
 
 /// The local basis of a block, as interpolation coefficients that are sorted by sub-pixel phase.
 #[derive(Debug)]
@@ -112,19 +111,17 @@ impl<T: ConvReal> StarBlock<T> {
         let mean = LocalModes::mean(space, &cells);
         let of_modes = MARGIN * tolerance * norms.share(mean.view());
         let modes = LocalModes::of_exact_cells(space, &cells, of_modes.max(ROUNDING));
-        let kernels: Vec<Array2<f64>> = modes
-            .directions()
-            .map(|direction| coefficients_of(space.stamps.view(), direction, model.grid(), columns.kernel))
-            .collect();
+        let stamps = modes.kernels().dot(&space.stamps);
+        let stamps = stamps.outer_iter().map(|stamp| {
+            let stamp = stamp.into_shape_with_order(model.grid().dim());
+            columns.kernel.coefficients(stamp.expect("the size of a stamp"))
+        });
+        let kernels: Vec<Array2<f64>> = stamps.collect();
         Self {
             values: by_phases(&kernels, columns, rows),
             along_mean: norms.along_mean(mean.view(), &modes),
             modes,
         }
-    }
-
-    pub(super) fn kernel_count(&self) -> usize {
-        self.modes.rank() + usize::from(self.modes.reference().is_some())
     }
 
     pub(super) fn bytes(&self) -> usize {
@@ -152,23 +149,6 @@ fn by_phases<T: ConvReal>(kernels: &[Array2<f64>], columns: &PhasedAxis, rows: &
         }
     }
     aligned
-}
-
-/// The interpolation coefficients of a combination of stamps.
-fn coefficients_of(
-    stamps: ArrayView2<'_, f64>,
-    direction: ArrayView1<'_, f64>,
-    grid: StampGrid,
-    kernel: Kernel,
-) -> Array2<f64> {
-    let mut values = Array1::zeros(grid.pixel_count());
-    for (&a, stamp) in direction.iter().zip(stamps.outer_iter()) {
-        values.scaled_add(a, &stamp);
-    }
-    let values = values
-        .into_shape_with_order(grid.dim())
-        .expect("the size of a stamp");
-    kernel.coefficients(values.view())
 }
 
 /// Row and column of a block of the field. The row is first, so that blocks are sorted by rows.

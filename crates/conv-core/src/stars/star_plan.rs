@@ -285,9 +285,9 @@ impl<T: ConvReal> StarPlan<T> {
         let make = || StarBlock::new(&self.model, space, region, axes, norms, tolerance);
         let block = phased.blocks.get(key, make, StarBlock::bytes);
         let mut vectors = StarVectors::new(&self.model, &phased.space);
-        let mut coefficients = Vec::with_capacity(block.kernel_count());
+        let mut coefficients = Vec::with_capacity(block.modes.kernel_count());
         let taps = phased.axes[1].tap_count();
-        let mut weights = Vec::with_capacity(stars.len() * taps * block.kernel_count());
+        let mut weights = Vec::with_capacity(stars.len() * taps * block.modes.kernel_count());
         let (mut prepared, mut missed) = (Vec::with_capacity(stars.len()), Vec::new());
         for (number, &StarKey { index, .. }) in stars.iter().enumerate() {
             if number.is_multiple_of(MIN_STARS_PER_TASK) {
