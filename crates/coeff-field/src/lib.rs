@@ -8,18 +8,17 @@
 //! ```
 //!
 //! Here `w_n(x)` is the weight of node `n` at the position `x`, and `v_nk` is the value of
-//! coefficient `k` (component `k`) at this node. Nodes are the samples, the terms of a polynomial,
-//! or the corners of a quadtree. All interpolators are linear in the sample values. So a position
-//! needs one short list of (node, weight) pairs for all components, and no cube of coefficients is
-//! stored.
+//! coefficient `k` (component `k`) at this node. Nodes are the samples, or the terms of a
+//! polynomial. All interpolators are linear in the sample values. So a position needs one short list
+//! of (node, weight) pairs for all components, and no cube of coefficients is stored.
 //!
 //! | method | weights per position | at the samples | reproduces | continuity |
 //! |---|---|---|---|---|
 //! | [`Bilinear`] | 4 | exact | 1, x, y, xy | continuous |
 //! | [`Bicubic`] | 16 | exact | 1, x, y, xy; x^i y^j (i, j <= 3) at fifths of cells | continuous |
 //! | [`Delaunay`] | 3 | exact | 1, x, y | continuous |
-//! | [`NaturalNeighbour`] | 4 | exact | 1, x, y | continuous |
-//! | [`InverseDistance`] | 4 | exact | 1 | continuous |
+//! | [`NaturalNeighbour`] | about 8 | exact | 1, x, y | continuous |
+//! | [`InverseDistance`] | about 14 | exact | 1 | continuous |
 //! | [`Polynomial`] | (d+1)(d+2)/2 | least squares | polynomials of degree d | smooth |
 //! | [`Nearest`] | 1 | exact | 1 | jumps |
 //!
@@ -61,7 +60,7 @@
 //! distance to the third nearest sample. For 500 samples of a telescope, this changes PSFs by a
 //! twentieth of the error of natural neighbours. Every sample is a corner of all cells around it,
 //! so values there are exact up to the rounding of coordinates. The tree covers the samples and
-//! their frame, and under the policy extend half of their width beyond. Farther outside, the
+//! their frame, and under the policy extend half of their extent beyond. Farther outside, the
 //! policies are those of a grid ([`Bilinear`]).
 //!
 //! # Measuring the error
