@@ -65,8 +65,8 @@ const NEIGHBOURS: NonZeroUsize = NonZeroUsize::new(3).expect("3 is not 0");
 const NEAR: f64 = 0.25;
 /// Only samples in a cell divide it after this number of divisions at samples.
 const MOST_NEAR: usize = 2;
-/// Under the policy extend, the tree reaches this multiple of the extent of the samples and the
-/// frame beyond them, to either side.
+/// Under the policy extend, the tree reaches beyond the samples and the frame by this multiple of
+/// their extent, which is the larger of their width and height.
 const BEYOND: f64 = 0.5;
 /// The largest number of times that the tree is divided into quarters, so that samples very close to
 /// each other do not divide it without end.
@@ -87,15 +87,15 @@ impl Lattice {
                 (*low, *high) = (low.min(first), high.max(last));
             }
         }
-        let extent = points.scale.extent;
-        let least = if extent > 0.0 { extent } else { 1.0 };
+        let extent = sides.iter().map(|(low, high)| high - low).fold(0.0, f64::max);
+        let extent = if extent > 0.0 { extent } else { 1.0 };
         for (low, high) in &mut sides {
             // Samples on a line along an axis get a tree of some width. Under the policy extend, the
             // tree reaches far beyond the samples, where its cells are large.
             let beyond = match outside {
-                OutsidePolicy::Extend => BEYOND * (*high - *low).max(least),
+                OutsidePolicy::Extend => BEYOND * extent,
                 _ if low < high => 0.0,
-                _ => 0.5 * least,
+                _ => 0.5 * extent,
             };
             (*low, *high) = (*low - beyond, *high + beyond);
         }

@@ -7,7 +7,9 @@ mod common;
 use std::hint::black_box;
 
 use conv_core::ConvReal;
-use conv_core::internals::{CoefficientTable, FluxRole, Lanes, LocalModes, PsfSpace, RegionCells, WithIsa};
+use conv_core::internals::{
+    CoefficientTable, FluxRole, Inlined, Lanes, LocalModes, PsfSpace, RegionCells, WithIsa,
+};
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
 use psf_types::{FrameShape, PixelRegion, PsfModel, ToleranceOn};
 
@@ -73,7 +75,7 @@ impl<T: ConvReal> WithIsa<T> for Weigh<'_, T> {
         let Self(block, light, weighted) = self;
         let nx = block.region.shape().nx();
         let last = block.table.kernel_count() - 1;
-        simd.vectorize(
+        simd.vectorize(Inlined::new(
             #[inline(always)]
             || {
                 let rows = light.chunks_exact(nx).zip(weighted.chunks_exact_mut(nx));
@@ -83,7 +85,7 @@ impl<T: ConvReal> WithIsa<T> for Weigh<'_, T> {
                     coefficients.multiply(row, light, weighted);
                 }
             },
-        );
+        ));
     }
 }
 

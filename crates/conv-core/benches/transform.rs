@@ -5,7 +5,7 @@ use std::hint::black_box;
 use std::sync::Arc;
 
 use conv_core::ConvReal;
-use conv_core::internals::{Aligned, Lanes, TileTransform, WithIsa};
+use conv_core::internals::{Aligned, Inlined, Lanes, TileTransform, WithIsa};
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
 use realfft::{RealFftPlanner, RealToComplex};
 use rustfft::num_complex::Complex;
@@ -79,7 +79,7 @@ impl<T: ConvReal> WithIsa<T> for Run<'_, T> {
         let Self(all, step) = self;
         let [tile, stamp] = all.sides;
         let (plane, column) = (all.plane.get(), all.column.get_mut());
-        simd.vectorize(
+        simd.vectorize(Inlined::new(
             #[inline(always)]
             || match step {
                 Step::Forward => all
@@ -101,7 +101,7 @@ impl<T: ConvReal> WithIsa<T> for Run<'_, T> {
                         .inverse_of_swapped(simd, all.sum.get_mut(), size, all.result.get_mut(), column);
                 }
             },
-        );
+        ));
     }
 }
 

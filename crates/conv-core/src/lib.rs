@@ -87,7 +87,7 @@ pub mod internals {
     pub use crate::plan::local_modes::LocalModes;
     pub use crate::plan::psf_space::PsfSpace;
     pub use crate::plan::region_cells::RegionCells;
-    pub use crate::simd::{Aligned, Lanes, WithIsa};
+    pub use crate::simd::{Aligned, Inlined, Lanes, WithIsa};
     pub use crate::transform::TileTransform;
 }
 

@@ -114,12 +114,12 @@ impl<'a, T: ConvReal> BlockKernels<'a, T> {
     }
 
     /// A tile with the coefficients and stamps of the block.
-    pub(crate) fn local(&self, part: TilePart, is_alone: bool) -> LocalTile<'_, T> {
+    pub(crate) fn local(&self, part: TilePart, transforms_kernels: bool) -> LocalTile<'_, T> {
         LocalTile {
             part,
             table: self.table(),
             stamps: self.stamps(),
-            is_alone,
+            transforms_kernels,
         }
     }
 

@@ -22,7 +22,7 @@ pub(crate) struct Workspace<T> {
     pub(crate) spectrum: Aligned<T>,
     pub(crate) sum: Aligned<T>,
     pub(crate) column: Aligned<T>,
-    /// The spectra of a block's kernels, one after the other.
+    /// The spectra of a block's kernels, one after the other. Or one kernel, transformed along y.
     pub(crate) kernels: Aligned<T>,
     /// Buffer for one row.
     pub(crate) row: Vec<T>,
@@ -61,9 +61,8 @@ pub(crate) struct LocalTile<'a, T> {
     pub(crate) table: &'a CoefficientTable<T>,
     /// `[kernel, y, x]`.
     pub(crate) stamps: &'a [T],
-    /// True if the block has no other tile, and the tile scatters its light. Then the kernels'
-    /// spectra are not in the workspace.
-    pub(crate) is_alone: bool,
+    /// True if the kernels' spectra are not in the workspace, because no other tile needs them.
+    pub(crate) transforms_kernels: bool,
 }
 
 impl<T: ConvReal> LocalTile<'_, T> {
@@ -220,8 +219,8 @@ impl<T: ConvReal> TileEngine<'_, T> {
     /// Spreads the light of a tile (`workspace.light`) with its kernels. Writes the result to
     /// `workspace.weighted`. The result is larger than the tile by the stamp's size less one pixel.
     ///
-    /// The kernels' spectra are in the workspace unless the tile is alone in its block. Then each
-    /// kernel is transformed when it is needed, so that it stays in the second-level cache.
+    /// The kernels' spectra are in the workspace, or each kernel is transformed when it is needed, so
+    /// that it stays in the second-level cache.
     #[inline(always)]
     pub(crate) fn scatter<S: Lanes<T>>(
         &self,
@@ -234,15 +233,14 @@ impl<T: ConvReal> TileEngine<'_, T> {
         let padded = columns.next_multiple_of(X_STEP);
         let (sx, sy) = self.geometry.stamp;
         let w = workspace;
+        w.kernels.at_least(self.fft.along_y_len(sx));
         for (kernel, stamp) in local.stamps.chunks_exact(sx * sy).enumerate() {
-            let factor = if local.is_alone {
+            let factor = if local.transforms_kernels {
                 self.load_stamp(stamp, w.weighted.get_mut());
-                w.kernels.at_least(self.fft.half_len(sx));
-                let (plane, half) = (w.weighted.get(), w.kernels.get_mut());
-                let half = &mut half[..self.fft.half_len(sx)];
+                let (plane, spectrum) = (w.weighted.get(), w.kernels.get_mut());
                 self.fft
-                    .half_forward(simd, plane, (sy, sx), half, w.column.get_mut());
-                (&*half, Some(sx))
+                    .forward_along_y(simd, plane, (sy, sx), spectrum, w.column.get_mut());
+                (&*spectrum, Some(sx))
             } else {
                 (&w.kernels.get()[kernel * length..(kernel + 1) * length], None)
             };

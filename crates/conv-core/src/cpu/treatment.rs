@@ -336,7 +336,8 @@ pub(crate) fn each_tile<T: ConvReal, S: Lanes<T>>(
     let mut kernels = BlockKernels::new(plan, (column, row));
     let mut counts = TileCounts::default();
     let (across, up) = (&plan.tiling.columns[column], &plan.tiling.rows[row]);
-    let is_alone = direction == Direction::Scatter && across.tiles.len() * up.tiles.len() == 1;
+    // The only tile of a block transforms each kernel itself.
+    let transforms_kernels = direction == Direction::Scatter && across.tiles.len() * up.tiles.len() == 1;
     for (y, rows, below) in up.placed() {
         for (x, columns, left) in across.placed() {
             let part = TilePart {
@@ -349,10 +350,15 @@ pub(crate) fn each_tile<T: ConvReal, S: Lanes<T>>(
                 continue;
             };
             counts.count(&treatment, kernels.block.kernel_count());
-            if treatment.method == Some(TileMethod::ByTransforms) && !is_alone {
+            if treatment.method == Some(TileMethod::ByTransforms) && !transforms_kernels {
                 kernels.transform(simd, &pass.tile_engine(), workspace);
             }
-            convolve(kernels.local(part, is_alone), (x, y), &treatment, workspace);
+            convolve(
+                kernels.local(part, transforms_kernels),
+                (x, y),
+                &treatment,
+                workspace,
+            );
         }
     }
     Ok(counts)

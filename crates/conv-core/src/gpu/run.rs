@@ -71,7 +71,7 @@ impl<'a, 'j, T: ConvReal> Run<'a, 'j, T> {
         }
     }
 
-    /// Returns the numbers of tiles, and the times.
+    /// Executes the pass. Returns the numbers of tiles, and the times.
     pub(super) fn run(mut self) -> Result<(TileCounts, GpuTimes), ConvError> {
         let clock = Instant::now();
         let layout = self.layout;

@@ -99,3 +99,17 @@ impl<T: ConvReal> Plan<T> {
         block.table.is_some() && block.stamps.is_some()
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn hardware_is_faster_than_software() {
+        let work = GpuWork {
+            bus_bytes: 1 << 20,
+            memory_bytes: 1 << 24,
+        };
+        assert!(work.seconds(AdapterKind::Discrete) < work.seconds(AdapterKind::Software));
+    }
+}

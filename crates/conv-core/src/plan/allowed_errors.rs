@@ -6,7 +6,6 @@ use super::growth_curves::TailGrowth;
 use super::node_functions::{NodeFunctions, sum_of_magnitudes};
 use super::norm::dot;
 use super::region_cells::RegionCells;
-use crate::simd::vectorized;
 
 /// An error is rounding if its norm is at most this fraction of the PSF's norm. Its flux in circles
 /// is then not tested.
@@ -111,12 +110,8 @@ const SMALLER: f64 = 0.4;
 const BEFORE: usize = 2;
 
 impl CountModes<'_> {
-    pub(crate) fn count(mut self) -> Result<usize, f64> {
-        vectorized!(self.counted())
-    }
-
     #[inline(always)]
-    fn counted(&mut self) -> Result<usize, f64> {
+    pub(crate) fn count(mut self) -> Result<usize, f64> {
         let (width, errors) = (self.table.width, self.errors);
         let mut values = vec![0.0; self.cells.corners().len() * width];
         let mut outside = Vec::with_capacity(self.cells.corners().len());

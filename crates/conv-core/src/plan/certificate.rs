@@ -345,12 +345,15 @@ fn a_wrong_coefficient_is_noticed() {
     assert!(wrong.l2 > 1e-3, "{wrong:?}");
 }
 
+/// Nodes on pixels, where their neighbours have no weight, or a little beyond.
+const FEW_NODES: [&[f64]; 2] = [&[0.0, 17.0, 33.0001, 51.0, 68.0], &[0.0, 12.0, 24.0, 36.0, 48.0]];
 /// Rounding of coefficients in f32, relative to the PSF.
 const ROUNDING_F32: f64 = 2e-6;
 
-/// The largest relative error in f32 of a model on a grid of 5 x 5 nodes with two stamps. `values` are
-/// the coefficients of a node.
+/// The largest relative error in f32 of a model on a grid of nodes at `xs` and `ys` with two stamps.
+/// `values` are the coefficients of a node.
 fn error_in_f32(
+    [xs, ys]: [&[f64]; 2],
     with_mean: bool,
     normalisation: Normalisation,
     values: impl Fn(usize, usize) -> [f64; 2],
@@ -375,11 +378,10 @@ fn error_in_f32(
         .with_centre(CENTRE.0, CENTRE.1)
         .unwrap();
     let basis = PsfBasis::new(mean, components, grid).unwrap();
-    // Nodes lie on pixels, where their neighbours have no weight, or a little beyond.
-    let xs = [0.0, 17.0, 33.0001, 51.0, 68.0];
-    let at = |i: usize| Position::new(xs[i % 5], (i / 5) as f64 * 12.0).unwrap();
-    let positions = SamplePositions::new((0..25).map(at).collect(), None).unwrap();
-    let values = Array2::from_shape_fn((25, 2), |(i, k)| values(i % 5, i / 5)[k]);
+    let count = xs.len() * ys.len();
+    let at = |i: usize| Position::new(xs[i % xs.len()], ys[i / xs.len()]).unwrap();
+    let positions = SamplePositions::new((0..count).map(at).collect(), None).unwrap();
+    let values = Array2::from_shape_fn((count, 2), |(i, k)| values(i % xs.len(), i / xs.len())[k]);
     let samples = SampleCoefficients::new(values, positions).unwrap();
     let method = interpolation("bilinear".parse().unwrap()).unwrap();
     let field = InterpolatedField::new(&samples, method.as_ref(), OutsidePolicy::Nearest).unwrap();
@@ -389,27 +391,42 @@ fn error_in_f32(
 
 #[test]
 fn faint_psfs_beside_bright_ones_keep_their_accuracy() {
-    let error = error_in_f32(false, Normalisation::Keep, |x, y| {
+    let error = error_in_f32(FEW_NODES, false, Normalisation::Keep, |x, y| {
         let brightness = if (x + y) % 2 == 0 { 1e6 } else { 1.0 };
         [brightness, 0.3 * brightness * if x % 2 == 0 { 1.0 } else { -1.0 }]
     });
     assert!(error <= 1e-6 + ROUNDING_F32, "{error:e}");
 }
 
+/// A plan looks at few of the cells to choose the directions of its modes, but at all of them to
+/// choose how many are kept.
+#[test]
+fn one_faint_psf_among_many_keeps_its_accuracy() {
+    let nodes = [1.75, 1.25].map(|step| (0..41).map(|i| f64::from(i) * step).collect::<Vec<_>>());
+    for faint in [(20, 20), (7, 32)] {
+        let error = error_in_f32([&nodes[0], &nodes[1]], false, Normalisation::Keep, |x, y| {
+            let brightness = if (x, y) == faint { 1e-5 } else { 1.0 };
+            [brightness, if (x, y) == faint { -0.3 * brightness } else { 0.2 }]
+        });
+        assert!(error <= 1e-6 + ROUNDING_F32, "{faint:?}: {error:e}");
+    }
+}
+
 #[test]
 fn a_psf_whose_flux_nearly_vanishes_leaves_its_neighbours_alone() {
     // The flux of a stamp with norm 1 is this times sigma.
     let flux_per_sigma = (4.0 * std::f64::consts::PI).sqrt();
-    let error = error_in_f32(true, Normalisation::Unit, |x, y| {
-        let vanishing = (x, y) == (2, 2);
-        [
-            if vanishing {
-                -(1.0 - 1e-4) / flux_per_sigma
+    // Without any flux there is no PSF at the node, which lies beside a pixel.
+    for flux in [1e-4, 0.0] {
+        let error = error_in_f32(FEW_NODES, true, Normalisation::Unit, |x, y| {
+            let vanishing = (x, y) == (2, 2);
+            let narrow = if vanishing {
+                (flux - 1.0) / flux_per_sigma
             } else {
                 0.01 * x as f64
-            },
-            0.0,
-        ]
-    });
-    assert!(error <= 1e-6 + ROUNDING_F32, "{error:e}");
+            };
+            [narrow, 0.0]
+        });
+        assert!(error <= 1e-6 + ROUNDING_F32, "{flux}: {error:e}");
+    }
 }

@@ -184,15 +184,13 @@ impl FluxRole {
         if scaled {
             return (Self::Divisor, 1.0);
         }
-        let fluxes = at_corners.column(0);
-        let low = fluxes.iter().copied().fold(f64::INFINITY, f64::min);
-        let high = fluxes.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-        if fluxes.is_empty() {
-            (Self::Constant, 1.0)
-        } else if high - low <= SAME_FLUX * high.abs().max(low.abs()) {
-            (Self::Constant, f64::midpoint(low, high))
-        } else {
-            (Self::Weight, 1.0)
+        let fluxes = || at_corners.column(0).into_iter().copied();
+        match fluxes().reduce(f64::min).zip(fluxes().reduce(f64::max)) {
+            None => (Self::Constant, 1.0),
+            Some((low, high)) if high - low <= SAME_FLUX * high.abs().max(low.abs()) => {
+                (Self::Constant, f64::midpoint(low, high))
+            }
+            Some(_) => (Self::Weight, 1.0),
         }
     }
 

@@ -172,15 +172,15 @@ impl LocalModes {
             let joined = ndarray::concatenate(Axis(1), &columns).expect("equally many rows");
             NodeFunctions::new(joined.view())
         };
-        let needed = CountModes {
+        let modes = CountModes {
             cells,
             table: &table(&[betas.view(), fluxes.view()], rows.ncols()),
             errors,
             reference: reference.as_ref().map_or(0.0, |reference| norm(reference.view())),
             outside,
             growth,
-        }
-        .count()?;
+        };
+        let needed = vectorized!(modes.count())?;
         let rank = forced.max(needed);
         let kept = rotation.slice(s![.., ..rank]);
         Ok(Self {
@@ -216,8 +216,8 @@ impl LocalModes {
         self.rank() + usize::from(self.reference.is_some())
     }
 
-    /// The PSFs that combine to those of the region, `[kernel, direction]`: the reference if there
-    /// is one, then the modes.
+    /// The vectors whose combinations are the PSFs of the region, `[kernel, direction]`: the reference
+    /// if there is one, then the modes.
     pub(crate) fn kernels(&self) -> Array2<f64> {
         let reference = self.reference.iter().map(|row| row.view().insert_axis(Axis(0)));
         let rows: Vec<ArrayView2<'_, f64>> = reference.chain([self.modes.view()]).collect();

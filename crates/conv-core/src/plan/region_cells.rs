@@ -238,6 +238,9 @@ impl RegionCells {
                 *side = (side.0 - origin as f64, side.1 - origin as f64);
             }
         }
+        // Rounding may leave nothing between the sides of a rectangle.
+        let is_flat = |side: (f64, f64)| side.0 >= side.1;
+        rectangles.retain(|&[x, y]| (nx == 1 || !is_flat(x)) && (rows.len() == 1 || !is_flat(y)));
         rectangles.sort_by(|[a, _], [b, _]| a.0.total_cmp(&b.0));
         let mut numbers = FxHashMap::default();
         let mut corner = |all: &mut Self, at: [f64; 2]| {
@@ -473,3 +476,49 @@ const SAMPLED_ROWS: usize = 5;
 const SAMPLED_COLUMNS: usize = 6;
 /// The largest rounding error of a sum of weights.
 const ROUNDING_OF_WEIGHTS: f64 = 1e-12;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use psf_types::FieldError;
+
+    /// Two parts of a region, and between them one that is thinner than the rounding of rows.
+    #[derive(Debug)]
+    struct Thin(f64, f64);
+
+    impl CoefficientField for Thin {
+        fn component_count(&self) -> usize {
+            1
+        }
+        fn evaluate_into(&self, _: Position, _: &mut [f64]) -> Result<(), FieldError> {
+            unreachable!("cells need weights only")
+        }
+        fn weights_into(&self, p: Position, weights: &mut Vec<(usize, f64)>) -> Result<(), FieldError> {
+            *weights = vec![(0, p.y())];
+            Ok(())
+        }
+        fn bilinear_cells(&self, region: PixelRegion, _: ErrorLimit<'_>) -> BilinearCells {
+            let (x, y) = (region.x0() as f64, region.y0() as f64);
+            let last = [x, y].map(|first| first + 32.0);
+            let ys = [(self.1, last[1]), (self.0, self.1), (y, self.0)];
+            let ys = ys.into_iter().filter(|y| y.0 < y.1);
+            BilinearCells::Rectangles(ys.map(|y| [(x, last[0]), y]).collect())
+        }
+    }
+
+    #[test]
+    fn a_thin_cell_takes_no_pixels_from_others() {
+        let region = PixelRegion::new(-32, -32, FrameShape::new(33, 33).unwrap());
+        for (low, high) in [(-7.700_000_000_000_001, -7.7), (-1e-17, 0.0)] {
+            let cells = RegionCells::new(&Thin(low, high), region, ErrorLimit::ZERO);
+            let rows: usize = cells.bands.iter().map(|band| band.rows.len()).sum();
+            assert_eq!(rows, 33, "{:?}", cells.bands);
+            for cell in &cells.cells {
+                assert!(
+                    cell.columns == (0..33) && cell.sides[1].0 < cell.sides[1].1,
+                    "{cell:?}"
+                );
+            }
+        }
+    }
+}

@@ -27,7 +27,7 @@ pub(crate) fn span(rows: ArrayView2<'_, f64>, stop: f64) -> (Array2<f64>, f64) {
 }
 
 /// The directions of large remainders first, one after the other, and the norm of the largest
-/// remainder. Stops when most directions are found if there are more rows.
+/// remainder. Stops after more than half of all directions if there are more rows than directions.
 #[inline(always)]
 fn directions(rows: ArrayView2<'_, f64>, stop: f64) -> (Vec<f64>, f64) {
     let (count, dimension) = rows.dim();
@@ -37,13 +37,12 @@ fn directions(rows: ArrayView2<'_, f64>, stop: f64) -> (Vec<f64>, f64) {
         dimension
     };
     let mut rest = rows.as_standard_layout().into_owned();
-    let norm = |row: &[f64]| dot(row, row).sqrt();
     // For each row, the norm of its remainder, and the length of the basis whose directions are
-    // removed from it. Other directions make it only smaller.
+    // removed from it. Removing later directions can only reduce this norm, up to rounding.
     let mut sizes: Vec<(f64, usize)> = rest.outer_iter().map(|row| (row.dot(&row).sqrt(), 0)).collect();
     let largest = |sizes: &[(f64, usize)]| sizes.iter().fold(0.0_f64, |m, &(size, _)| m.max(size));
     let mut basis: Vec<f64> = Vec::new();
-    let mut limit = largest(&sizes);
+    let mut limit = largest(&sizes).min(f64::MAX);
     while limit > stop && basis.len() < most * dimension {
         limit = (ROUND * limit).max(stop);
         for (mut row, (size, done)) in rest.outer_iter_mut().zip(&mut sizes) {
@@ -52,7 +51,7 @@ fn directions(rows: ArrayView2<'_, f64>, stop: f64) -> (Vec<f64>, f64) {
             }
             let row = row.as_slice_mut().expect("row-major");
             remove(&basis[*done..], row);
-            (*size, *done) = (norm(row), basis.len());
+            (*size, *done) = (length(row), basis.len());
             if *size <= limit || basis.len() == most * dimension {
                 continue;
             }
@@ -61,7 +60,7 @@ fn directions(rows: ArrayView2<'_, f64>, stop: f64) -> (Vec<f64>, f64) {
                 *value /= *size;
             }
             remove(&basis, row);
-            let new = norm(row);
+            let new = length(row);
             *size = 0.0;
             if new >= MIN_NEW_PART {
                 basis.extend(row.iter().map(|v| v / new));
@@ -71,15 +70,22 @@ fn directions(rows: ArrayView2<'_, f64>, stop: f64) -> (Vec<f64>, f64) {
     (basis, largest(&sizes).min(stop))
 }
 
+#[inline(always)]
+fn length(row: &[f64]) -> f64 {
+    dot(row, row).sqrt()
+}
+
 /// Removes the parts of a row along the directions of a basis.
 #[inline(always)]
 fn remove(basis: &[f64], row: &mut [f64]) {
     let n = row.len();
-    // Several products at once, because each of them waits for its own sums.
+    // Four products at once, because one alone leaves the processor idle.
     let together = basis.chunks_exact(4 * n);
     for direction in together.remainder().chunks_exact(n) {
         let p = dot(row, direction);
-        row.iter_mut().zip(direction).for_each(|(v, d)| *v -= p * d);
+        for (v, d) in row.iter_mut().zip(direction) {
+            *v -= p * d;
+        }
     }
     for four in together {
         let [a, b, c, d] = [0, 1, 2, 3].map(|i| &four[i * n..(i + 1) * n]);
@@ -87,5 +93,52 @@ fn remove(basis: &[f64], row: &mut [f64]) {
         for (v, (((a, b), c), d)) in row.iter_mut().zip(a.iter().zip(b).zip(c).zip(d)) {
             *v -= p[0] * a + p[1] * b + p[2] * c + p[3] * d;
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn directions_are_orthonormal_and_leave_little_out() {
+        // Rows of rank 2, a small row, a row of zeros, and rows that are no numbers.
+        let (a, b) = ([3.0, 4.0, 0.0, 0.0, 0.0, 0.0], [1.0, 0.0, -2.0, 0.0, 1.0, 0.0]);
+        let of = |p: f64, q: f64| [0, 1, 2, 3, 4, 5].map(|i| p * a[i] + q * b[i]);
+        let mut rows = vec![of(1.0, 0.0), of(-2.0, 1.0), of(1.0, 1e-3), [0.0; 6]];
+        rows.push([0.0, 0.0, 0.0, 1e-3, 0.0, 0.0]);
+        for no_number in [None, Some(f64::NAN), Some(1e200)] {
+            rows.extend(no_number.map(|v| [v; 6]));
+            let all = Array2::from_shape_fn((rows.len(), 6), |(i, j)| rows[i][j]);
+            let (directions, largest) = span(all.view(), 1e-2);
+            let products = directions.dot(&directions.t());
+            assert!(
+                (products - Array2::<f64>::eye(directions.nrows()))
+                    .iter()
+                    .all(|v| v.abs() < 1e-14)
+            );
+            assert!(
+                (1e-3..=1e-2).contains(&largest) || no_number == Some(1e200),
+                "{largest}"
+            );
+            for row in all.outer_iter().take(5) {
+                let rest = &row - &directions.t().dot(&directions.dot(&row));
+                assert!(rest.dot(&rest).sqrt() <= largest + 1e-14, "{no_number:?} {rest}");
+            }
+            assert!(no_number.is_some() || directions.nrows() == 2);
+        }
+        for shape in [(0, 0), (3, 0), (0, 3), (2, 1)] {
+            assert_eq!(
+                span(Array2::zeros(shape).view(), 0.0).0.dim(),
+                (0, shape.1),
+                "{shape:?}"
+            );
+        }
+    }
+
+    #[test]
+    fn all_directions_are_kept_if_most_are_needed() {
+        let rows = Array2::from_shape_fn((6, 5), |(i, j)| if i == j || i == 5 { 1.0 } else { 0.1 });
+        assert_eq!(span(rows.view(), 1e-9), (Array2::eye(5), 0.0));
     }
 }

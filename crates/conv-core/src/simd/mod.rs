@@ -34,13 +34,14 @@ macro_rules! vectorized {
 pub(crate) use vectorized;
 
 /// Work for `vectorized!`.
-pub(crate) struct Inlined<F>(F);
+#[derive(Debug)]
+pub struct Inlined<F>(F);
 
 impl<R, F: FnOnce() -> R> Inlined<F> {
     /// The bound `FnOnce` makes the closure one that can be called once only. Any other closure
     /// would be called through a function that is not inlined.
     #[inline(always)]
-    pub(crate) fn new(work: F) -> Self {
+    pub fn new(work: F) -> Self {
         Self(work)
     }
 }

@@ -84,9 +84,9 @@ impl<T: ConvReal> TileTransform<T> {
         self.ny.max(2 * self.nx) * X_STEP
     }
 
-    /// The number of values of a [half spectrum](Self::half_forward).
-    pub(crate) fn half_len(&self, columns: usize) -> usize {
-        half_group(columns) * self.ny
+    /// The number of values that [`forward_along_y`](Self::forward_along_y) writes.
+    pub(crate) fn along_y_len(&self, columns: usize) -> usize {
+        along_y_group(columns) * self.ny
     }
 
     /// Computes the spectrum of a plane `[y, x]`. From one row to the next there are
@@ -109,18 +109,25 @@ impl<T: ConvReal> TileTransform<T> {
         }
     }
 
-    /// Computes the first half of [`forward`](Self::forward): transforms along y only, and columns
-    /// that are used only. A half spectrum takes less room than the whole.
+    /// Computes the first half of [`forward`](Self::forward): the transforms along y, and only of the
+    /// columns that are used. They take less room than a spectrum.
     #[inline(always)]
-    pub(crate) fn half_forward<S: Lanes<T>>(
+    pub(crate) fn forward_along_y<S: Lanes<T>>(
         &self,
         simd: S,
         plane: &[T],
         (rows, columns): (usize, usize),
-        half: &mut [T],
+        spectrum: &mut [T],
         column: &mut [T],
     ) {
-        self.down(simd, plane, (rows, columns), half, half_group(columns), column);
+        self.down(
+            simd,
+            plane,
+            (rows, columns),
+            spectrum,
+            along_y_group(columns),
+            column,
+        );
     }
 
     /// Computes the spectrum of a plane like [`forward`](Self::forward), multiplies it by another
@@ -128,7 +135,8 @@ impl<T: ConvReal> TileTransform<T> {
     /// if `add` is true, otherwise it replaces `sum`. Each group stays in the first-level cache
     /// from its transform to the sum. `spectrum` is overwritten.
     ///
-    /// The other spectrum is whole, or a [half](Self::half_forward) of some columns.
+    /// The other spectrum is whole. Or it is only [transformed along y](Self::forward_along_y), and
+    /// `only_y` is its number of columns.
     #[inline(always)]
     #[allow(clippy::too_many_arguments, reason = "two inputs, a sum and two buffers")]
     pub(crate) fn forward_multiply_swapped<S: Lanes<T>>(
@@ -136,7 +144,7 @@ impl<T: ConvReal> TileTransform<T> {
         simd: S,
         plane: &[T],
         (rows, columns): (usize, usize),
-        (factor, half_of): (&[T], Option<usize>),
+        (factor, only_y): (&[T], Option<usize>),
         sum: &mut [T],
         add: bool,
         spectrum: &mut [T],
@@ -146,12 +154,12 @@ impl<T: ConvReal> TileTransform<T> {
         let n = self.nx;
         let spectrum: &mut [Pair<S::V>] = cast_slice_mut(&mut spectrum[..self.spectrum_len()]);
         let sum: &mut [Pair<S::V>] = cast_slice_mut(&mut sum[..self.spectrum_len()]);
-        let others = cast_slice(factor).chunks_exact(half_of.map_or(self.group(), half_group));
+        let others = cast_slice(factor).chunks_exact(only_y.map_or(self.group(), along_y_group));
         let other: &mut [Pair<S::V>] = &mut cast_slice_mut(column)[..n];
         let groups = spectrum.chunks_exact_mut(self.group()).zip(others);
         for ((group, factor), sum) in groups.zip(sum.chunks_exact_mut(self.group())) {
             self.across(simd, group, columns);
-            let factor: &[Pair<S::V>] = match half_of {
+            let factor: &[Pair<S::V>] = match only_y {
                 None => &factor[..n],
                 Some(columns) => {
                     let filled = columns.next_multiple_of(S::LANES);
@@ -267,9 +275,9 @@ impl<T: ConvReal> TileTransform<T> {
     }
 }
 
-/// The number of complex vectors from one group of a half spectrum to the next, padded like the
-/// groups of a spectrum.
-fn half_group(columns: usize) -> usize {
+/// The number of complex vectors from one group to the next if only some columns are transformed,
+/// padded like the groups of a spectrum.
+fn along_y_group(columns: usize) -> usize {
     columns.next_multiple_of(X_STEP) + 1
 }
 
@@ -320,7 +328,7 @@ mod tests {
                 // Several sizes of light, for which the result fits into the plane.
                 for (rows, columns) in [(1, 1), (ny / 4, 7), (ny / 2 + 3, nx / 2 + 1)] {
                     let (height, width) = (ny + 1 - rows, nx + 1 - columns);
-                    let (height, width) = (height.min(9), width.min(6));
+                    let (height, width) = (height.min(9), width.min(if ny > nx { 6 } else { nx }));
                     let light = |y: usize, x: usize| ((y * 7 + x * 5) % 11) as f64 - 4.0;
                     let stamp = |y: usize, x: usize| ((y * 3 + x * 13) % 7) as f64 - 2.0;
                     let plane = |rows: usize, columns: usize, value: &dyn Fn(usize, usize) -> f64| {
@@ -344,9 +352,9 @@ mod tests {
                         fft.forward(simd, &light_plane, (rows, columns), &mut a, &mut column);
                         fft.forward(simd, &stamp_plane, (height, width), &mut b, &mut column);
                         fft.multiply_swapped(simd, &a, &b, &mut sum, false);
-                        let mut half = vec![T::nan(); fft.half_len(width)];
-                        fft.half_forward(simd, &stamp_plane, (height, width), &mut half, &mut column);
-                        for factor in [(&b, None), (&half, Some(width))] {
+                        let mut along_y = vec![T::nan(); fft.along_y_len(width)];
+                        fft.forward_along_y(simd, &stamp_plane, (height, width), &mut along_y, &mut column);
+                        for factor in [(&b, None), (&along_y, Some(width))] {
                             fft.forward_multiply_swapped(
                                 simd,
                                 &light_plane,
