@@ -107,7 +107,7 @@ fn galaxies_through_sharp_stamps() {
         (1.5, 16, 0.3, lanczos),
     ] {
         let sigma = 0.4 / s;
-        let grid = StampGrid::new(size, size)
+        let grid = StampGrid::new(size, size - 1)
             .and_then(|grid| grid.with_oversampling(s))
             .and_then(|grid| {
                 grid.with_centre(grid.centre_x() + off_centre, grid.centre_y() - 0.7 * off_centre)

@@ -45,12 +45,6 @@ const COMPONENTS: usize = 6;
 fn model(name: &str, on_grid: bool, normalisation: Normalisation) -> PsfModel {
     let mut rng = ChaCha8Rng::seed_from_u64(31);
     let (nx, ny) = STAMP;
-    let gauss = |sigma: f64| {
-        let value = |d: f64| (-d * d / (2.0 * sigma * sigma)).exp();
-        Array2::from_shape_fn((ny, nx), |(y, x)| {
-            value(y as f64 - CENTRE.1) * value(x as f64 - CENTRE.0)
-        })
-    };
     let [narrow, middle, wide] = [0.8, 3.0, 8.0].map(|sigma| {
         let value = gauss(sigma);
         let flux = value.sum();
@@ -100,6 +94,14 @@ fn model(name: &str, on_grid: bool, normalisation: Normalisation) -> PsfModel {
     let field: Arc<dyn CoefficientField> =
         Arc::new(InterpolatedField::new(&samples, method.as_ref(), OutsidePolicy::Nearest).unwrap());
     PsfModel::new(&basis, field, normalisation, None).unwrap()
+}
+
+/// A stamp with a peak of 1.
+fn gauss(sigma: f64) -> Array2<f64> {
+    let value = |d: f64| (-d * d / (2.0 * sigma * sigma)).exp();
+    Array2::from_shape_fn((STAMP.1, STAMP.0), |(y, x)| {
+        value(y as f64 - CENTRE.1) * value(x as f64 - CENTRE.0)
+    })
 }
 
 fn orthonormalise(rows: &mut Array2<f64>) {
@@ -174,7 +176,7 @@ struct Errors {
 }
 
 /// The sum of pixels in circles of every radius: row after row of the matrix `[circle, pixel]`.
-fn circles(grid: StampGrid) -> Array2<f64> {
+pub(super) fn circles(grid: StampGrid) -> Array2<f64> {
     let distance = |i: usize| {
         let (x, y) = ((i % grid.nx()) as f64, (i / grid.nx()) as f64);
         (x - grid.centre_x()).hypot(y - grid.centre_y())
@@ -359,20 +361,11 @@ fn error_in_f32(
     values: impl Fn(usize, usize) -> [f64; 2],
 ) -> f64 {
     let (nx, ny) = STAMP;
-    let gauss = |sigma: f64| {
-        let value = |d: f64| (-d * d / (2.0 * sigma * sigma)).exp();
-        let stamp = Array2::from_shape_fn((ny, nx), |(y, x)| {
-            value(y as f64 - CENTRE.1) * value(x as f64 - CENTRE.0)
-        });
-        let norm = norm(stamp.flatten().view());
-        stamp / norm
-    };
     let (narrow, wide) = (gauss(1.0), gauss(2.5));
-    let along = (&narrow * &wide).sum();
-    let second = &wide - &narrow * along;
-    let second = &second / norm(second.flatten().view());
     let mean = with_mean.then(|| &wide / wide.sum());
-    let components = ndarray::stack(Axis(0), &[narrow.view(), second.view()]).unwrap();
+    let mut rows = ndarray::stack(Axis(0), &[narrow.flatten().view(), wide.flatten().view()]).unwrap();
+    orthonormalise(&mut rows);
+    let components = rows.into_shape_with_order((2, ny, nx)).unwrap();
     let grid = StampGrid::new(nx, ny)
         .unwrap()
         .with_centre(CENTRE.0, CENTRE.1)

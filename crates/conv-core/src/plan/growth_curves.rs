@@ -194,6 +194,7 @@ impl TailGrowth {
 
 #[cfg(test)]
 mod tests {
+    use super::super::certificate::circles;
     use super::*;
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
@@ -208,18 +209,8 @@ mod tests {
 
     /// The largest flux in any circle, from the definition.
     fn largest_flux_of(stamp: ArrayView1<'_, f64>, grid: StampGrid) -> f64 {
-        let distance = |i: usize| {
-            let (x, y) = ((i % grid.nx()) as f64, (i / grid.nx()) as f64);
-            (x - grid.centre_x()).hypot(y - grid.centre_y())
-        };
-        (0..stamp.len())
-            .map(|edge| {
-                // The radius is a little larger than the distance of a pixel.
-                let radius = distance(edge) + 1e-9;
-                let inside = (0..stamp.len()).filter(|&i| distance(i) <= radius);
-                grid.flux_of_sum(inside.map(|i| stamp[i]).sum()).abs()
-            })
-            .fold(0.0, f64::max)
+        let fluxes = circles(grid).dot(&stamp);
+        fluxes.fold(0.0, |most, &sum| grid.flux_of_sum(sum).abs().max(most))
     }
 
     /// The bound holds for every vector. For a typical vector it is not much above the true value.

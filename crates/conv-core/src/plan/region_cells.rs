@@ -509,7 +509,7 @@ mod tests {
     #[test]
     fn a_thin_cell_takes_no_pixels_from_others() {
         let region = PixelRegion::new(-32, -32, FrameShape::new(33, 33).unwrap());
-        for (low, high) in [(-7.700_000_000_000_001, -7.7), (-1e-17, 0.0)] {
+        for (low, high) in [(-0.300_000_000_000_000_04, -0.3), (-1e-17, 0.0)] {
             let cells = RegionCells::new(&Thin(low, high), region, ErrorLimit::ZERO);
             let rows: usize = cells.bands.iter().map(|band| band.rows.len()).sum();
             assert_eq!(rows, 33, "{:?}", cells.bands);

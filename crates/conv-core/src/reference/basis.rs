@@ -9,6 +9,7 @@ use rustfft::num_traits::Zero;
 
 use super::ConvolutionMethod;
 use super::fft2::RealFft2;
+use crate::image_memory::check_shape;
 use crate::overlap;
 use crate::view::{Reach, View};
 use crate::working_range::{Rescaling, take_back};
@@ -90,12 +91,7 @@ impl BasisConvolution {
         shape: FrameShape,
         frame: PixelRegion,
     ) -> Result<Image<T>, ConvError> {
-        if image.shape() != frame.shape() {
-            return Err(ConvError::FrameShape {
-                expected: frame.shape(),
-                got: image.shape(),
-            });
-        }
+        check_shape(frame.shape(), image.pixels().dim())?;
         let view = View::new(shape, frame)?;
         let (weights_first, input, output) = (self.anchor == Anchor::Output, frame, shape.region());
         let plane = Plane::new(model, view, true, &NoProgress)?;

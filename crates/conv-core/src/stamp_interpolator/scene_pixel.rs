@@ -63,20 +63,21 @@ impl ScenePixelFilter {
     pub const MAX_MARGIN: usize = 64;
 
     /// A filter for stamps of `(ny, nx)` pixels. The results are `margin` pixels wider on each side.
-    pub fn new((ny, nx): (usize, usize), margin: usize) -> Self {
-        Self {
-            along_y: filter_along(ny, margin, ny + 2 * margin),
-            along_x: filter_along(nx, margin, nx + 2 * margin),
-        }
+    pub fn new(shape: (usize, usize), margin: usize) -> Self {
+        Self::with_period(shape, margin, 2 * margin)
     }
 
     /// The filter that [`margin_for`](Self::margin_for) uses. Its results are wider than any margin,
     /// and its period is so long that their edges do not depend on it.
-    fn of_widest_result((ny, nx): (usize, usize)) -> Self {
-        let along = |pixels| filter_along(pixels, EXAMINED, pixels + 8 * EXAMINED);
+    fn of_widest_result(shape: (usize, usize)) -> Self {
+        Self::with_period(shape, EXAMINED, 8 * EXAMINED)
+    }
+
+    /// The period is longer than the stamp by `beyond` pixels.
+    fn with_period((ny, nx): (usize, usize), margin: usize, beyond: usize) -> Self {
         Self {
-            along_y: along(ny),
-            along_x: along(nx),
+            along_y: filter_along(ny, margin, ny + beyond),
+            along_x: filter_along(nx, margin, nx + beyond),
         }
     }
 

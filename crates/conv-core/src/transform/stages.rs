@@ -208,15 +208,6 @@ mod tests {
     use crate::simd::{SimdReal, WithIsa, vectorized};
     use pulp::bytemuck;
 
-    #[test]
-    fn radices_multiply_to_the_length() {
-        for len in [
-            2, 3, 4, 5, 8, 16, 32, 64, 96, 128, 160, 256, 320, 384, 480, 512, 1024, 4096,
-        ] {
-            assert_eq!(radices(len).iter().product::<usize>(), len, "{:?}", radices(len));
-        }
-    }
-
     /// A transform and its inverse, with the largest rounding error allowed.
     #[derive(Clone, Copy)]
     struct RoundTrip(f64);
