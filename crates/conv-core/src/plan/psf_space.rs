@@ -29,7 +29,8 @@ pub struct PsfSpace {
 /// The part of the mean outside the components' span is ignored if its norm is below this fraction
 /// of the mean's norm.
 const NEGLIGIBLE_REMAINDER: f64 = 1e-14;
-/// The fraction of the tolerance that is left to the cells. Small cells cost little.
+/// The fraction of the tolerance that is left to the cells. More of it makes cells larger and needs
+/// more modes.
 const SHARE_OF_CELLS: f64 = 0.3;
 
 impl PsfSpace {
