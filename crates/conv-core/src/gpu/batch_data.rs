@@ -202,8 +202,10 @@ impl<T: ConvReal> CoefficientTable<T> {
     /// - the number of functions,
     /// - whether the other functions are divided by the first,
     /// - the number of kernels without a function, whose coefficient is 1,
-    /// - the indices at which three arrays begin: row starts, first columns of the runs, and per run
-    ///   and function the value at the run's first column and the slope.
+    /// - the indices at which three arrays begin: row starts, first columns of the runs, and values.
+    ///
+    /// The values of a run are the number of its columns less 1, at least 1, then per function those at
+    /// its first and its last column, both divided by this number.
     ///
     /// The arrays follow the header. The indices count from the table's first word.
     pub(crate) fn packed(&self, kernels: Range<usize>) -> Vec<u32> {
@@ -212,15 +214,15 @@ impl<T: ConvReal> CoefficientTable<T> {
             .filter(|&kernel| self.role.function_of(kernel).is_none())
             .count();
         let bits = |value: T| (value.as_f64() as f32).to_bits();
-        let (mut row_starts, mut runs, mut ramps) = (vec![0], Vec::new(), Vec::new());
+        let (mut row_starts, mut runs, mut values) = (vec![0], Vec::new(), Vec::new());
         for row in 0..self.region.shape().ny() {
             for &(column, length) in self.cells_in(row) {
                 runs.push(column);
                 let steps = T::nearest(f64::from((length - 1).max(1)));
+                values.push(bits(steps));
                 let ends = [column, column + length - 1].map(|column| self.pixel(row, column as usize));
                 for &function in &functions {
-                    let [first, last] = [0, 1].map(|end| ends[end].function(function));
-                    ramps.extend([bits(first), bits((last - first) / steps)]);
+                    values.extend([&ends[0], &ends[1]].map(|end| bits(end.function(function) / steps)));
                 }
             }
             row_starts.push(runs.len() as u32);
@@ -235,7 +237,7 @@ impl<T: ConvReal> CoefficientTable<T> {
             first_run + runs.len(),
         ];
         let words = header.map(|word| word as u32).into_iter();
-        words.chain(row_starts).chain(runs).chain(ramps).collect()
+        words.chain(row_starts).chain(runs).chain(values).collect()
     }
 
     /// The functions that some kernels need. If there is a divisor, it is the first.

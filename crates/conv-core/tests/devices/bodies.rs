@@ -9,6 +9,7 @@ use psf_types::{
 };
 use rayon::prelude::*;
 
+use crate::common::grid_field::GridField;
 use crate::common::{
     ANCHORS, Execute, KINDS, PATHS, Patience, STAMPS, Scene, Waves, double_sum, model_with, noise, options,
     region, scene, single,
@@ -20,12 +21,13 @@ pub(crate) const ROUNDING: f64 = 3e-6;
 
 type Body = fn(&OnDevice);
 
-pub(crate) const ALL: [(&str, Body); 11] = [
+pub(crate) const ALL: [(&str, Body); 12] = [
     ("at_tolerance_0_it_is_the_double_sum", double_sums),
     ("the_adjoint_is_the_transpose", adjoints),
     ("every_pixel_sees_a_psf_within_the_tolerance", tolerances),
     ("flux_is_kept_at_any_tolerance", fluxes),
     ("a_bright_star_adds_no_noise_to_faint_light", bright_stars),
+    ("a_faint_psf_beside_bright_ones_keeps_its_accuracy", faint_psfs),
     ("light_beyond_the_range_is_brought_near_1", ranges),
     ("threads_and_streaming_change_nothing", same_bytes),
     ("executions_at_the_same_time_do_not_mix", at_once),
@@ -85,6 +87,29 @@ fn double_sums(device: &OnDevice) {
                     assert!(largest <= ROUNDING * scale, "{case}: {:e}", largest / scale);
                 }
             }
+        }
+    }
+}
+
+/// Nodes of a grid are bright and faint by turns. They lie a little beyond pixels, so that cells end
+/// at pixels that are nearly as faint as a node.
+fn faint_psfs(device: &OnDevice) {
+    let values = Array2::from_shape_fn((25, 3), |(node, component)| {
+        let brightness = if node % 2 == 0 { 1e6 } else { 1.0 };
+        brightness * [1.0, 0.3, -0.2][component]
+    });
+    let field = Arc::new(GridField::new(17.000_000_01, 5, values));
+    let model = model_with(field, (9, 7), (4, 3), false, Normalisation::Keep);
+    for node in [1, 9, 19, 21, 23] {
+        let mut light = Array2::zeros((69, 69));
+        light[[17 * (node / 5), 17 * (node % 5)]] = 1.0;
+        let scene = Scene::new(light);
+        let truth = double_sum(&model, &scene, Anchor::Source);
+        for paths in PATHS {
+            let plan = single(&scene).plan(&model, options(1e-6, Anchor::Source, paths));
+            let image = device.with(plan).image_of(&single(&scene)).unwrap();
+            let error = relative(&doubles(&image), &truth);
+            assert!(error <= 1e-5, "{node} {paths:?}: {error:e}");
         }
     }
 }

@@ -215,17 +215,14 @@ fn runs_table(
     let mut words: Vec<u32> = header.map(|v| v as u32).to_vec();
     words.extend((0..=rows as u32).map(|row| 3 * row));
     words.extend((0..rows as u32).flat_map(|row| [0, columns as u32 / 3 + row % 3, columns as u32 / 2]));
+    let steps = columns as f32;
     for _ in 0..runs {
-        let mut ramps = reals(2 * functions);
-        for value in &mut ramps {
-            *value *= 0.1;
+        words.push(steps.to_bits());
+        for (i, value) in reals(2 * functions).into_iter().enumerate() {
+            // The divisor is positive along the whole run.
+            let least = if divides && i < 2 { 1.5 } else { 0.0 };
+            words.push(((least + 0.1 * value) / steps).to_bits());
         }
-        if divides {
-            // Positive along the whole run.
-            ramps[0] += 1.5;
-            ramps[1] *= 0.01;
-        }
-        words.extend(ramps.iter().map(|v| v.to_bits()));
     }
     words
 }

@@ -231,8 +231,10 @@ pub(super) fn weighted(
         let first = |run: usize| words[header("runs") + run] as usize;
         let run = runs.rev().find(|&run| first(run) <= column);
         let run = run.expect("runs begin with the row");
-        let place = 2 * (run * header("functions") + function);
-        real(place) + (column - first(run)) as f64 * real(place + 1)
+        let of_run = run * (1 + 2 * header("functions"));
+        let place = of_run + 1 + 2 * function;
+        let after = (column - first(run)) as f64;
+        (real(of_run) - after) * real(place) + after * real(place + 1)
     };
     if kernel < header("plain") {
         return value;
