@@ -36,8 +36,8 @@
 //! # Accuracy
 //! Weights are finite. They sum to 1 within 1e-12 of the sum of their magnitudes, except in a
 //! [`Polynomial`], and far outside a quadtree under the policy extend, where large weights of a
-//! cell's corners cancel. All methods reproduce constants. The geometry uses coordinates relative to the
-//! requested position, so weights stay precise at large coordinates and in tight clusters of
+//! cell's corners cancel. All methods reproduce constants. The geometry uses coordinates relative to
+//! the requested position, so weights stay precise at large coordinates and in tight clusters of
 //! samples. ([`NaturalNeighbour`] states an exception.) Coordinates may have magnitudes up to 1e50
 //! pixels. The values at a position have identical bits in every thread, and for any region or
 //! range of components that is evaluated.

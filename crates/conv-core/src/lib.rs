@@ -58,7 +58,7 @@
 
 #![allow(
     clippy::inline_always,
-    reason = "code inside `vectorized!` must be inlined, otherwise it is compiled for the baseline instruction set"
+    reason = "what `vectorized!` does not inline is compiled for the baseline instruction set"
 )]
 
 mod both_precisions;

@@ -233,13 +233,15 @@ impl<T: ConvReal> TileEngine<'_, T> {
         let padded = columns.next_multiple_of(X_STEP);
         let (sx, sy) = self.geometry.stamp;
         let w = workspace;
-        w.kernels.at_least(self.fft.along_y_len(sx));
+        if local.transforms_kernels {
+            w.kernels.at_least(self.fft.along_y_len(sx));
+        }
         for (kernel, stamp) in local.stamps.chunks_exact(sx * sy).enumerate() {
             let factor = if local.transforms_kernels {
                 self.load_stamp(stamp, w.weighted.get_mut());
                 let (plane, spectrum) = (w.weighted.get(), w.kernels.get_mut());
                 self.fft
-                    .forward_along_y(simd, plane, (sy, sx), spectrum, w.column.get_mut());
+                    .forward_along_y(simd, plane, (sy, sx), spectrum, sx, w.column.get_mut());
                 (&*spectrum, Some(sx))
             } else {
                 (&w.kernels.get()[kernel * length..(kernel + 1) * length], None)

@@ -46,33 +46,38 @@ impl<T: ConvReal> Plan<T> {
             Direction::Scatter => self.geometry.other_size(),
             Direction::Gather => self.geometry.weighted_size(),
         };
+        // The upper half of the rows is the imaginary part of the lower.
+        let (nx, half) = (self.tiling.size.0, self.tiling.size.1 / 2);
+        // Returns the values of a tile over the bus, and to and from the GPU's memory.
+        let of_tile = |kernels: u64, size: (usize, usize)| {
+            let light = self.geometry.light_size(direction, size);
+            let filled = values((2 * nx, light.1.min(half)));
+            let (planes, result) = match direction {
+                // The transforms along x write the filled part of a plane per kernel. The
+                // transforms along y read these planes and write one plane. The transforms back
+                // along x read it.
+                Direction::Scatter => (2 * kernels * filled + 2 * plane, self.geometry.around(size)),
+                // The transforms along x write the filled part of one plane. The transforms along y
+                // read it and write a plane per kernel. The transforms back along x read these
+                // planes.
+                Direction::Gather => (2 * filled + 2 * kernels * plane, size),
+            };
+            // Reads the light, reads and writes the image.
+            (values(light), planes + values(light) + 2 * values(result))
+        };
         let (mut bus, mut memory) = (values(image), 0);
         for (y, rows) in self.tiling.rows.iter().enumerate() {
             for (x, columns) in self.tiling.columns.iter().enumerate() {
                 let kernels = self.block(x, y).kernel_count() as u64;
                 memory += kernels * plane;
-                let tiles = rows
+                for (&(_, height), &(_, width)) in rows
                     .tiles
                     .iter()
-                    .flat_map(|row| columns.tiles.iter().map(move |tile| (tile.1, row.1)));
-                for size in tiles {
-                    let light = self.geometry.light_size(direction, size);
-                    // The upper half of the rows is the imaginary part of the lower.
-                    let (nx, half) = (self.tiling.size.0, self.tiling.size.1 / 2);
-                    let filled = values((2 * nx, light.1.min(half)));
-                    let (planes, result) = match direction {
-                        // The transforms along x write the filled part of a plane per kernel. The
-                        // transforms along y read these planes and write one plane. The transforms
-                        // back along x read it.
-                        Direction::Scatter => (2 * kernels * filled + 2 * plane, self.geometry.around(size)),
-                        // The transforms along x write the filled part of one plane. The transforms
-                        // along y read it and write a plane per kernel. The transforms back along x
-                        // read these planes.
-                        Direction::Gather => (2 * filled + 2 * kernels * plane, size),
-                    };
-                    // Reads the light, reads and writes the image.
-                    memory += planes + values(light) + 2 * values(result);
-                    bus += values(light);
+                    .flat_map(|row| columns.tiles.iter().map(move |tile| (row, tile)))
+                {
+                    let of_tile = of_tile(kernels, (width, height));
+                    bus += of_tile.0;
+                    memory += of_tile.1;
                 }
             }
         }

@@ -2,7 +2,7 @@
 
 use ndarray::{Array2, ArrayView2};
 
-use super::norm::dot;
+use super::norm::{dot, norm};
 use crate::simd::vectorized;
 
 /// The remainder of a row counts as rounding if less than this fraction of it is orthogonal to the
@@ -16,30 +16,27 @@ const ROUND: f64 = 0.5;
 /// remainder, which is at most `stop`.
 pub(crate) fn span(rows: ArrayView2<'_, f64>, stop: f64) -> (Array2<f64>, f64) {
     let (count, dimension) = rows.dim();
-    let (basis, largest) = vectorized!(directions(rows, stop));
+    // If more than half of all directions are needed, it is faster to keep all.
+    let keeps_all = count > dimension;
+    let most = if keeps_all { dimension / 2 + 1 } else { dimension };
+    let (basis, largest) = vectorized!(directions(rows, stop, most));
     let found = basis.len() / dimension.max(1);
-    if 2 * found > dimension && count > dimension {
-        // Most directions are needed, so it is faster to keep all.
+    if keeps_all && found == most {
         return (Array2::eye(dimension), 0.0);
     }
     let rows = Array2::from_shape_vec((found, dimension), basis).expect("a row for each direction");
     (rows, largest)
 }
 
-/// The directions of large remainders first, one after the other, and the norm of the largest
-/// remainder. Stops after more than half of all directions if there are more rows than directions.
+/// At most `most` directions, one after the other, those of large remainders first, and the norm of
+/// the largest remainder.
 #[inline(always)]
-fn directions(rows: ArrayView2<'_, f64>, stop: f64) -> (Vec<f64>, f64) {
-    let (count, dimension) = rows.dim();
-    let most = if count > dimension {
-        dimension / 2 + 1
-    } else {
-        dimension
-    };
+fn directions(rows: ArrayView2<'_, f64>, stop: f64, most: usize) -> (Vec<f64>, f64) {
+    let dimension = rows.ncols();
     let mut rest = rows.as_standard_layout().into_owned();
     // For each row, the norm of its remainder, and the length of the basis whose directions are
     // removed from it. Removing later directions can only reduce this norm, up to rounding.
-    let mut sizes: Vec<(f64, usize)> = rest.outer_iter().map(|row| (row.dot(&row).sqrt(), 0)).collect();
+    let mut sizes: Vec<(f64, usize)> = rest.outer_iter().map(|row| (norm(row), 0)).collect();
     let largest = |sizes: &[(f64, usize)]| sizes.iter().fold(0.0_f64, |m, &(size, _)| m.max(size));
     let mut basis: Vec<f64> = Vec::new();
     let mut limit = largest(&sizes).min(f64::MAX);

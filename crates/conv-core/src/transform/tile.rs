@@ -69,13 +69,12 @@ impl<T: ConvReal> TileTransform<T> {
 
     /// The number of values in a spectrum.
     pub fn spectrum_len(&self) -> usize {
-        self.group() * self.ny
+        self.along_y_len(self.nx)
     }
 
-    /// The number of complex vectors from one group of a spectrum to the next, padded like the rows
-    /// of a plane.
+    /// The number of complex vectors from one group of a spectrum to the next.
     fn group(&self) -> usize {
-        self.nx + 1
+        group(self.nx)
     }
 
     /// The number of values of working memory for a transform: one column or one group of vectors,
@@ -86,7 +85,7 @@ impl<T: ConvReal> TileTransform<T> {
 
     /// The number of values that [`forward_along_y`](Self::forward_along_y) writes.
     pub(crate) fn along_y_len(&self, columns: usize) -> usize {
-        along_y_group(columns) * self.ny
+        group(columns) * self.ny
     }
 
     /// Computes the spectrum of a plane `[y, x]`. From one row to the next there are
@@ -102,32 +101,11 @@ impl<T: ConvReal> TileTransform<T> {
         spectrum: &mut [T],
         column: &mut [T],
     ) {
-        self.down(simd, plane, (rows, columns), spectrum, self.group(), column);
+        self.forward_along_y(simd, plane, (rows, columns), spectrum, self.nx, column);
         let spectrum: &mut [Pair<S::V>] = cast_slice_mut(&mut spectrum[..self.spectrum_len()]);
         for group in spectrum.chunks_exact_mut(self.group()) {
             self.across(simd, group, columns);
         }
-    }
-
-    /// Computes the first half of [`forward`](Self::forward): the transforms along y, and only of the
-    /// columns that are used. They take less room than a spectrum.
-    #[inline(always)]
-    pub(crate) fn forward_along_y<S: Lanes<T>>(
-        &self,
-        simd: S,
-        plane: &[T],
-        (rows, columns): (usize, usize),
-        spectrum: &mut [T],
-        column: &mut [T],
-    ) {
-        self.down(
-            simd,
-            plane,
-            (rows, columns),
-            spectrum,
-            along_y_group(columns),
-            column,
-        );
     }
 
     /// Computes the spectrum of a plane like [`forward`](Self::forward), multiplies it by another
@@ -150,11 +128,11 @@ impl<T: ConvReal> TileTransform<T> {
         spectrum: &mut [T],
         column: &mut [T],
     ) {
-        self.down(simd, plane, (rows, columns), spectrum, self.group(), column);
+        self.forward_along_y(simd, plane, (rows, columns), spectrum, self.nx, column);
         let n = self.nx;
         let spectrum: &mut [Pair<S::V>] = cast_slice_mut(&mut spectrum[..self.spectrum_len()]);
         let sum: &mut [Pair<S::V>] = cast_slice_mut(&mut sum[..self.spectrum_len()]);
-        let others = cast_slice(factor).chunks_exact(only_y.map_or(self.group(), along_y_group));
+        let others = cast_slice(factor).chunks_exact(only_y.map_or(self.group(), group));
         let other: &mut [Pair<S::V>] = &mut cast_slice_mut(column)[..n];
         let groups = spectrum.chunks_exact_mut(self.group()).zip(others);
         for ((group, factor), sum) in groups.zip(sum.chunks_exact_mut(self.group())) {
@@ -172,20 +150,21 @@ impl<T: ConvReal> TileTransform<T> {
         }
     }
 
-    /// The transforms along y of a plane's columns, stored as groups of a spectrum. From one group to
-    /// the next there are `group_len` complex vectors.
+    /// The first half of [`forward`](Self::forward): the transforms along y of a plane's columns,
+    /// stored as groups with room for `width` columns. With only the columns that are used, they
+    /// take less room than a spectrum.
     #[inline(always)]
-    fn down<S: Lanes<T>>(
+    pub(crate) fn forward_along_y<S: Lanes<T>>(
         &self,
         simd: S,
         plane: &[T],
         (rows, columns): (usize, usize),
         spectrum: &mut [T],
-        group_len: usize,
+        width: usize,
         column: &mut [T],
     ) {
         let half = self.ny / 2;
-        let spectrum: &mut [Pair<S::V>] = cast_slice_mut(&mut spectrum[..group_len * self.ny]);
+        let spectrum: &mut [Pair<S::V>] = cast_slice_mut(&mut spectrum[..self.along_y_len(width)]);
         let column: &mut [Pair<S::V>] = &mut cast_slice_mut(column)[..half];
         let zero = simd.splat(T::zero());
         for block in 0..columns.div_ceil(S::LANES) {
@@ -209,7 +188,7 @@ impl<T: ConvReal> TileTransform<T> {
                 };
             }
             self.down.forward(simd, column, rows.min(half));
-            let groups = spectrum.chunks_exact_mut(group_len);
+            let groups = spectrum.chunks_exact_mut(group(width));
             for (from, group) in column.chunks_exact(S::LANES).zip(groups) {
                 simd.transpose(from, &mut group[block * S::LANES..(block + 1) * S::LANES]);
             }
@@ -275,9 +254,9 @@ impl<T: ConvReal> TileTransform<T> {
     }
 }
 
-/// The number of complex vectors from one group to the next if only some columns are transformed,
-/// padded like the groups of a spectrum.
-fn along_y_group(columns: usize) -> usize {
+/// The number of complex vectors from one group to the next, for some columns. It is padded like
+/// the rows of a plane.
+fn group(columns: usize) -> usize {
     columns.next_multiple_of(X_STEP) + 1
 }
 
@@ -328,6 +307,7 @@ mod tests {
                 // Several sizes of light, for which the result fits into the plane.
                 for (rows, columns) in [(1, 1), (ny / 4, 7), (ny / 2 + 3, nx / 2 + 1)] {
                     let (height, width) = (ny + 1 - rows, nx + 1 - columns);
+                    // Narrow stamps, and stamps as wide as the plane allows.
                     let (height, width) = (height.min(9), width.min(if ny > nx { 6 } else { nx }));
                     let light = |y: usize, x: usize| ((y * 7 + x * 5) % 11) as f64 - 4.0;
                     let stamp = |y: usize, x: usize| ((y * 3 + x * 13) % 7) as f64 - 2.0;
@@ -353,13 +333,14 @@ mod tests {
                         fft.forward(simd, &stamp_plane, (height, width), &mut b, &mut column);
                         fft.multiply_swapped(simd, &a, &b, &mut sum, false);
                         let mut along_y = vec![T::nan(); fft.along_y_len(width)];
-                        fft.forward_along_y(simd, &stamp_plane, (height, width), &mut along_y, &mut column);
-                        for factor in [(&b, None), (&along_y, Some(width))] {
+                        let size = (height, width);
+                        fft.forward_along_y(simd, &stamp_plane, size, &mut along_y, width, &mut column);
+                        for factor in [(&b[..], None), (&along_y[..], Some(width))] {
                             fft.forward_multiply_swapped(
                                 simd,
                                 &light_plane,
                                 (rows, columns),
-                                (factor.0, factor.1),
+                                factor,
                                 &mut sum,
                                 true,
                                 &mut a,
