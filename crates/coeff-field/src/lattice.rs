@@ -1,29 +1,35 @@
-//! Interpolators that are defined on a quadtree of the samples: their own weights at the corners of
-//! the tree's cells, bilinear in each cell.
+//! Interpolators that are defined on a tree of cells: they give the values at the cells' corners, which
+//! are bilinear in each cell.
 
 use std::collections::{HashMap, VecDeque};
 use std::num::NonZeroUsize;
 use std::ops::Range;
 
-use ndarray::ArrayView2;
+use ndarray::{Array1, Array2, ArrayView2, ArrayViewMut2, Axis, Zip};
 use psf_types::{
     BilinearCells, ErrorLimit, FieldError, OutsidePolicy, PixelRegion, Position, SamplePositions,
 };
 
 use crate::error::CoeffFieldError;
-use crate::geometry::{Hull, Point, Points, Row, covered_until, pixel_ranges, query, range, sub};
-use crate::interpolation::{FieldWeights, OnRun, Visited, WeightList, add_weight, admit, in_runs};
+use crate::geometry::{Hull, Point, Points, Row, covered_until, pixel_ranges, query, range};
+use crate::interpolation::{
+    FieldWeights, OnRun, Visited, WeightList, add_weight, admit, check_rows, in_runs,
+};
 use crate::search_tree::SearchTree;
 
-/// Weights that are bilinear in the cells of a quadtree.
+/// Weights that are bilinear in the cells of a tree.
 ///
 /// The tree covers the samples and the frame, and under the policy extend also the surroundings. A
-/// cell is divided into quarters until its sides are at most 0.4 times the distance from its middle
-/// to the third nearest sample. A cell with a sample inside, on an edge or near it is then divided
-/// at this sample, so that every sample is a corner of all cells around it, up to the rounding of
-/// coordinates. Where a corner of small cells lies on an edge of a larger cell, it has the value of
-/// this edge. So the field is continuous, exact at the samples, and reproduces 1, x and y if the
-/// interpolator does, except in cells that cross the hull of the samples.
+/// cell is halved until its sides are at most [`RESOLUTION`] times the distance from its middle to the
+/// third nearest sample, and no longer than the distance from a sample in it to the next sample.
+///
+/// Nodes are the corners of cells. But a corner of small cells on an edge of a larger cell is no node:
+/// it has the value of this edge. So the field is continuous.
+///
+/// The values that the interpolator itself gives to the nodes would make the field inexact at the
+/// samples. So they are changed, by as little as possible ([`make_exact`](Self::make_exact)). Where the
+/// interpolator reproduces 1, x and y, linear fields need no change, except around cells that cross
+/// the hull of the samples.
 ///
 /// # Outside the tree
 /// * Nearest: the value at the nearest position of the tree.
@@ -31,12 +37,15 @@ use crate::search_tree::SearchTree;
 /// * Error: an error, as everywhere outside the hull of the samples.
 #[derive(Debug)]
 pub(crate) struct Lattice {
-    samples: usize,
     cells: Vec<Cell>,
     /// For each corner, its range of the list `weights`.
     corners: Vec<Range<usize>>,
-    /// Samples and their weights.
+    /// Nodes and their weights.
     weights: WeightList,
+    /// For each node, the weights that the interpolator gives to the samples there.
+    own: Vec<WeightList>,
+    /// For each sample, the weights of the nodes at its position.
+    at_samples: Vec<WeightList>,
     hull: Hull,
 }
 
@@ -50,30 +59,30 @@ struct Cell {
 
 #[derive(Debug, Clone)]
 enum Content {
-    /// Divided at a point. The four parts are the cells from this index on: first those below the
-    /// point, and of these the left one first.
-    Divided(Point, usize),
+    /// Halved at a coordinate of an axis. The halves are the cells from this index on.
+    Halved { axis: usize, at: f64, first: usize },
     /// The indices of the corners: those of lower y first, and of these the one of lower x first.
     Leaf([usize; 4]),
 }
 
 /// The sides of cells are at most this fraction of the distance to the third nearest sample.
-const RESOLUTION: f64 = 0.4;
+const RESOLUTION: f64 = 0.8;
 const NEIGHBOURS: NonZeroUsize = NonZeroUsize::new(3).expect("3 is not 0");
-/// A sample divides cells up to this fraction of their sides away. Otherwise the field would be steep
-/// between a sample and a cell's edge very close to it.
-const NEAR: f64 = 0.25;
-/// Only samples in a cell divide it after this number of divisions at samples.
-const MOST_NEAR: usize = 2;
+/// A sample counts as in a cell up to this fraction of the cell's longer side away. Otherwise it could
+/// be left with corners on edges of larger cells, which are no nodes.
+const NEAR: f64 = 0.125;
 /// Under the policy extend, the tree reaches beyond the samples and the frame by this multiple of
 /// their extent, which is the larger of their width and height.
 const BEYOND: f64 = 0.5;
-/// The largest number of times that the tree is divided into quarters, so that samples very close to
-/// each other do not divide it without end.
-const DEPTH: usize = 16;
+/// The errors at the samples count as rounding at this fraction of the largest value.
+const EXACT: f64 = 1e-15;
+/// The largest number of rounds in which these errors are removed.
+const MOST_ROUNDS: usize = 200;
+/// The number of columns of values that are changed together. Few of them stay in the caches.
+const COLUMNS: usize = 16;
 
 impl Lattice {
-    /// Puts an interpolator on a quadtree. `weights` writes the interpolator's weights at a point
+    /// Puts an interpolator on a tree. `weights` writes the interpolator's weights at a point
     /// under the policy, or under [`OutsidePolicy::Nearest`] if the policy is an error.
     pub(crate) fn new(
         positions: &SamplePositions,
@@ -100,115 +109,136 @@ impl Lattice {
             (*low, *high) = (*low - beyond, *high + beyond);
         }
         let mut lattice = Self {
-            samples: points.len(),
             cells: vec![Cell {
                 sides,
                 content: Content::Leaf([0; 4]),
             }],
             corners: Vec::new(),
             weights: Vec::new(),
+            own: Vec::new(),
+            at_samples: Vec::new(),
             hull: Hull::new(points, outside)?,
         };
         lattice.divide(points, &SearchTree::new(points)?);
         let at = lattice.number_corners();
-        let own = |corner: usize| {
-            let mut list = WeightList::new();
-            weights(at[corner], &mut list);
-            list
+        let longer_edges = lattice.longer_edges(&at);
+        let number_node = |corner: usize| {
+            let mut own = WeightList::new();
+            weights(at[corner], &mut own);
+            lattice.own.push(own);
+            vec![(lattice.own.len() - 1, 1.0)]
         };
-        for list in joined(&lattice.longer_edges(&at), &at, own) {
+        for list in joined(&longer_edges, &at, number_node) {
             let start = lattice.weights.len();
             lattice.weights.extend(list);
             lattice.corners.push(start..lattice.weights.len());
+        }
+        for &p in &points.points {
+            let mut weights = WeightList::new();
+            lattice.bilinear(p, lattice.leaf(p), &mut weights);
+            lattice.at_samples.push(weights);
         }
         Ok(lattice)
     }
 
     /// Divides cells until they are small enough.
     fn divide(&mut self, points: &Points, tree: &SearchTree) {
+        let next: Vec<f64> = (0..points.len())
+            .map(|sample| {
+                let square = tree.square_of_kth(points.points[sample], NonZeroUsize::MIN, Some(sample));
+                square.map_or(f64::INFINITY, f64::sqrt)
+            })
+            .collect();
         let everything: Vec<usize> = (0..points.len()).collect();
-        // Cells, with the numbers of divisions into quarters and at samples.
-        let mut left = VecDeque::from([(0, 0, 0, everything)]);
-        while let Some((index, depth, at_samples, samples)) = left.pop_front() {
+        let mut left = VecDeque::from([(0, everything)]);
+        while let Some((index, samples)) = left.pop_front() {
             let sides = self.cells[index].sides;
-            // An axis as short as the rounding of coordinates is not divided: the parts before its
-            // middle are empty.
-            let middle = sides.map(|(low, high)| {
-                let middle = f64::midpoint(low, high);
-                if middle < high { middle } else { low }
-            });
-            let longest = sides
-                .iter()
-                .fold(0.0_f64, |longest, (low, high)| longest.max(high - low));
-            let spacing = tree
-                .square_of_kth(middle, NEIGHBOURS, None)
-                .map_or(f64::INFINITY, f64::sqrt);
-            // The point of the cell nearest to a sample.
-            let nearest = |p: Point| [0, 1].map(|axis| p[axis].clamp(sides[axis].0, sides[axis].1));
-            let is_corner =
-                |p: Point| (0..2).all(|axis| p[axis] == sides[axis].0 || p[axis] == sides[axis].1);
-            let near = if at_samples < MOST_NEAR { NEAR } else { 0.0 };
+            let [width, height] = sides.map(|(low, high)| high - low);
+            let (longer, axis) = if width >= height { (width, 0) } else { (height, 1) };
             let is_near = |p: Point| {
-                let distance = sub(p, nearest(p)).map(f64::abs);
-                (0..2).all(|axis| distance[axis] <= near * (sides[axis].1 - sides[axis].0))
+                (0..2).all(|axis| {
+                    let (low, high) = sides[axis];
+                    low - NEAR * longer <= p[axis] && p[axis] <= high + NEAR * longer
+                })
             };
             let samples: Vec<usize> = samples
                 .into_iter()
-                .filter(|&sample| {
-                    is_near(points.points[sample]) && !is_corner(nearest(points.points[sample]))
-                })
+                .filter(|&sample| is_near(points.points[sample]))
                 .collect();
-            let is_coarse = longest > RESOLUTION * spacing && depth < DEPTH;
-            let at = if is_coarse {
-                middle
-            } else if let Some(&sample) = samples.first() {
-                let p = points.points[sample];
-                // A sample on an edge, or beyond it, divides this edge only.
-                [0, 1].map(|axis| {
-                    let (low, high) = sides[axis];
-                    if low < p[axis] && p[axis] < high {
-                        p[axis]
-                    } else {
-                        middle[axis]
-                    }
-                })
-            } else {
-                continue;
-            };
-            if (0..2).all(|axis| at[axis] == sides[axis].0) {
+            let middle = sides.map(|(low, high)| f64::midpoint(low, high));
+            let spacing = tree
+                .square_of_kth(middle, NEIGHBOURS, None)
+                .map_or(f64::INFINITY, f64::sqrt);
+            let is_fine =
+                longer <= RESOLUTION * spacing && samples.iter().all(|&sample| longer <= next[sample]);
+            let (at, (low, high)) = (middle[axis], sides[axis]);
+            // A side as short as the rounding of coordinates cannot be halved.
+            if is_fine || at <= low || at >= high {
                 continue;
             }
             let first = self.cells.len();
-            self.cells[index].content = Content::Divided(at, first);
-            for part in 0..4 {
-                let side = |axis: usize, is_after: bool| {
-                    if is_after {
-                        (at[axis], sides[axis].1)
-                    } else {
-                        (sides[axis].0, at[axis])
-                    }
-                };
-                let sides = [side(0, part % 2 == 1), side(1, part >= 2)];
+            self.cells[index].content = Content::Halved { axis, at, first };
+            for (half, side) in [(low, at), (at, high)].into_iter().enumerate() {
+                let mut sides = sides;
+                sides[axis] = side;
                 self.cells.push(Cell {
                     sides,
                     content: Content::Leaf([0; 4]),
                 });
-                if sides.iter().any(|(low, high)| low == high) {
-                    continue;
-                }
-                let divisions = (
-                    depth + usize::from(is_coarse),
-                    at_samples + usize::from(!is_coarse),
-                );
-                left.push_back((first + part, divisions.0, divisions.1, samples.clone()));
+                left.push_back((first + half, samples.clone()));
             }
         }
+    }
+
+    /// Changes the nodes' values by as little as possible, in the sum of squares, so that no error is
+    /// left at the samples.
+    ///
+    /// With the matrix `B` of the nodes' weights at the samples, the change is `B^T m`, where the
+    /// multipliers `m` solve `B B^T m = errors`. They are found by conjugate gradients for all columns at
+    /// once. Where samples contradict each other, because rounding gives them the same weights, nothing
+    /// is changed if the errors would grow.
+    fn make_exact(
+        &self,
+        mut values: ArrayViewMut2<'_, f64>,
+        samples: ArrayView2<'_, f64>,
+        largest_error: f64,
+    ) {
+        let mut errors = &samples - &sums(&self.at_samples, values.view());
+        let before = largest(errors.view());
+        let mut multipliers = Array2::zeros(errors.dim());
+        let mut change = errors.clone();
+        let mut size = products(&errors, &errors);
+        for _ in 0..MOST_ROUNDS {
+            if largest(errors.view()) <= largest_error {
+                break;
+            }
+            let at_samples = sums(&self.at_samples, self.spread(&change).view());
+            let length = ratios(&size, &products(&change, &at_samples));
+            multipliers += &(&change * &length);
+            errors -= &(at_samples * &length);
+            let old = std::mem::replace(&mut size, products(&errors, &errors));
+            change = change * &ratios(&size, &old) + &errors;
+        }
+        if largest(errors.view()) < before {
+            values += &self.spread(&multipliers);
+        }
+    }
+
+    /// For each node, the sum of rows that belong to the samples, with the node's weights there.
+    fn spread(&self, rows: &Array2<f64>) -> Array2<f64> {
+        let mut sums = Array2::zeros((self.own.len(), rows.ncols()));
+        for (weights, row) in self.at_samples.iter().zip(rows.outer_iter()) {
+            for &(node, weight) in weights {
+                sums.row_mut(node).scaled_add(weight, &row);
+            }
+        }
+        sums
     }
 
     fn leaves(&self) -> impl Iterator<Item = (&Cell, &[usize; 4])> {
         self.cells.iter().filter_map(|cell| match &cell.content {
             Content::Leaf(corners) => Some((cell, corners)),
-            Content::Divided(..) => None,
+            Content::Halved { .. } => None,
         })
     }
 
@@ -280,9 +310,8 @@ impl Lattice {
         loop {
             match &cell.content {
                 Content::Leaf(corners) => return (&cell.sides, corners),
-                Content::Divided(at, first) => {
-                    let part = usize::from(p[0] >= at[0]) + 2 * usize::from(p[1] >= at[1]);
-                    cell = &self.cells[first + part];
+                Content::Halved { axis, at, first } => {
+                    cell = &self.cells[first + usize::from(p[*axis] >= *at)];
                 }
             }
         }
@@ -330,6 +359,33 @@ impl Lattice {
             }
         }
     }
+}
+
+/// The sums of rows with the weights of each list.
+fn sums(lists: &[WeightList], rows: ArrayView2<'_, f64>) -> Array2<f64> {
+    let mut sums = Array2::zeros((lists.len(), rows.ncols()));
+    for (mut sum, weights) in sums.outer_iter_mut().zip(lists) {
+        for &(row, weight) in weights {
+            sum.scaled_add(weight, &rows.row(row));
+        }
+    }
+    sums
+}
+
+/// The scalar product of each column of `a` with that of `b`.
+fn products(a: &Array2<f64>, b: &Array2<f64>) -> Array1<f64> {
+    (a * b).sum_axis(Axis(0))
+}
+
+/// `a / b`, or 0 where `b` is 0.
+fn ratios(a: &Array1<f64>, b: &Array1<f64>) -> Array1<f64> {
+    Zip::from(a)
+        .and(b)
+        .map_collect(|&a, &b| if b > 0.0 { a / b } else { 0.0 })
+}
+
+fn largest(values: ArrayView2<'_, f64>) -> f64 {
+    values.fold(0.0, |most, v| most.max(v.abs()))
 }
 
 /// The part of a cell's side in a range. `None` if the two share no more than an end. If the range
@@ -394,7 +450,22 @@ fn between([from, p, to]: [Point; 3], first: &WeightList, last: &WeightList) -> 
 
 impl FieldWeights for Lattice {
     fn sample_count(&self) -> usize {
-        self.samples
+        self.at_samples.len()
+    }
+
+    fn node_count(&self) -> usize {
+        self.own.len()
+    }
+
+    fn node_values(&self, sample_values: ArrayView2<'_, f64>) -> Result<Array2<f64>, CoeffFieldError> {
+        check_rows(self.sample_count(), sample_values)?;
+        let mut values = sums(&self.own, sample_values);
+        let largest_error = EXACT * largest(sample_values);
+        let samples = sample_values.axis_chunks_iter(Axis(1), COLUMNS);
+        for (values, samples) in values.axis_chunks_iter_mut(Axis(1), COLUMNS).zip(samples) {
+            self.make_exact(values, samples, largest_error);
+        }
+        Ok(values)
     }
 
     fn weights_into(&self, position: Position, weights: &mut WeightList) -> Result<(), FieldError> {
@@ -425,9 +496,11 @@ impl FieldWeights for Lattice {
             let overlap = [0, 1].map(|axis| overlap(cell.sides[axis], in_tree[axis], tree[axis]));
             let [Some(x), Some(y)] = overlap else { continue };
             match &cell.content {
-                Content::Divided(at, first) => {
-                    lines.push(at[1]);
-                    left.extend(*first..first + 4);
+                Content::Halved { axis, at, first } => {
+                    if *axis == 1 {
+                        lines.push(*at);
+                    }
+                    left.extend(*first..first + 2);
                 }
                 Content::Leaf(_) => leaves.push([x, y]),
             }

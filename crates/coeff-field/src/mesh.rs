@@ -210,10 +210,11 @@ pub(crate) type MeshMethod = fn(&Mesh, Point, OutsidePolicy, &mut WeightList) ->
 ///
 /// When a vertex is removed, its Delaunay neighbours are the corners of the triangles that fill the
 /// hole. The Voronoi cells of these neighbours divide the vertex's cell among them. So the
-/// neighbours determine the prediction. On the boundary, the continuation beyond the hull also
-/// needs the neighbours' gradients, which depend on two more rings of neighbours.
+/// neighbours determine the weights. Their gradients depend on two more rings of neighbours. A method
+/// may need gradients everywhere. On the boundary, the continuation beyond the hull always does.
 pub(crate) fn mesh_leave_one_out(
     method: MeshMethod,
+    needs_gradients: bool,
     samples: &SampleCoefficients,
     outside: OutsidePolicy,
 ) -> Outcomes {
@@ -235,7 +236,7 @@ pub(crate) fn mesh_leave_one_out(
                 others.weights(p, &mut weights)
             }
             Support::Mesh(mesh) => {
-                let (near, all_around) = surroundings(mesh, sample, &on_boundary);
+                let (near, all_around) = surroundings(mesh, sample, &on_boundary, needs_gradients);
                 let local = points.subset(near.iter().copied());
                 let covered = if all_around {
                     method(&Mesh::bare(&local), p, outside, &mut weights)
@@ -258,7 +259,12 @@ pub(crate) fn mesh_leave_one_out(
 
 /// The other samples that determine the prediction of `sample`. The flag is true if they form a
 /// ring around `sample`, away from the boundary.
-fn surroundings(mesh: &Mesh, sample: usize, on_boundary: &[bool]) -> (Vec<usize>, bool) {
+fn surroundings(
+    mesh: &Mesh,
+    sample: usize,
+    on_boundary: &[bool],
+    needs_gradients: bool,
+) -> (Vec<usize>, bool) {
     let count = mesh.vertices.len();
     if count <= MAX_EXACT_SAMPLES {
         return ((0..count).filter(|&s| s != sample).collect(), false);
@@ -271,7 +277,7 @@ fn surroundings(mesh: &Mesh, sample: usize, on_boundary: &[bool]) -> (Vec<usize>
     };
     let mut ring: Vec<usize> = neighbours(mesh.vertex_of(sample)).collect();
     let all_around = !on_boundary[sample] && !ring.iter().any(|&s| on_boundary[s]);
-    if !all_around {
+    if needs_gradients || !all_around {
         let mut start = 0;
         for _ in 0..2 {
             let end = ring.len();

@@ -143,10 +143,9 @@ const RADIUS_SQUARED: f64 = 2.0;
 /// with `d_(k)`, so at least `k` samples take part, and about `2 k` on an even sampling. If there
 /// are only `k` samples or fewer, `R` is infinite and `u_i = d_i^-p`.
 ///
-/// The interpolator has these weights at the samples and at the other corners of a
-/// [quadtree](crate#quadtree). Between the corners, values are bilinear.
+/// The interpolator gives the values at the corners of a [tree of cells](crate#tree-of-cells).
 ///
-/// The result is exact at the samples, and no weight is negative. Linear fields are *not*
+/// The result is exact at the samples. Linear fields are *not*
 /// reproduced: for `p > 1` the field is flat at every sample. The method suits rough or noisy
 /// samples. For smooth samples the other methods are better.
 ///

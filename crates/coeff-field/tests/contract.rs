@@ -13,6 +13,8 @@ use rand::RngExt;
 
 /// Rounding of a sum of weights, relative to their magnitudes.
 const UNITY: f64 = 1e-12;
+/// Rounding of the weights at a sample.
+const EXACT: f64 = 1e-14;
 /// Rounding of an interpolated value of order 1 in well shaped cells.
 const ROUNDING: f64 = 1e-11;
 /// Rounding of slopes from samples 1e-9 of the extent apart, or with coordinates of 1e7.
@@ -74,7 +76,9 @@ fn values_at_samples_are_exact() {
             for (sample, &p) in positions.iter().enumerate() {
                 let mut only = Array1::zeros(positions.len());
                 only[sample] = 1.0;
-                assert_eq!(weights.of_samples(p), only, "{layout} {name} {outside}");
+                let errors = weights.of_samples(p) - only;
+                let error = errors.fold(0.0_f64, |most, e| most.max(e.abs()));
+                assert!(error < EXACT, "{layout} {name} {outside} {p}: {error:e}");
             }
         }
     });
@@ -104,7 +108,7 @@ fn slopes_are_reproduced_where_the_samples_surround_the_position() {
 }
 
 #[test]
-fn values_lie_between_the_samples() {
+fn values_exceed_those_of_the_samples_by_little() {
     each(|layout, name, positions, method| {
         if is_polynomial(name) {
             return;
@@ -123,9 +127,13 @@ fn values_lie_between_the_samples() {
         // In a dent of the hull, up to 0.001 of the spacing deep, the field is extrapolated over
         // that distance.
         let slack = match layout {
-            "uneven grid" => 5e-3,
+            "uneven grid" if name == "delaunay" => 5e-3,
             // Cubics overshoot: the magnitudes of weights sum to at most 1.63 in each coordinate.
             "grid" if matches!(name, "bicubic" | "auto") => 0.5 * (1.63 * 1.63 - 1.0) * (high - low),
+            // Values at a tree's corners are changed so that those at the samples are exact.
+            _ if matches!(name, "natural-neighbour" | "idw" | "idw=3.5" | "auto") => {
+                0.3 * (high - low) + ROUNDING
+            }
             _ => ROUNDING,
         };
         for p in probes(positions) {

@@ -83,7 +83,7 @@ fn edges_and_corners_of_a_grid_are_inside() {
                     let t = f64::from(i) / 200.0;
                     let p = at(a.x() + t * (b.x() - a.x()), a.y() + t * (b.y() - a.y()));
                     let v = value(&strict, p);
-                    // The quadtree of natural neighbours has no edges along a turned hull.
+                    // The tree of natural neighbours has no edges along a turned hull.
                     let is_on_tree = !matches!(name, "natural-neighbour" | "auto") || angle == 0.0;
                     if reproduces_slopes(name) && is_on_tree {
                         assert!((v - slope(p, 0)).abs() < ROUNDING, "{name} {angle} {p}");

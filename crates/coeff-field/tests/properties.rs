@@ -93,11 +93,11 @@ proptest! {
 }
 
 proptest! {
-    // A quadtree takes some milliseconds.
+    // A tree takes some milliseconds.
     #![proptest_config(config(250))]
 
     #[test]
-    fn weights_on_a_quadtree_sum_to_one(positions in positions(), picks in picks()) {
+    fn weights_on_a_tree_sum_to_one(positions in positions(), picks in picks()) {
         check_all(&["natural-neighbour", "idw", "idw=9", "auto"], &positions, &picks)?;
     }
 }
@@ -108,7 +108,7 @@ fn check(
     positions: &SamplePositions,
     probes: &[Position],
 ) -> Result<(), TestCaseError> {
-    let is_on_quadtree = !matches!(name, "delaunay" | "nearest");
+    let is_on_tree = !matches!(name, "delaunay" | "nearest");
     let mut weights = WeightList::new();
     for outside in [
         OutsidePolicy::Nearest,
@@ -150,10 +150,9 @@ fn check(
             let mut only = Array1::zeros(positions.len());
             only[sample] = 1.0;
             let found = of_samples.of_samples(p);
-            if is_on_quadtree && rounding > FINE {
-                // The edges of cells may be off by the rounding of coordinates.
+            if is_on_tree {
                 let off = (&found - &only).iter().fold(0.0_f64, |off, d| off.max(d.abs()));
-                prop_assert!(off <= 4.0 * rounding, "{} {}: {}", name, outside, found);
+                prop_assert!(off <= EXACT, "{} {}: {}", name, outside, found);
             } else {
                 prop_assert_eq!(found, only, "{} {}", name, outside);
             }
@@ -162,10 +161,10 @@ fn check(
     Ok(())
 }
 
-/// Above this [`rounding`], a quadtree cannot separate samples.
+/// Above this [`rounding`], a tree cannot separate samples.
 const COARSE: f64 = 1e-4;
-/// Up to this [`rounding`], a quadtree is exact at the samples.
-const FINE: f64 = 1e-12;
+/// Rounding of the weights at a sample.
+const EXACT: f64 = 1e-12;
 
 /// The rounding of coordinates, as a multiple of the samples' extent.
 fn rounding(positions: &[Position]) -> f64 {

@@ -21,11 +21,11 @@ pub enum Interpolation {
     Auto,
     /// Linear inside the triangles of the Delaunay triangulation.
     Delaunay,
-    /// Sibson's natural neighbours at the corners of a quadtree of the samples, bilinear between
+    /// Sibson's natural neighbours with gradients at the corners of a tree of cells, bilinear between
     /// them. Exact at the samples.
     NaturalNeighbour,
-    /// Inverse distance weights `d^-power` at the corners of a quadtree of the samples, bilinear
-    /// between them. Exact at the samples.
+    /// Inverse distance weights `d^-power` at the corners of a tree of cells, bilinear between them.
+    /// Exact at the samples.
     InverseDistance {
         /// The exponent, above 0.
         power: f64,

@@ -31,7 +31,7 @@ const CONSTANT: f64 = 1e-12;
 /// Limit for a linear function, in addition to the rounding of coordinates. Triangles of 1e-9
 /// pixels amplify the rounding of weights.
 const LINEAR: f64 = 1e-10;
-/// Natural neighbours are bilinear in the cells of a quadtree. In a cell that crosses the hull of
+/// Natural neighbours are bilinear in the cells of a tree. In a cell that crosses the hull of
 /// the samples, outside of which values are constant, they do not follow slopes quite.
 const ACROSS_THE_HULL: f64 = 0.1;
 /// Rounding of the largest coordinate, in multiples of the precision, relative to the samples'
@@ -234,7 +234,7 @@ pub(super) fn section() -> Section {
         story: "Fields are always in f64. *Constant*: the error for a constant anywhere, also 1e3 pixels outside\n\
             the samples. *Linear*: the error for a linear function of 0 to 1 over the samples, within their\n\
             convex hull. Its limit includes the rounding of coordinates over the samples' extent. For natural\n\
-            neighbours it includes the cells of their quadtree that cross the hull. *At samples*: the error for\n\
+            neighbours it includes the cells that cross the hull. *At samples*: the error for\n\
             random values of -1 to 1 at the samples. *Beyond*: the distance by which the field\n\
             leaves -1 to 1. Cubics (`bicubic`, and `auto` on a grid) have negative weights, whose bound is 13/8\n\
             in each coordinate, so 1.64 here.",

@@ -13,7 +13,7 @@
 //! | `PSFMODEL` | version of the layout, 1 |
 //! | `NCOMP` | number of components `K` |
 //! | `CENTRED` | `T` if plane 0 is the mean stamp, `F` (default) if there is none |
-//! | `INTERPOL` | `auto`, `delaunay`, `natural-neighbour`, `idw`, `idw=POWER` (these three on a quadtree of the samples), `bilinear`, `bicubic`, `polynomial=DEGREE` or `nearest` |
+//! | `INTERPOL` | `auto`, `delaunay`, `natural-neighbour`, `idw`, `idw=POWER` (the last three on a tree of cells, see the crate `coeff-field`), `bilinear`, `bicubic`, `polynomial=DEGREE` or `nearest` |
 //! | `OUTSIDE` | policy outside the area that the samples cover: `nearest`, `extend` or `error` |
 //! | `NORMALIS` | `unit` (every PSF is scaled to unit flux) or `keep` |
 //! | `OVERSAMP`, `CENX`, `CENY`, `PIXCONV`, `STAMPINT`, `FIELDNX`, `FIELDNY` | as in [`psf-samples`](crate::samples) |
@@ -193,7 +193,7 @@ pub fn write_model(
     let [interpolation, outside, normalisation] = choices.map(CardValue::from);
     let of_interpolation = match record.interpolation() {
         Interpolation::NaturalNeighbour | Interpolation::InverseDistance { .. } => {
-            "interpolation, on a quadtree of the samples"
+            "interpolation, on a tree of cells"
         }
         _ => "interpolation of the coefficients",
     };
