@@ -89,7 +89,7 @@ const ROUNDING_OF_LARGEST: f64 = 1e-14;
 /// would be the opposite, so with half of them it vanishes (A. Guessab, O. Nouisser & G. Schmeisser
 /// 2006, J. Comput. Appl. Math. 196, 162). On smooth fields the error falls with the third power of the
 /// spacing. For the PSFs of a telescope at 500 random positions, gradients reduce it from 5.6e-3
-/// to 1.2e-3 (r.m.s., relative L2).
+/// to 1.0e-3 (r.m.s., relative L2).
 ///
 /// Weights of samples may be negative: values may exceed those of the samples. Independent
 /// noise in the samples has 0.56 of its variance between them (0.50 for [`Delaunay`](crate::Delaunay)).

@@ -26,10 +26,10 @@ use crate::search_tree::SearchTree;
 /// Nodes are the corners of cells. But a corner of small cells on an edge of a larger cell is no node:
 /// it has the value of this edge. So the field is continuous.
 ///
-/// The values that the interpolator itself gives to the nodes would make the field inexact at the
-/// samples. So they are changed, by as little as possible ([`make_exact`](Self::make_exact)). Where the
-/// interpolator reproduces 1, x and y, linear fields need no change, except around cells that cross
-/// the hull of the samples.
+/// Nodes do not have the interpolator's own values. These are changed twice: so that errors in cells are
+/// about 0 in the mean ([`centre_errors`](Self::centre_errors)), and so that there are none at the samples
+/// ([`make_exact`](Self::make_exact)). Where the interpolator reproduces 1, x and y, linear fields need no
+/// change, except around cells that cross the hull of the samples.
 ///
 /// # Outside the tree
 /// * Nearest: the value at the nearest position of the tree.
@@ -44,6 +44,7 @@ pub(crate) struct Lattice {
     weights: WeightList,
     /// For each node, the weights that the interpolator gives to the samples there.
     own: Vec<WeightList>,
+    middles: Vec<Middle>,
     /// For each sample, the weights of the nodes at its position.
     at_samples: Vec<WeightList>,
     hull: Hull,
@@ -55,6 +56,17 @@ struct Cell {
     /// First and last coordinate along each axis.
     sides: [(f64, f64); 2],
     content: Content,
+}
+
+/// The middle of a cell.
+#[derive(Debug)]
+struct Middle {
+    /// The weights that the interpolator gives to the samples there.
+    own: WeightList,
+    /// The weights of the nodes there.
+    of_nodes: WeightList,
+    /// The nodes at corners of the cell.
+    nodes: Vec<usize>,
 }
 
 #[derive(Debug, Clone)]
@@ -116,6 +128,7 @@ impl Lattice {
             corners: Vec::new(),
             weights: Vec::new(),
             own: Vec::new(),
+            middles: Vec::new(),
             at_samples: Vec::new(),
             hull: Hull::new(points, outside)?,
         };
@@ -133,6 +146,27 @@ impl Lattice {
             lattice.weights.extend(list);
             lattice.corners.push(start..lattice.weights.len());
         }
+        let mut middles = Vec::new();
+        for (cell, corners) in lattice.leaves() {
+            let middle = cell.sides.map(|(low, high)| f64::midpoint(low, high));
+            let (mut own, mut of_nodes) = (WeightList::new(), WeightList::new());
+            weights(middle, &mut own);
+            lattice.bilinear(middle, (&cell.sides, corners), &mut of_nodes);
+            let lists = corners
+                .iter()
+                .map(|&corner| &lattice.weights[lattice.corners[corner].clone()]);
+            // Other corners lie on edges of larger cells.
+            let nodes = lists.filter_map(|list| match list {
+                [(node, _)] => Some(*node),
+                _ => None,
+            });
+            middles.push(Middle {
+                own,
+                of_nodes,
+                nodes: nodes.collect(),
+            });
+        }
+        lattice.middles = middles;
         for &p in &points.points {
             let mut weights = WeightList::new();
             lattice.bilinear(p, lattice.leaf(p), &mut weights);
@@ -188,6 +222,30 @@ impl Lattice {
                 left.push_back((first + half, samples.clone()));
             }
         }
+    }
+
+    /// Changes the nodes' values so that the errors in cells are about 0 in the mean.
+    ///
+    /// In a cell of width `h`, bilinear values of `c x^2 / 2` are off by up to `h^2 c / 8`, always with the
+    /// same sign, and by `h^2 c / 12` in the mean. So each node is changed by two thirds of the mean
+    /// error at the middles of the cells around it. That leaves 0.4 of the r.m.s. error.
+    fn centre_errors(&self, values: &mut Array2<f64>, samples: ArrayView2<'_, f64>) {
+        let mut changes = Array2::zeros(values.dim());
+        let mut counts = Array1::<f64>::zeros(values.nrows());
+        for middle in &self.middles {
+            let mut error = Array1::zeros(values.ncols());
+            for &(sample, weight) in &middle.own {
+                error.scaled_add(weight, &samples.row(sample));
+            }
+            for &(node, weight) in &middle.of_nodes {
+                error.scaled_add(-weight, &values.row(node));
+            }
+            for &node in &middle.nodes {
+                counts[node] += 1.0;
+                changes.row_mut(node).scaled_add(2.0 / 3.0, &error);
+            }
+        }
+        *values += &(changes / counts.insert_axis(Axis(1)));
     }
 
     /// Changes the nodes' values by as little as possible, in the sum of squares, so that no error is
@@ -460,6 +518,7 @@ impl FieldWeights for Lattice {
     fn node_values(&self, sample_values: ArrayView2<'_, f64>) -> Result<Array2<f64>, CoeffFieldError> {
         check_rows(self.sample_count(), sample_values)?;
         let mut values = sums(&self.own, sample_values);
+        self.centre_errors(&mut values, sample_values);
         let largest_error = EXACT * largest(sample_values);
         let samples = sample_values.axis_chunks_iter(Axis(1), COLUMNS);
         for (values, samples) in values.axis_chunks_iter_mut(Axis(1), COLUMNS).zip(samples) {

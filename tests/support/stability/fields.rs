@@ -33,7 +33,7 @@ const CONSTANT: f64 = 1e-12;
 const LINEAR: f64 = 1e-10;
 /// Natural neighbours are bilinear in the cells of a tree. In a cell that crosses the hull of
 /// the samples, outside of which values are constant, they do not follow slopes quite.
-const ACROSS_THE_HULL: f64 = 0.1;
+const ACROSS_THE_HULL: f64 = 0.25;
 /// Rounding of the largest coordinate, in multiples of the precision, relative to the samples'
 /// extent.
 const COORDINATES: f64 = 8.0 * f64::EPSILON;
@@ -43,6 +43,8 @@ const POLYNOMIAL: f64 = 1e-10;
 /// On uniform grids, the magnitudes of cubic weights add up to at most 13/8 per coordinate, reached
 /// next to an edge.
 const CUBIC_BEYOND: f64 = 13.0 / 8.0 * 13.0 / 8.0 - 1.0;
+/// Natural neighbours have negative weights, and so has a tree of cells that is exact at the samples.
+const TREE_BEYOND: f64 = 0.5;
 /// Number of tested positions, in addition to the samples.
 const QUERIES: usize = 600;
 /// The most samples that are tested.
@@ -96,6 +98,7 @@ fn figures(choice: Interpolation, at: &[(f64, f64)]) -> Result<Figures, PsfieldE
     let resolved = resolve(choice, &positions);
     let most_beyond = match resolved {
         Interpolation::Bicubic => CONSTANT + CUBIC_BEYOND,
+        Interpolation::NaturalNeighbour | Interpolation::InverseDistance { .. } => CONSTANT + TREE_BEYOND,
         _ => CONSTANT,
     };
     let samples = SampleCoefficients::new(values.clone(), positions)?;
@@ -237,7 +240,8 @@ pub(super) fn section() -> Section {
             neighbours it includes the cells that cross the hull. *At samples*: the error for\n\
             random values of -1 to 1 at the samples. *Beyond*: the distance by which the field\n\
             leaves -1 to 1. Cubics (`bicubic`, and `auto` on a grid) have negative weights, whose bound is 13/8\n\
-            in each coordinate, so 1.64 here.",
+            in each coordinate, so 1.64 here. Natural neighbours have negative weights, too, and so have inverse\n\
+            distances on a tree of cells that is exact at the samples.",
         columns: &["constant", "linear", "at samples", "beyond"],
         cases: rows(field_cells),
     }
