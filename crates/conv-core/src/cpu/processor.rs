@@ -109,7 +109,7 @@ impl<'a, T: ConvReal> BlockKernels<'a, T> {
     /// `[kernel, y, x]`.
     pub(crate) fn stamps(&self) -> &[T] {
         self.stamps
-            .get_or_init(|| self.block.stamps_or_new(self.plan.whole.space.stamps.view()))
+            .get_or_init(|| self.block.stamps_or_new(&self.plan.whole.space))
             .values()
     }
 

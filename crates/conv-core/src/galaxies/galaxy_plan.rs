@@ -138,7 +138,7 @@ impl<T: ConvReal> GalaxyPlan<T> {
 
     pub(super) fn stamps(&self) -> &Stamps {
         self.stamps.get_or_init(|| {
-            let (grid, mut stamps) = (self.model.grid(), self.space().stamps.clone());
+            let (grid, mut stamps) = (self.model.grid(), self.space().stamps());
             if let Some(size) = self.size {
                 stamps
                     .outer_iter_mut()

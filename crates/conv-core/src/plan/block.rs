@@ -3,7 +3,6 @@
 use std::ops::Range;
 use std::sync::Arc;
 
-use ndarray::linalg::general_mat_mul;
 use ndarray::{Array2, ArrayView2, Axis, s};
 use psf_types::{PixelRegion, PsfModel};
 
@@ -100,9 +99,9 @@ impl<T: ConvReal> Block<T> {
     }
 
     /// The kernels' stamps, stored or computed now.
-    pub(crate) fn stamps_or_new(&self, stamps: ArrayView2<'_, f64>) -> Stamps<T> {
+    pub(crate) fn stamps_or_new(&self, space: &PsfSpace) -> Stamps<T> {
         self.stamps.clone().unwrap_or_else(|| {
-            let made = stamps_of(stamps, &[self]).pop();
+            let made = stamps_of(space, &[self]).pop();
             made.expect("the stamps of one block")
         })
     }
@@ -118,21 +117,43 @@ impl<T: ConvReal> Block<T> {
     }
 }
 
-/// Computes the kernels' stamps of several blocks by one matrix product. `stamps` holds the stamps
-/// of a [`PsfSpace`]. The product is in f64: in f32, the rounding of a PSF's core would hide faint
-/// wings.
-pub(crate) fn stamps_of<T: ConvReal>(stamps: ArrayView2<'_, f64>, blocks: &[&Block<T>]) -> Vec<Stamps<T>> {
+/// Computes the kernels' stamps of several blocks by matrix products. The product for references is in
+/// f64: in f32, the rounding of a PSF's core would hide faint wings. Modes beside a reference hold only
+/// small differences of PSFs.
+pub(crate) fn stamps_of<T: ConvReal>(space: &PsfSpace, blocks: &[&Block<T>]) -> Vec<Stamps<T>> {
     let directions: Vec<Array2<f64>> = blocks.iter().map(|block| block.directions()).collect();
-    let views: Vec<ArrayView2<'_, f64>> = directions.iter().map(|d| d.view()).collect();
-    let all = ndarray::concatenate(Axis(0), &views).expect("equally many directions");
-    let mut shared = Array2::zeros((all.nrows(), stamps.ncols()));
-    // A product of few pixels stays in the caches until it is rounded.
-    let mut product = Array2::zeros((all.nrows(), PIXELS_PER_PRODUCT));
-    let parts = shared.axis_chunks_iter_mut(Axis(1), PIXELS_PER_PRODUCT);
-    for (mut part, stamps) in parts.zip(stamps.axis_chunks_iter(Axis(1), PIXELS_PER_PRODUCT)) {
-        let mut product = product.slice_mut(s![.., ..part.ncols()]);
-        general_mat_mul(1.0, &all, &stamps, 0.0, &mut product);
-        part.zip_mut_with(&product, |value, &product| *value = T::nearest(product));
+    // The blocks' kernels in f64 and the others, each list block by block.
+    let parts = blocks.iter().zip(&directions).map(|(block, directions)| {
+        let exact = if block.modes.reference().is_some() {
+            1
+        } else {
+            directions.nrows()
+        };
+        directions.view().split_at(Axis(0), exact)
+    });
+    let (exact, rounded): (Vec<_>, Vec<_>) = parts.unzip();
+    let joined = |parts: &[ArrayView2<'_, f64>]| {
+        ndarray::concatenate(Axis(0), parts).expect("equally many directions")
+    };
+    let (of_exact, of_rounded) = (joined(&exact), joined(&rounded).mapv(T::nearest));
+    let width = space.pixel_count();
+    let mut shared = Array2::zeros((of_exact.nrows() + of_rounded.nrows(), width));
+    // Products of few pixels stay in the caches until they are put in place.
+    for first in (0..width).step_by(PIXELS_PER_PRODUCT) {
+        let pixels = first..(first + PIXELS_PER_PRODUCT).min(width);
+        let stamps = space.pixels_of_stamps(pixels.clone());
+        let from_exact = of_exact.dot(&stamps).mapv(T::nearest);
+        let from_rounded = of_rounded.dot(&stamps.mapv(T::nearest));
+        let mut part = shared.slice_mut(s![.., pixels]);
+        let mut kernels = part.outer_iter_mut();
+        let (mut from_exact, mut from_rounded) = (from_exact.outer_iter(), from_rounded.outer_iter());
+        for (exact, rounded) in exact.iter().zip(&rounded) {
+            let of_block = from_exact.by_ref().take(exact.nrows());
+            let of_block = of_block.chain(from_rounded.by_ref().take(rounded.nrows()));
+            of_block
+                .zip(kernels.by_ref())
+                .for_each(|(made, mut kernel)| kernel.assign(&made));
+        }
     }
     let shared = Arc::new(shared);
     let mut end = 0;

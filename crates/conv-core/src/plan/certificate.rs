@@ -193,7 +193,7 @@ pub(super) fn circles(grid: StampGrid) -> Array2<f64> {
 fn certify<T: ConvReal>(plan: &Plan<T>, coefficient_error: f64) -> Errors {
     let (model, space) = (plan.model(), &plan.whole.space);
     // The flux in circles, `[circle, direction]`.
-    let in_circles = circles(model.grid()).dot(&space.stamps.t());
+    let in_circles = circles(model.grid()).dot(&space.stamps().t());
     let mut errors = Errors::default();
     let mut pixels = 0;
     for (i, block) in plan.blocks.iter().enumerate() {

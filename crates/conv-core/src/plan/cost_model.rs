@@ -23,6 +23,8 @@ const TRANSFORM_LARGE: f64 = 21e-12;
 const TRANSFORM_HUGE: f64 = 24e-12;
 /// A complex multiply-add, per value of the plane.
 const MULTIPLY: f64 = 0.09e-9;
+/// Reading a stored spectrum of a kernel, per value of the plane.
+const READ_SPECTRUM: f64 = 0.09e-9;
 /// Multiplication of a pixel's light by the coefficient of one mode.
 const MULTIPLY_LIGHT: f64 = 0.10e-9;
 /// Reading a pixel's light, or adding a pixel to the image, per pixel of the tile.
@@ -88,6 +90,12 @@ impl CostModel {
 
     pub(crate) fn multiply(self, (nx, ny): (usize, usize)) -> f64 {
         self.width * MULTIPLY * (nx * ny) as f64
+    }
+
+    /// What the tiles of a block of several tiles take longer, because they read the kernels' spectra
+    /// from memory.
+    pub(crate) fn read_spectra(self, (nx, ny): (usize, usize), kernels: f64) -> f64 {
+        self.width * READ_SPECTRUM * (nx * ny) as f64 * kernels
     }
 
     /// Convolving a tile by transforms of `size`, without the cost of the kernels' spectra.

@@ -256,11 +256,11 @@ impl<T: ConvReal> Plan<T> {
             }
             room += 1;
         }
-        let stamps = self.whole.space.stamps.view();
+        let space = &self.whole.space;
         self.blocks[..room]
             .par_chunks_mut(BLOCKS_PER_PRODUCT)
             .for_each(|blocks| {
-                let made = stamps_of(stamps, &blocks.iter().collect::<Vec<_>>());
+                let made = stamps_of(space, &blocks.iter().collect::<Vec<_>>());
                 for (block, stamps) in blocks.iter_mut().zip(made) {
                     block.stamps = Some(stamps);
                 }

@@ -1,6 +1,8 @@
 //! The PSFs of a model as vectors.
 
-use ndarray::{Array1, Array2, ArrayView1, Axis, s};
+use std::ops::Range;
+
+use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis, s};
 use psf_types::{ErrorLimit, PixelRegion, PsfModel, ToleranceOn};
 
 use super::allowed_errors::{AllowedErrors, CellError, ROUNDING_NORM};
@@ -17,10 +19,10 @@ use super::region_cells::RegionCells;
 #[derive(Debug)]
 pub struct PsfSpace {
     model: PsfModel,
-    /// Orthonormal stamps, `[direction, stamp pixel]`.
-    pub(crate) stamps: Array2<f64>,
+    /// The direction that the components do not span, if there is one, `[stamp pixel]`.
+    rest_of_mean: Option<Array1<f64>>,
     pub(crate) mean: Array1<f64>,
-    /// The flux of each orthonormal stamp.
+    /// The flux of each direction.
     pub(crate) fluxes: Array1<f64>,
     /// The flux in circles. `None` if the tolerance only bounds the L2 error.
     pub(crate) growth: Option<GrowthCurves>,
@@ -29,6 +31,9 @@ pub struct PsfSpace {
 /// The part of the mean outside the components' span is ignored if its norm is below this fraction
 /// of the mean's norm.
 const NEGLIGIBLE_REMAINDER: f64 = 1e-14;
+/// A second pass makes the rest of the mean orthogonal to the components if the rest is below this
+/// fraction of the mean.
+const NO_SECOND_PASS: f64 = 0.5;
 /// The fraction of the tolerance that is left to the cells. More of it makes cells larger and needs
 /// more modes.
 const SHARE_OF_CELLS: f64 = 0.3;
@@ -36,62 +41,79 @@ const SHARE_OF_CELLS: f64 = 0.3;
 impl PsfSpace {
     /// The space of a model's PSFs. Plans that use this space bound the errors that `on` names.
     pub fn new(model: &PsfModel, on: ToleranceOn) -> Self {
-        let (count, ny, nx) = model.stamps().dim();
-        let flat = model
-            .stamps()
-            .into_shape_with_order((count, ny * nx))
-            .expect("stamps are row-major");
-        let first = usize::from(model.is_mean_centred());
-        let components = flat.slice(s![first.., ..]);
+        let (mean, components) = mean_and_components(model);
         let rank = components.nrows();
-        // Divides the mean into its part along the components and the rest. After two passes the
-        // rest is orthogonal to the components up to rounding (Kahan, in Parlett 1980, section
-        // 6-9).
-        let mut along = Array1::zeros(rank);
-        let mut rest: Array1<f64> = if first == 1 {
-            flat.row(0).to_owned()
-        } else {
-            Array1::zeros(ny * nx)
-        };
-        let whole = norm(rest.view());
-        for _ in 0..2 {
-            for (k, component) in components.outer_iter().enumerate() {
+        // Divides the mean into its part along the components and the rest. If the rest is much smaller
+        // than the mean, it is orthogonal to the components only after a second pass (Kahan, in Parlett
+        // 1980, section 6-9).
+        let mut rest = mean.map_or_else(|| Array1::zeros(components.ncols()), |mean| mean.to_owned());
+        let (whole, mut along) = (norm(rest.view()), Array1::zeros(rank));
+        let mut sums = Vec::with_capacity(rank + 1);
+        for pass in 0..2 {
+            for (along, component) in along.iter_mut().zip(components.outer_iter()) {
                 let p = component.dot(&rest);
-                along[k] += p;
+                *along += p;
                 rest.scaled_add(-p, &component);
+                if pass == 0 {
+                    sums.push(component.sum());
+                }
+            }
+            if norm(rest.view()) >= NO_SECOND_PASS * whole {
+                break;
             }
         }
         let left = norm(rest.view());
-        let extra = usize::from(left > NEGLIGIBLE_REMAINDER * whole);
-        let mut stamps = Array2::zeros((rank + extra, ny * nx));
-        stamps.slice_mut(s![..rank, ..]).assign(&components);
-        let mut mean = Array1::zeros(rank + extra);
-        mean.slice_mut(s![..rank]).assign(&along);
-        if extra == 1 {
-            stamps.row_mut(rank).assign(&(rest / left));
-            mean[rank] = left;
+        let rest_of_mean = (left > NEGLIGIBLE_REMAINDER * whole).then(|| rest / left);
+        let mut mean = along.to_vec();
+        if let Some(rest) = &rest_of_mean {
+            mean.push(left);
+            sums.push(rest.sum());
         }
-        let fluxes = stamps
-            .outer_iter()
-            .map(|stamp| model.grid().flux_of_sum(stamp.sum()))
-            .collect();
-        let growth = (on == ToleranceOn::Aperture).then(|| {
+        let fluxes = sums.into_iter().map(|sum| model.grid().flux_of_sum(sum));
+        let mut space = Self {
+            model: model.clone(),
+            rest_of_mean,
+            mean: Array1::from(mean),
+            fluxes: fluxes.collect(),
+            growth: None,
+        };
+        if on == ToleranceOn::Aperture {
             // Without a mean, the nodes are usually PSFs.
             let of_nodes = model
                 .field()
                 .node_values()
                 .mean_axis(Axis(0))
-                .filter(|_| first == 0);
-            let typical = of_nodes.as_ref().unwrap_or(&mean);
-            GrowthCurves::new(stamps.view(), model.grid(), typical.view())
-        });
-        Self {
-            model: model.clone(),
-            stamps,
-            mean,
-            fluxes,
-            growth,
+                .filter(|_| !model.is_mean_centred());
+            let typical = of_nodes.as_ref().unwrap_or(&space.mean);
+            space.growth = Some(GrowthCurves::new(
+                space.stamps().view(),
+                model.grid(),
+                typical.view(),
+            ));
         }
+        space
+    }
+
+    /// The number of pixels of a stamp.
+    pub(crate) fn pixel_count(&self) -> usize {
+        self.model.grid().pixel_count()
+    }
+
+    /// The stamps of the directions, `[direction, stamp pixel]`.
+    pub(crate) fn stamps(&self) -> Array2<f64> {
+        self.pixels_of_stamps(0..self.pixel_count())
+    }
+
+    /// Some pixels of the directions' stamps, `[direction, stamp pixel]`.
+    pub(crate) fn pixels_of_stamps(&self, pixels: Range<usize>) -> Array2<f64> {
+        let (_, components) = mean_and_components(&self.model);
+        let rest = self.rest_of_mean.as_ref();
+        let rest = rest.map(|rest| rest.view().insert_axis(Axis(0)));
+        let parts = [components].into_iter().chain(rest);
+        let parts: Vec<_> = parts
+            .map(|part| part.slice_move(s![.., pixels.clone()]))
+            .collect();
+        ndarray::concatenate(Axis(0), &parts).expect("equally many pixels")
     }
 
     /// A first guess of the error of cells that leaves most of the tolerance to the modes of a
@@ -211,4 +233,15 @@ impl PsfSpace {
         }
         rows
     }
+}
+
+/// The mean stamp, if there is one, and the components, `[component, stamp pixel]`.
+fn mean_and_components(model: &PsfModel) -> (Option<ArrayView1<'_, f64>>, ArrayView2<'_, f64>) {
+    let stamps = model.stamps();
+    let (count, ny, nx) = stamps.dim();
+    let flat = stamps
+        .into_shape_with_order((count, ny * nx))
+        .expect("stamps are row-major");
+    let (mean, components) = flat.split_at(Axis(0), usize::from(model.is_mean_centred()));
+    (mean.into_outer_iter().next(), components)
 }

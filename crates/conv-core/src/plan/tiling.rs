@@ -78,7 +78,10 @@ fn best_tiling<T: ConvReal>(
             (n + 1).saturating_sub(stamp.0).max(1),
             (n + 1).saturating_sub(stamp.1).max(1),
         );
-        for together in BLOCK_SIDES {
+        for together in BLOCK_SIDES
+            .into_iter()
+            .take(std::env::var("BS").map_or(3, |v| v.parse().unwrap()))
+        {
             let columns = even(nx, tile.0, together);
             regular.push(Tiling::new(columns, even(ny, tile.1, together), stamp));
         }
@@ -112,7 +115,7 @@ fn fastest<T: ConvReal>(
     options: PlanOptions,
     progress: &dyn Progress,
 ) -> Result<Option<(f64, Tiling)>, ConvError> {
-    let stamps = space.stamps.nrows();
+    let stamps = space.mean.len();
     let seconds = |tiling: &Tiling, contents| tiling.seconds::<T>(contents, stamps, geometry, options);
     tilings.sort_by(|a, b| a.block_area().total_cmp(&b.block_area()));
     let mut best: Option<(f64, usize)> = None;
@@ -132,6 +135,17 @@ fn fastest<T: ConvReal>(
         for (i, tiling) in tilings.iter().enumerate().take(to).skip(timed) {
             let contents = between(before.unwrap_or(after), after, tiling.block_area());
             let seconds = seconds(tiling, contents);
+            if std::env::var("DBG").is_ok() {
+                eprintln!(
+                    "size {:?} blocks {} kernels {:.2} cells {:.0} seconds {:.4} counted {}",
+                    tiling.size,
+                    tiling.columns.len() * tiling.rows.len(),
+                    contents.kernels,
+                    contents.cells,
+                    seconds * 1e3,
+                    i + 1 == to
+                );
+            }
             // Of equally fast tilings, takes the first.
             if best.is_none_or(|best| seconds < best.0) {
                 best = Some((seconds, i));
@@ -274,7 +288,13 @@ impl Tiling {
         let block = kernels * cost.kernel(self.size, geometry.stamp)
             + CostModel::plan_and_expand(cells, kernels)
             + CostModel::make_stamps(geometry.stamp, stamps, kernels, made_anew)
-            + tiles_a_block * cost.tile(tile, self.size, kernels);
+            + tiles_a_block
+                * (cost.tile(tile, self.size, kernels)
+                    + if tiles_a_block > 1.0 {
+                        cost.read_spectra(self.size, kernels)
+                    } else {
+                        0.0
+                    });
         self.rounds() as f64 * block
     }
 

@@ -100,7 +100,7 @@ impl PhaseNorms {
         .with_oversampling(steps as f64)?
         .with_centre(centre[0] as f64, centre[1] as f64)?;
         let stamps: Vec<Array2<f64>> = space
-            .stamps
+            .stamps()
             .axis_iter(Axis(0))
             .into_par_iter()
             .map(|stamp| {
