@@ -82,14 +82,16 @@ const RESOLUTION: f64 = 0.8;
 const NEIGHBOURS: NonZeroUsize = NonZeroUsize::new(3).expect("3 is not 0");
 /// A sample counts as in a cell up to this fraction of the cell's longer side away. Otherwise it could
 /// be left with corners on edges of larger cells, which are no nodes.
-const NEAR: f64 = 0.125;
+const NEAR: f64 = 0.25;
 /// Under the policy extend, the tree reaches beyond the samples and the frame by this multiple of
 /// their extent, which is the larger of their width and height.
 const BEYOND: f64 = 0.5;
 /// The errors at the samples count as rounding at this fraction of the largest value.
-const EXACT: f64 = 1e-15;
+const EXACT: f64 = 2e-15;
 /// The largest number of rounds in which these errors are removed.
 const MOST_ROUNDS: usize = 200;
+/// Conjugate gradients are repeated while the errors fall at least by this factor.
+const MUST_FALL: f64 = 0.1;
 /// The number of columns of values that are changed together. Few of them stay in the caches.
 const COLUMNS: usize = 16;
 
@@ -200,9 +202,9 @@ impl Lattice {
                 .filter(|&sample| is_near(points.points[sample]))
                 .collect();
             let middle = sides.map(|(low, high)| f64::midpoint(low, high));
-            let spacing = tree
-                .square_of_kth(middle, NEIGHBOURS, None)
-                .map_or(f64::INFINITY, f64::sqrt);
+            let third = tree.square_of_kth(middle, NEIGHBOURS, None).map(f64::sqrt);
+            // A single sample has no distance to others.
+            let spacing = third.filter(|_| points.len() > 1).unwrap_or(f64::INFINITY);
             let is_fine =
                 longer <= RESOLUTION * spacing && samples.iter().all(|&sample| longer <= next[sample]);
             let (at, (low, high)) = (middle[axis], sides[axis]);
@@ -253,16 +255,29 @@ impl Lattice {
     ///
     /// With the matrix `B` of the nodes' weights at the samples, the change is `B^T m`, where the
     /// multipliers `m` solve `B B^T m = errors`. They are found by conjugate gradients for all columns at
-    /// once. Where samples contradict each other, because rounding gives them the same weights, nothing
-    /// is changed if the errors would grow.
+    /// once, and again for the errors that rounding leaves. A change that does not reduce the errors is
+    /// not made: rounding may give two samples the same weights.
     fn make_exact(
         &self,
         mut values: ArrayViewMut2<'_, f64>,
         samples: ArrayView2<'_, f64>,
         largest_error: f64,
     ) {
-        let mut errors = &samples - &sums(&self.at_samples, values.view());
-        let before = largest(errors.view());
+        let errors_of = |values: ArrayView2<'_, f64>| &samples - &sums(&self.at_samples, values);
+        let mut errors = errors_of(values.view());
+        while largest(errors.view()) > largest_error {
+            let changed = &values + &self.spread(&self.multipliers(errors.clone(), largest_error));
+            let left = errors_of(changed.view());
+            if largest(left.view()) > MUST_FALL * largest(errors.view()) {
+                return;
+            }
+            values.assign(&changed);
+            errors = left;
+        }
+    }
+
+    /// The multipliers of [`make_exact`](Self::make_exact).
+    fn multipliers(&self, mut errors: Array2<f64>, largest_error: f64) -> Array2<f64> {
         let mut multipliers = Array2::zeros(errors.dim());
         let mut change = errors.clone();
         let mut size = products(&errors, &errors);
@@ -277,9 +292,7 @@ impl Lattice {
             let old = std::mem::replace(&mut size, products(&errors, &errors));
             change = change * &ratios(&size, &old) + &errors;
         }
-        if largest(errors.view()) < before {
-            values += &self.spread(&multipliers);
-        }
+        multipliers
     }
 
     /// For each node, the sum of rows that belong to the samples, with the node's weights there.

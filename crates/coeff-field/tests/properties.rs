@@ -94,7 +94,7 @@ proptest! {
 
 proptest! {
     // A tree takes some milliseconds.
-    #![proptest_config(config(250))]
+    #![proptest_config(config(500))]
 
     #[test]
     fn weights_on_a_tree_sum_to_one(positions in positions(), picks in picks()) {
@@ -163,8 +163,8 @@ fn check(
 
 /// Above this [`rounding`], a tree cannot separate samples.
 const COARSE: f64 = 1e-4;
-/// Rounding of the weights at a sample.
-const EXACT: f64 = 1e-12;
+/// Rounding of the weights at a sample, of which others may be 1e-9 of the extent away.
+const EXACT: f64 = 1e-10;
 
 /// The rounding of coordinates, as a multiple of the samples' extent.
 fn rounding(positions: &[Position]) -> f64 {

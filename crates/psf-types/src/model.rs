@@ -320,6 +320,11 @@ impl PsfModel {
         self.stamps.view()
     }
 
+    /// The flux of each of these stamps ([`StampGrid::flux_of_sum`]).
+    pub fn stamp_fluxes(&self) -> &[f64] {
+        &self.fluxes
+    }
+
     /// The pixel grid of the stamps.
     pub fn grid(&self) -> StampGrid {
         self.grid

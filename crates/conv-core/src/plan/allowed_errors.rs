@@ -101,6 +101,8 @@ pub(crate) struct CountModes<'a> {
     pub(crate) reference: f64,
     /// The norm of what the coordinates leave out of a node.
     pub(crate) outside: f64,
+    /// The norm of the change of a node because of its flux along components that are left out.
+    pub(crate) moved: f64,
     pub(crate) growth: Option<TailGrowth>,
 }
 
@@ -114,10 +116,10 @@ impl CountModes<'_> {
     pub(crate) fn count(mut self) -> Result<usize, f64> {
         let (width, errors) = (self.table.width, self.errors);
         let mut values = vec![0.0; self.cells.corners().len() * width];
-        let mut outside = Vec::with_capacity(self.cells.corners().len());
+        let mut magnitudes = Vec::with_capacity(self.cells.corners().len());
         for (corner, values) in self.cells.corners().zip(values.chunks_exact_mut(width)) {
             self.table.at(corner, values);
-            outside.push(self.outside * sum_of_magnitudes(corner));
+            magnitudes.push(sum_of_magnitudes(corner));
         }
         let rounding = ROUNDING_NORM / errors.tolerance;
         let mut needed = 0;
@@ -125,14 +127,15 @@ impl CountModes<'_> {
             // An allowed error that is linear along rows and columns is nowhere in the cell below
             // its least value at the corners.
             let (mut beta, mut flux) = (f64::INFINITY, f64::INFINITY);
-            let (mut left_out, mut scaled_norm) = (0.0_f64, 0.0_f64);
+            let (mut magnitude, mut scaled_norm) = (0.0_f64, 0.0_f64);
             for &corner in corners {
                 let values = &values[corner * width..(corner + 1) * width];
                 beta = beta.min(values[0]);
                 flux = flux.min(errors.sign * values[1]);
-                left_out = left_out.max(outside[corner]);
+                magnitude = magnitude.max(magnitudes[corner]);
                 if errors.cells.flux_weight > 0.0 && errors.cells.size > 0.0 {
-                    let rest = dot(&values[BEFORE..], &values[BEFORE..]).sqrt() + outside[corner];
+                    let rest = dot(&values[BEFORE..], &values[BEFORE..]).sqrt();
+                    let rest = rest + (self.outside + self.moved) * magnitudes[corner];
                     scaled_norm = scaled_norm.max(self.reference + rest / values[1].abs());
                 }
             }
@@ -150,9 +153,11 @@ impl CountModes<'_> {
                     return Err(SMALLER);
                 }
             }
+            let (left_out, moved) = (self.outside * magnitude, self.moved * magnitude);
             // The directions left out are orthogonal to the coordinates.
-            let norm_squared = (norm * norm.max(0.0) - left_out * left_out).max(0.0);
-            let flux = (flux_allowed - errors.largest_flux * left_out).max(0.0);
+            let norm = (norm - moved).max(0.0);
+            let norm_squared = (norm * norm - left_out * left_out).max(0.0);
+            let flux = (flux_allowed - errors.largest_flux * (left_out + moved)).max(0.0);
             for &corner in corners {
                 let values = &values[corner * width + BEFORE..(corner + 1) * width];
                 needed = needed_beyond(needed, values, norm_squared);

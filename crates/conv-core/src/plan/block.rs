@@ -3,7 +3,8 @@
 use std::ops::Range;
 use std::sync::Arc;
 
-use ndarray::{Array2, ArrayView2, Axis, s};
+use ndarray::linalg::general_mat_mul;
+use ndarray::{Array2, ArrayView2, Axis};
 use psf_types::{PixelRegion, PsfModel};
 
 use super::allowed_errors::CellError;
@@ -122,37 +123,31 @@ impl<T: ConvReal> Block<T> {
 /// small differences of PSFs.
 pub(crate) fn stamps_of<T: ConvReal>(space: &PsfSpace, blocks: &[&Block<T>]) -> Vec<Stamps<T>> {
     let directions: Vec<Array2<f64>> = blocks.iter().map(|block| block.directions()).collect();
-    // The blocks' kernels in f64 and the others, each list block by block.
-    let parts = blocks.iter().zip(&directions).map(|(block, directions)| {
-        let exact = if block.modes.reference().is_some() {
-            1
-        } else {
-            directions.nrows()
-        };
-        directions.view().split_at(Axis(0), exact)
-    });
-    let (exact, rounded): (Vec<_>, Vec<_>) = parts.unzip();
-    let joined = |parts: &[ArrayView2<'_, f64>]| {
-        ndarray::concatenate(Axis(0), parts).expect("equally many directions")
-    };
-    let (of_exact, of_rounded) = (joined(&exact), joined(&rounded).mapv(T::nearest));
-    let width = space.pixel_count();
-    let mut shared = Array2::zeros((of_exact.nrows() + of_rounded.nrows(), width));
-    // Products of few pixels stay in the caches until they are put in place.
-    for first in (0..width).step_by(PIXELS_PER_PRODUCT) {
-        let pixels = first..(first + PIXELS_PER_PRODUCT).min(width);
-        let stamps = space.pixels_of_stamps(pixels.clone());
-        let from_exact = of_exact.dot(&stamps).mapv(T::nearest);
-        let from_rounded = of_rounded.dot(&stamps.mapv(T::nearest));
-        let mut part = shared.slice_mut(s![.., pixels]);
-        let mut kernels = part.outer_iter_mut();
-        let (mut from_exact, mut from_rounded) = (from_exact.outer_iter(), from_rounded.outer_iter());
-        for (exact, rounded) in exact.iter().zip(&rounded) {
-            let of_block = from_exact.by_ref().take(exact.nrows());
-            let of_block = of_block.chain(from_rounded.by_ref().take(rounded.nrows()));
-            of_block
-                .zip(kernels.by_ref())
-                .for_each(|(made, mut kernel)| kernel.assign(&made));
+    let views: Vec<ArrayView2<'_, f64>> = directions.iter().map(|directions| directions.view()).collect();
+    let all = ndarray::concatenate(Axis(0), &views).expect("equally many directions");
+    let mut exact = Vec::new();
+    let mut first = 0;
+    for (block, directions) in blocks.iter().zip(&directions) {
+        let has_reference = block.modes.reference().is_some();
+        exact.extend(first..first + if has_reference { 1 } else { directions.nrows() });
+        first += directions.nrows();
+    }
+    // Modes hold the first components, and the directions beside components.
+    let components = blocks.iter().map(|block| block.modes.component_count()).max();
+    let beside = space.component_count()..all.ncols();
+    let held: Vec<usize> = (0..components.unwrap_or(0)).chain(beside).collect();
+    let of_exact = all.select(Axis(0), &exact);
+    let of_modes = all.select(Axis(1), &held).mapv(T::nearest);
+    let mut shared = Array2::zeros((all.nrows(), space.pixel_count()));
+    // The stamps of few pixels stay in the caches.
+    let parts = shared.axis_chunks_iter_mut(Axis(1), PIXELS_PER_PRODUCT);
+    for (mut part, i) in parts.into_iter().zip(0..) {
+        let first = i * PIXELS_PER_PRODUCT;
+        let stamps = space.pixels_of_stamps(first..first + part.ncols());
+        let of_held = stamps.select(Axis(0), &held).mapv(T::nearest);
+        general_mat_mul(T::one(), &of_modes, &of_held, T::zero(), &mut part);
+        for (&kernel, stamp) in exact.iter().zip(of_exact.dot(&stamps).outer_iter()) {
+            part.row_mut(kernel).assign(&stamp.mapv(T::nearest));
         }
     }
     let shared = Arc::new(shared);

@@ -36,7 +36,7 @@ const DRAW: f64 = 0.08e-9;
 /// Factor on [`DRAW`] if every pixel that receives light has its own coefficients.
 const DRAW_GATHERED: f64 = 6.0;
 /// Computing a local stamp, per stamp pixel and per stamp of the model.
-const MAKE_STAMP: f64 = 0.05e-9;
+const MAKE_STAMP: f64 = 0.012e-9;
 /// Planning a block, without its stamps and cells.
 const PLAN_BLOCK: f64 = 85e-6;
 /// Planning a cell of a block, per mode.
@@ -45,7 +45,7 @@ const PLAN_CELL: f64 = 40e-9;
 const EXPAND_CELL: f64 = 9e-9;
 /// The number of executions that share the cost of a plan. More of them would choose smaller blocks
 /// with fewer modes.
-const EXECUTIONS: f64 = 4.0;
+const EXECUTIONS: f64 = 2.0;
 /// One product and sum of the direct convolution.
 const DIRECT: f64 = 0.012e-9;
 

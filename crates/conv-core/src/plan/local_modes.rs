@@ -10,7 +10,7 @@ use super::node_functions::NodeFunctions;
 use super::norm::norm;
 use super::psf_space::PsfSpace;
 use super::region_cells::RegionCells;
-use super::span::span;
+use super::span::{leave_out, span};
 use crate::simd::vectorized;
 
 /// A local basis: `h(x) = flux(x) reference + sum_j c_j(x) mode_j`. The modes hold no flux, so
@@ -47,6 +47,8 @@ pub struct LocalModes {
     duals: Option<Array2<f64>>,
     /// Flux and coefficients.
     values: NodeFunctions,
+    /// The number of components that the modes hold. They also hold the directions beside components.
+    components: usize,
 }
 
 /// The number of bands (neighbouring rows, [`RegionCells`]) whose PSFs determine the directions of
@@ -68,6 +70,9 @@ const ROUNDING: f64 = 2e-16;
 /// Directions in which PSFs differ by at most this fraction of the smallest allowed error are left
 /// out.
 const OUTSIDE_SPAN: f64 = 0.2;
+/// The last components are left out as far as PSFs hold at most this fraction of the smallest allowed
+/// error of them.
+const LAST_COMPONENTS: f64 = 0.05;
 /// An error of coefficients below this fraction of the first guess counts as 0. The cells of a
 /// polynomial are then single pixels.
 const SMALLEST_ERROR: f64 = 1e-6;
@@ -124,30 +129,40 @@ impl LocalModes {
         let errors = space.errors(tolerance, of_cells, flux.signum());
         // The modes must represent these remainders of the nodes and of the offset. Directions in
         // which they differ by a small fraction of the allowed errors are left out.
-        let stop = match reference {
-            Some(_) => OUTSIDE_SPAN * errors.least(cells, betas.view(), fluxes.view()),
+        let least = match reference {
+            Some(_) => errors.least(cells, betas.view(), fluxes.view()),
             // Directions left out would hold flux.
             None => 0.0,
         };
-        let (span, outside) = span(rows.view(), stop.max(ROUNDING * scale));
+        let components = space.component_count();
+        let left_out = leave_out(
+            &mut rows,
+            space.fluxes.view(),
+            components,
+            LAST_COMPONENTS * least,
+        );
+        let used: Vec<usize> = (0..left_out.components).chain(components..rows.ncols()).collect();
+        let rows = rows.select(Axis(1), &used);
+        let (span, outside) = span(rows.view(), (OUTSIDE_SPAN * least).max(ROUNDING * scale));
         let rows = rows.dot(&span.t());
-        // From here on, the scalar product of coordinates is that in which modes are orthonormal.
+        // From here on, modes are orthonormal in the scalar product of coordinates.
         let metric = space.growth.as_ref().and_then(|growth| {
             let psf_norm = reference.as_ref().map_or(0.0, |reference| norm(reference.view()));
-            Metric::new(growth.circles.dot(&span.t()), psf_norm)
+            Metric::new(growth.circles.select(Axis(1), &used).dot(&span.t()), psf_norm)
         });
         let rows = match &metric {
             None => rows,
             Some(metric) => rows.dot(&metric.root),
         };
-        let flux_axis = flux_axis(&span, space.fluxes.view()).map(|axis| match &metric {
-            None => axis,
-            Some(metric) => {
-                let axis = metric.inverse.dot(&axis);
-                let length = norm(axis.view());
-                axis / length
-            }
-        });
+        let flux_axis =
+            flux_axis(&span, space.fluxes.select(Axis(0), &used).view()).map(|axis| match &metric {
+                None => axis,
+                Some(metric) => {
+                    let axis = metric.inverse.dot(&axis);
+                    let length = norm(axis.view());
+                    axis / length
+                }
+            });
         let covariance = support.covariance(rows.view());
         let (rotation, forced) = mode_axes(
             &covariance,
@@ -163,7 +178,8 @@ impl LocalModes {
             Some(metric) => metric.inverse.dot(&span),
         };
         let growth = space.growth.as_ref().map(|growth| {
-            let circles = rotation.t().dot(&axes).dot(&growth.circles.t());
+            let circles = growth.circles.select(Axis(1), &used);
+            let circles = rotation.t().dot(&axes).dot(&circles.t());
             TailGrowth::new(circles, growth.remainder)
         });
         let table = |first: &[ArrayView1<'_, f64>], rank: usize| {
@@ -177,15 +193,18 @@ impl LocalModes {
             table: &table(&[betas.view(), fluxes.view()], rows.ncols()),
             errors,
             reference: reference.as_ref().map_or(0.0, |reference| norm(reference.view())),
-            outside,
+            outside: outside.hypot(left_out.part),
+            moved: left_out.moved,
             growth,
         };
         let needed = vectorized!(modes.count())?;
         let rank = forced.max(needed);
         let kept = rotation.slice(s![.., ..rank]);
+        let in_all = |modes: Array2<f64>| in_all_directions(&modes, &used, space.mean.len());
         Ok(Self {
-            modes: kept.t().dot(&axes),
-            duals: metric.map(|metric| kept.t().dot(&metric.root.t()).dot(&span)),
+            modes: in_all(kept.t().dot(&axes)),
+            duals: metric.map(|metric| in_all(kept.t().dot(&metric.root.t()).dot(&span))),
+            components: left_out.components,
             values: table(&[fluxes.view()], rank),
             reference,
         })
@@ -194,6 +213,12 @@ impl LocalModes {
     /// The mean PSF of a region, `[direction]`, not scaled to unit flux.
     pub(crate) fn mean(space: &PsfSpace, cells: &RegionCells) -> Array1<f64> {
         Support::of(cells).mean(&space.rows(cells))
+    }
+
+    /// The number of components that the modes hold, counted from the first. They also hold the
+    /// directions beside components.
+    pub(crate) fn component_count(&self) -> usize {
+        self.components
     }
 
     /// The number of modes, without the reference.
@@ -234,6 +259,15 @@ impl LocalModes {
         );
         values
     }
+}
+
+/// Vectors `[vector, direction]` among `count` directions, from those in the directions `used`.
+fn in_all_directions(vectors: &Array2<f64>, used: &[usize], count: usize) -> Array2<f64> {
+    let mut all = Array2::zeros((vectors.nrows(), count));
+    for (column, &direction) in vectors.columns().into_iter().zip(used) {
+        all.column_mut(direction).assign(&column);
+    }
+    all
 }
 
 /// A scalar product of coordinates: their ordinary scalar product plus a multiple of the scalar

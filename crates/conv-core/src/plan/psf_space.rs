@@ -4,6 +4,7 @@ use std::ops::Range;
 
 use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis, s};
 use psf_types::{ErrorLimit, PixelRegion, PsfModel, ToleranceOn};
+use rayon::prelude::*;
 
 use super::allowed_errors::{AllowedErrors, CellError, ROUNDING_NORM};
 use super::growth_curves::GrowthCurves;
@@ -34,6 +35,8 @@ const NEGLIGIBLE_REMAINDER: f64 = 1e-14;
 /// A second pass makes the rest of the mean orthogonal to the components if the rest is below this
 /// fraction of the mean.
 const NO_SECOND_PASS: f64 = 0.5;
+/// The number of pixels of the mean from which one thread removes components.
+const PIXELS_AT_ONCE: usize = 1024;
 /// The fraction of the tolerance that is left to the cells. More of it makes cells larger and needs
 /// more modes.
 const SHARE_OF_CELLS: f64 = 0.3;
@@ -48,33 +51,38 @@ impl PsfSpace {
         // 1980, section 6-9).
         let mut rest = mean.map_or_else(|| Array1::zeros(components.ncols()), |mean| mean.to_owned());
         let (whole, mut along) = (norm(rest.view()), Array1::zeros(rank));
-        let mut sums = Vec::with_capacity(rank + 1);
-        for pass in 0..2 {
-            for (along, component) in along.iter_mut().zip(components.outer_iter()) {
-                let p = component.dot(&rest);
-                *along += p;
-                rest.scaled_add(-p, &component);
-                if pass == 0 {
-                    sums.push(component.sum());
-                }
-            }
+        for _ in 0..2 {
+            let rows = components.axis_iter(Axis(0)).into_par_iter();
+            let parts = Array1::from_vec(rows.map(|component| component.dot(&rest)).collect());
+            rest.axis_chunks_iter_mut(Axis(0), PIXELS_AT_ONCE)
+                .into_par_iter()
+                .enumerate()
+                .for_each(|(i, mut rest)| {
+                    let pixels = i * PIXELS_AT_ONCE..i * PIXELS_AT_ONCE + rest.len();
+                    for (component, part) in components.outer_iter().zip(&parts) {
+                        rest.scaled_add(-part, &component.slice(s![pixels.clone()]));
+                    }
+                });
+            along += &parts;
             if norm(rest.view()) >= NO_SECOND_PASS * whole {
                 break;
             }
         }
         let left = norm(rest.view());
         let rest_of_mean = (left > NEGLIGIBLE_REMAINDER * whole).then(|| rest / left);
-        let mut mean = along.to_vec();
+        let (mut mean, mut fluxes) = (
+            along.to_vec(),
+            model.stamp_fluxes()[model.stamp_count() - rank..].to_vec(),
+        );
         if let Some(rest) = &rest_of_mean {
             mean.push(left);
-            sums.push(rest.sum());
+            fluxes.push(model.grid().flux_of_sum(rest.sum()));
         }
-        let fluxes = sums.into_iter().map(|sum| model.grid().flux_of_sum(sum));
         let mut space = Self {
             model: model.clone(),
             rest_of_mean,
             mean: Array1::from(mean),
-            fluxes: fluxes.collect(),
+            fluxes: Array1::from(fluxes),
             growth: None,
         };
         if on == ToleranceOn::Aperture {
@@ -114,6 +122,11 @@ impl PsfSpace {
             .map(|part| part.slice_move(s![.., pixels.clone()]))
             .collect();
         ndarray::concatenate(Axis(0), &parts).expect("equally many pixels")
+    }
+
+    /// The number of components of the basis. One more direction may hold the rest of the mean.
+    pub(crate) fn component_count(&self) -> usize {
+        self.model.field().component_count()
     }
 
     /// A first guess of the error of cells that leaves most of the tolerance to the modes of a
@@ -171,7 +184,7 @@ impl PsfSpace {
     fn with_limit<R>(&self, error: CellError, use_limit: impl FnOnce(ErrorLimit<'_>) -> R) -> R {
         let mut flux = Vec::new();
         if error.flux_weight > 0.0 {
-            let components = self.fluxes.iter().take(self.model.field().component_count());
+            let components = self.fluxes.iter().take(self.component_count());
             flux.extend(components.map(|flux| error.flux_weight * flux));
         }
         let size = error.size;

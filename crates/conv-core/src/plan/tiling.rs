@@ -41,6 +41,10 @@ const LARGEST_BY_CHOICE: usize = 2048;
 const SMALLEST_IN_STAMPS: f64 = 0.4;
 /// Modes are counted for blocks of areas that differ by at most about this factor.
 const AREA_STEP: f64 = 4.0;
+/// Modes are counted first for blocks of this area, in stamps.
+const FIRST_IN_STAMPS: f64 = 4.0;
+/// Smaller blocks have at least this fraction of the modes that a power of the area predicts.
+const FEWEST: f64 = 0.8;
 /// The number of threads for which the time of a tiling is predicted. It is a constant, so that
 /// plans do not depend on the machine.
 const THREADS: usize = 4;
@@ -104,10 +108,10 @@ fn best_tiling<T: ConvReal>(
 
 /// Returns the tiling with the lowest predicted cost, and this cost.
 ///
-/// Modes and cells are counted for a few sizes of blocks only, from the smallest on. In between,
-/// their numbers are interpolated, as powers of the area. It is assumed that larger blocks have at
-/// least as many of both. The search ends when no larger tiling would be faster than the best one,
-/// even without more modes.
+/// Modes and cells are counted for a few sizes of blocks only, first for blocks of [`FIRST_IN_STAMPS`]
+/// stamps. In between, their numbers are interpolated, as powers of the area. Larger blocks follow while
+/// one could be faster even without more modes, then smaller ones while one could be faster with
+/// [`FEWEST`] of the modes that the power continued to smaller areas gives.
 fn fastest<T: ConvReal>(
     mut tilings: Vec<Tiling>,
     space: &PsfSpace,
@@ -115,49 +119,58 @@ fn fastest<T: ConvReal>(
     options: PlanOptions,
     progress: &dyn Progress,
 ) -> Result<Option<(f64, Tiling)>, ConvError> {
-    let stamps = space.mean.len();
-    let seconds = |tiling: &Tiling, contents| tiling.seconds::<T>(contents, stamps, geometry, options);
-    tilings.sort_by(|a, b| a.block_area().total_cmp(&b.block_area()));
-    let mut best: Option<(f64, usize)> = None;
-    let mut before: Option<(f64, Contents)> = None;
-    let mut timed = 0;
-    while timed < tilings.len() {
-        progress.check_cancelled()?;
-        let largest = before.map_or(tilings[0].block_area(), |(area, _)| AREA_STEP * area);
-        let to = tilings
-            .partition_point(|t| t.block_area() <= largest)
-            .max(timed + 1);
-        let counted = &tilings[to - 1];
-        let after = (
-            counted.block_area(),
-            counted.contents::<T>(space, geometry, options),
-        );
-        for (i, tiling) in tilings.iter().enumerate().take(to).skip(timed) {
-            let contents = between(before.unwrap_or(after), after, tiling.block_area());
-            let seconds = seconds(tiling, contents);
-            if std::env::var("DBG").is_ok() {
-                eprintln!(
-                    "size {:?} blocks {} kernels {:.2} cells {:.0} seconds {:.4} counted {}",
-                    tiling.size,
-                    tiling.columns.len() * tiling.rows.len(),
-                    contents.kernels,
-                    contents.cells,
-                    seconds * 1e3,
-                    i + 1 == to
-                );
-            }
-            // Of equally fast tilings, takes the first.
-            if best.is_none_or(|best| seconds < best.0) {
-                best = Some((seconds, i));
-            }
-        }
-        (before, timed) = (Some(after), to);
-        let larger = || tilings[to..].iter().map(|tiling| seconds(tiling, after.1));
-        if best.is_some_and(|best| larger().all(|seconds| seconds >= best.0)) {
-            break;
-        }
+    if tilings.is_empty() {
+        return Ok(None);
     }
-    Ok(best.map(|(seconds, i)| (seconds, tilings.swap_remove(i))))
+    tilings.sort_by(|a, b| a.block_area().total_cmp(&b.block_area()));
+    let areas: Vec<f64> = tilings.iter().map(Tiling::block_area).collect();
+    // The index of the first tiling above an area.
+    let above = |area: f64| areas.partition_point(|&of_tiling| of_tiling <= area);
+    let count = |i: usize| -> Result<(f64, Contents), ConvError> {
+        progress.check_cancelled()?;
+        Ok((areas[i], tilings[i].contents::<T>(space, geometry, options)))
+    };
+    let stamps = space.mean.len();
+    let seconds = |i: usize, contents| tilings[i].seconds::<T>(contents, stamps, geometry, options);
+    let mut best = (f64::INFINITY, 0);
+    // Of equally fast tilings, takes the first.
+    let mut time = |tilings: Range<usize>, low, high| {
+        let timed = tilings.map(|i| (seconds(i, between(low, high, areas[i])), i));
+        best = timed.fold(best, |best, timed| if timed.0 < best.0 { timed } else { best });
+        best.0
+    };
+    let stamp_area = (geometry.stamp.0 * geometry.stamp.1) as f64;
+    let first = above(FIRST_IN_STAMPS * stamp_area).max(1) - 1;
+    let (mut smallest, mut end) = (areas.partition_point(|&area| area < areas[first]), first + 1);
+    let mut low = count(first)?;
+    let (mut second, mut high) = (low, low);
+    let mut least = time(smallest..end, low, high);
+    while (end..areas.len()).any(|i| seconds(i, high.1) < least) {
+        let next = above(AREA_STEP * high.0).max(end + 1);
+        let counted = count(next - 1)?;
+        least = time(end..next, high, counted);
+        if second.0 == low.0 {
+            second = counted;
+        }
+        (high, end) = (counted, next);
+    }
+    let few = |i: usize, low, second| {
+        let contents = between(low, second, areas[i]);
+        Contents {
+            kernels: FEWEST * contents.kernels,
+            ..contents
+        }
+    };
+    while (0..smallest).any(|i| seconds(i, few(i, low, second)) < least) {
+        let next = areas
+            .partition_point(|&area| area < low.0 / AREA_STEP)
+            .min(smallest - 1);
+        let counted = count(next)?;
+        least = time(next..smallest, counted, low);
+        (second, low, smallest) = (low, counted, next);
+    }
+    let (seconds, i) = best;
+    Ok(Some((seconds, tilings.swap_remove(i))))
 }
 
 /// The mean numbers of kernels (modes and the reference) and of cells of a tiling's blocks.
