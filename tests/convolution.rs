@@ -199,10 +199,10 @@ fn the_fast_engine_computes_extreme_scenes_exactly() {
     }
 }
 
-/// The stamps have 24 pixels, the frame 20 columns.
+/// The stamps have 24 pixels, the frame 20 columns, and more rows than the largest tile.
 #[test]
 fn the_fast_engine_is_exact_where_stamps_are_larger_than_tiles() {
-    let light = noisy(20, 120, 1);
+    let light = noisy(20, 700, 1);
     for interpolation in [Interpolation::Bilinear, Interpolation::Bicubic] {
         let options = FitOptions {
             rank: RankSelection::Full,
@@ -211,7 +211,7 @@ fn the_fast_engine_is_exact_where_stamps_are_larger_than_tiles() {
         };
         let model = fitted(uniform_samples(&small_telescope(1), 21, 16), &options);
         let options = PlanOptions::new(0.0).unwrap().with_paths(Paths::Transforms);
-        let shape = FrameShape::new(20, 120).unwrap();
+        let shape = FrameShape::new(20, 700).unwrap();
         let plan = Plan::<f64>::new(&model, shape, shape.region(), options).unwrap();
         let summary = plan.summary();
         println!("{interpolation}: {summary}");

@@ -33,7 +33,7 @@ const CONSTANT: f64 = 1e-12;
 const LINEAR: f64 = 1e-10;
 /// Natural neighbours are bilinear in the cells of a tree. In a cell that crosses the hull of
 /// the samples, outside of which values are constant, they do not follow slopes quite.
-const ACROSS_THE_HULL: f64 = 0.25;
+const ACROSS_THE_HULL: f64 = 0.3;
 /// Rounding of the largest coordinate, in multiples of the precision, relative to the samples'
 /// extent.
 const COORDINATES: f64 = 8.0 * f64::EPSILON;

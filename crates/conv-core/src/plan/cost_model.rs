@@ -24,7 +24,7 @@ const TRANSFORM_HUGE: f64 = 24e-12;
 /// A complex multiply-add, per value of the plane.
 const MULTIPLY: f64 = 0.09e-9;
 /// Reading a stored spectrum of a kernel, per value of the plane.
-const READ_SPECTRUM: f64 = 0.09e-9;
+const READ_SPECTRUM: f64 = 0.05e-9;
 /// Multiplication of a pixel's light by the coefficient of one mode.
 const MULTIPLY_LIGHT: f64 = 0.10e-9;
 /// Reading a pixel's light, or adding a pixel to the image, per pixel of the tile.
@@ -38,7 +38,7 @@ const DRAW_GATHERED: f64 = 6.0;
 /// Computing a local stamp, per stamp pixel and per stamp of the model.
 const MAKE_STAMP: f64 = 0.012e-9;
 /// Planning a block, without its stamps and cells.
-const PLAN_BLOCK: f64 = 85e-6;
+const PLAN_BLOCK: f64 = 60e-6;
 /// Planning a cell of a block, per mode.
 const PLAN_CELL: f64 = 40e-9;
 /// Computing the coefficients in a cell in its first and last row, per mode.
