@@ -38,7 +38,7 @@ const DRAW_GATHERED: f64 = 6.0;
 /// Computing a local stamp, per stamp pixel and per stamp of the model.
 const MAKE_STAMP: f64 = 0.012e-9;
 /// Planning a block, without its stamps and cells.
-const PLAN_BLOCK: f64 = 60e-6;
+const PLAN_BLOCK: f64 = 85e-6;
 /// Planning a cell of a block, per mode.
 const PLAN_CELL: f64 = 40e-9;
 /// Computing the coefficients in a cell in its first and last row, per mode.
