@@ -9,8 +9,8 @@
 //!
 //! Here `w_n(x)` is the weight of node `n` at the position `x`, and `v_nk` is the value of
 //! coefficient `k` (component `k`) at this node. Nodes are the samples, the terms of a polynomial,
-//! or the corners of cells. All interpolators are linear in the sample values. So a position needs one short list
-//! of (node, weight) pairs for all components, and no cube of coefficients is stored.
+//! or the corners of cells. All interpolators are linear in the sample values. So a position needs
+//! one short list of (node, weight) pairs for all components, and no cube of coefficients is stored.
 //!
 //! | method | weights per position | at the samples | reproduces | continuity |
 //! |---|---|---|---|---|

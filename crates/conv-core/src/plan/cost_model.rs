@@ -92,8 +92,7 @@ impl CostModel {
         self.width * MULTIPLY * (nx * ny) as f64
     }
 
-    /// What the tiles of a block of several tiles take longer, because they read the kernels' spectra
-    /// from memory.
+    /// Reading the kernels' spectra from memory, for a tile of a block of several tiles.
     pub(crate) fn read_spectra(self, (nx, ny): (usize, usize), kernels: f64) -> f64 {
         self.width * READ_SPECTRUM * (nx * ny) as f64 * kernels
     }

@@ -82,10 +82,7 @@ fn best_tiling<T: ConvReal>(
             (n + 1).saturating_sub(stamp.0).max(1),
             (n + 1).saturating_sub(stamp.1).max(1),
         );
-        for together in BLOCK_SIDES
-            .into_iter()
-            .take(std::env::var("BS").map_or(3, |v| v.parse().unwrap()))
-        {
+        for together in BLOCK_SIDES {
             let columns = even(nx, tile.0, together);
             regular.push(Tiling::new(columns, even(ny, tile.1, together), stamp));
         }
