@@ -2,9 +2,8 @@
 
 use std::ops::Range;
 
-use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis, s};
+use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis, NewAxis, s};
 use psf_types::{ErrorLimit, PixelRegion, PsfModel, ToleranceOn};
-use rayon::prelude::*;
 
 use super::allowed_errors::{AllowedErrors, CellError, ROUNDING_NORM};
 use super::growth_curves::GrowthCurves;
@@ -35,8 +34,6 @@ const NEGLIGIBLE_REMAINDER: f64 = 1e-14;
 /// A second pass makes the rest of the mean orthogonal to the components if the rest is below this
 /// fraction of the mean.
 const NO_SECOND_PASS: f64 = 0.5;
-/// The number of pixels of the mean from which one thread removes components.
-const PIXELS_AT_ONCE: usize = 1024;
 /// The fraction of the tolerance that is left to the cells. More of it makes cells larger and needs
 /// more modes.
 const SHARE_OF_CELLS: f64 = 0.3;
@@ -52,28 +49,19 @@ impl PsfSpace {
         let mut rest = mean.map_or_else(|| Array1::zeros(components.ncols()), |mean| mean.to_owned());
         let (whole, mut along) = (norm(rest.view()), Array1::zeros(rank));
         for _ in 0..2 {
-            let rows = components.axis_iter(Axis(0)).into_par_iter();
-            let parts = Array1::from_vec(rows.map(|component| component.dot(&rest)).collect());
-            rest.axis_chunks_iter_mut(Axis(0), PIXELS_AT_ONCE)
-                .into_par_iter()
-                .enumerate()
-                .for_each(|(i, mut rest)| {
-                    let pixels = i * PIXELS_AT_ONCE..i * PIXELS_AT_ONCE + rest.len();
-                    for (component, part) in components.outer_iter().zip(&parts) {
-                        rest.scaled_add(-part, &component.slice(s![pixels.clone()]));
-                    }
-                });
-            along += &parts;
+            for (along, component) in along.iter_mut().zip(components.outer_iter()) {
+                let part = component.dot(&rest);
+                *along += part;
+                rest.scaled_add(-part, &component);
+            }
             if norm(rest.view()) >= NO_SECOND_PASS * whole {
                 break;
             }
         }
         let left = norm(rest.view());
         let rest_of_mean = (left > NEGLIGIBLE_REMAINDER * whole).then(|| rest / left);
-        let (mut mean, mut fluxes) = (
-            along.to_vec(),
-            model.stamp_fluxes()[model.stamp_count() - rank..].to_vec(),
-        );
+        let mut mean = along.to_vec();
+        let mut fluxes = model.stamp_fluxes()[model.stamp_count() - rank..].to_vec();
         if let Some(rest) = &rest_of_mean {
             mean.push(left);
             fluxes.push(model.grid().flux_of_sum(rest.sum()));
@@ -115,13 +103,25 @@ impl PsfSpace {
     /// Some pixels of the directions' stamps, `[direction, stamp pixel]`.
     pub(crate) fn pixels_of_stamps(&self, pixels: Range<usize>) -> Array2<f64> {
         let (_, components) = mean_and_components(&self.model);
-        let rest = self.rest_of_mean.as_ref();
-        let rest = rest.map(|rest| rest.view().insert_axis(Axis(0)));
-        let parts = [components].into_iter().chain(rest);
-        let parts: Vec<_> = parts
-            .map(|part| part.slice_move(s![.., pixels.clone()]))
-            .collect();
+        let mut parts = vec![components.slice_move(s![.., pixels.clone()])];
+        parts.extend(
+            self.rest_of_mean
+                .iter()
+                .map(|rest| rest.slice(s![NewAxis, pixels.clone()])),
+        );
         ndarray::concatenate(Axis(0), &parts).expect("equally many pixels")
+    }
+
+    /// The stamps of vectors `[vector, direction]`, `[vector, stamp pixel]`.
+    pub(crate) fn stamps_of(&self, vectors: &Array2<f64>) -> Array2<f64> {
+        let (_, components) = mean_and_components(&self.model);
+        let mut stamps = vectors.slice(s![.., ..components.nrows()]).dot(&components);
+        if let Some(rest) = &self.rest_of_mean {
+            for (mut stamp, vector) in stamps.outer_iter_mut().zip(vectors.outer_iter()) {
+                stamp.scaled_add(vector[components.nrows()], rest);
+            }
+        }
+        stamps
     }
 
     /// The number of components of the basis. One more direction may hold the rest of the mean.
