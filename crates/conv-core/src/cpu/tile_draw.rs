@@ -1,6 +1,6 @@
 //! Drawing of single pixels of a tile's light, stamp by stamp.
 
-use ndarray::{ArrayViewMut2, s};
+use ndarray::{Array2, ArrayViewMut2, s};
 use pulp::bytemuck::{cast_slice, cast_slice_mut};
 
 use super::tile_engine::{LocalTile, TileEngine, add_row};
@@ -31,6 +31,7 @@ impl<T: ConvReal> TileEngine<'_, T> {
                 *c = coefficients_here.weigh(kernel, value);
             }
         }
+        let mut line = vec![T::zero(); sx];
         // Draws row by row of the stamps, so that one row of all stamps stays in the first-level
         // cache while every pixel uses it.
         for j in 0..sy {
@@ -45,16 +46,23 @@ impl<T: ConvReal> TileEngine<'_, T> {
                 let mut target = output.row_mut(row as usize);
                 let target = target.as_slice_mut().expect("images are row-major");
                 let target = &mut target[start..start + (to - from)];
+                // The pixel's own sum comes first, so that an image that grows is rounded once per
+                // pixel, not once per mode.
+                let line = &mut line[..to - from];
                 if self.flip {
                     let row = (sy - 1 - j) * sx;
+                    line.fill(T::zero());
                     for (stamp, &c) in local.stamps.chunks_exact(sx * sy).zip(all) {
                         let values = stamp[row + sx - to..row + sx - from].iter().rev();
-                        for (t, v) in target.iter_mut().zip(values) {
+                        for (t, v) in line.iter_mut().zip(values) {
                             *t += c * *v;
                         }
                     }
                 } else {
-                    add_combination(simd, target, local.stamps, (sx * sy, j * sx + from), all);
+                    combine(simd, line, local.stamps, (sx * sy, j * sx + from), all);
+                }
+                for (t, v) in target.iter_mut().zip(line) {
+                    *t += *v;
                 }
             }
         }
@@ -73,6 +81,7 @@ impl<T: ConvReal> TileEngine<'_, T> {
         let (sx, sy) = self.geometry.stamp;
         let (mut line, mut weighted) = (vec![T::zero(); sx], vec![T::zero(); sx]);
         let (mut buffer, mut for_fluxes) = (Vec::new(), Vec::new());
+        let mut sums = Array2::zeros((rows, columns));
         for &(y, x, value) in pixels {
             // Light at pixel q, counted in the area around the tile, reaches pixel p of the tile
             // with the value at stamp pixel (p + stamp size - 1) - q.
@@ -81,44 +90,49 @@ impl<T: ConvReal> TileEngine<'_, T> {
                 continue;
             }
             let (line, weighted) = (&mut line[..to - from], &mut weighted[..to - from]);
-            let mut output = output.slice_mut(s![.., from..to]);
+            let lit = (y + 1).saturating_sub(sy)..(y + 1).min(rows);
+            // The pixel's own sum comes first, as in `draw_scattered`.
+            let mut sums = sums.slice_mut(s![lit.clone(), from..to]);
+            sums.fill(T::zero());
             let columns = local.part.corner.0 + from..local.part.corner.0 + to;
             let mut fluxes = local.table.fluxes(columns.clone(), &mut for_fluxes);
             for (kernel, stamp) in local.stamps.chunks_exact(sx * sy).enumerate() {
                 let mut coefficients = local.table.rows_of(kernel, columns.clone(), &mut buffer);
-                for p in (y + 1).saturating_sub(sy)..(y + 1).min(rows) {
-                    for (t, i) in line.iter_mut().zip(from..to) {
-                        *t = value * self.at(stamp, i + sx - 1 - x, p + sy - 1 - y);
+                for (i, p) in lit.clone().enumerate() {
+                    for (t, column) in line.iter_mut().zip(from..to) {
+                        *t = value * self.at(stamp, column + sx - 1 - x, p + sy - 1 - y);
                     }
                     coefficients.multiply(local.part.corner.1 + p, line, weighted);
                     if local.table.role.is_divided(kernel) {
                         fluxes.divide(local.part.corner.1 + p, weighted);
                     }
-                    add_row(weighted, &mut output, p);
+                    add_row(weighted, &mut sums, i);
                 }
             }
+            output
+                .slice_mut(s![lit, from..to])
+                .zip_mut_with(&sums, |value, &sum| *value += sum);
         }
     }
 }
 
-/// Adds `sum_k c_k values_k` to `target`. `values_k` starts at index `k stride + first` of
-/// `values`.
+/// Sets `sums` to `sum_k c_k values_k`. `values_k` starts at index `k stride + first` of `values`.
 #[inline(always)]
-fn add_combination<T: ConvReal, S: Lanes<T>>(
+fn combine<T: ConvReal, S: Lanes<T>>(
     simd: S,
-    target: &mut [T],
+    sums: &mut [T],
     values: &[T],
     (stride, first): (usize, usize),
     coefficients: &[T],
 ) {
-    let length = target.len();
+    let length = sums.len();
     let vectors = length / S::LANES;
     let mut done = 0;
     // Four vectors of sums stay in registers while all stamps are read.
     while done + 4 <= vectors {
         let at = done * S::LANES;
-        let sums: &mut [S::V] = cast_slice_mut(&mut target[at..at + 4 * S::LANES]);
-        let (mut a, mut b, mut c, mut d) = (sums[0], sums[1], sums[2], sums[3]);
+        let zero = simd.splat(T::zero());
+        let (mut a, mut b, mut c, mut d) = (zero, zero, zero, zero);
         for (k, &coefficient) in coefficients.iter().enumerate() {
             let start = k * stride + first + at;
             let v: &[S::V] = cast_slice(&values[start..start + 4 * S::LANES]);
@@ -128,17 +142,16 @@ fn add_combination<T: ConvReal, S: Lanes<T>>(
             c = simd.mul_add(w, v[2], c);
             d = simd.mul_add(w, v[3], d);
         }
-        sums.copy_from_slice(&[a, b, c, d]);
+        let into: &mut [S::V] = cast_slice_mut(&mut sums[at..at + 4 * S::LANES]);
+        into.copy_from_slice(&[a, b, c, d]);
         done += 4;
     }
     let rest = done * S::LANES;
+    sums[rest..].fill(T::zero());
     for (k, &coefficient) in coefficients.iter().enumerate() {
         let start = k * stride + first;
-        for (t, v) in target[rest..]
-            .iter_mut()
-            .zip(&values[start + rest..start + length])
-        {
-            *t += coefficient * *v;
+        for (sum, v) in sums[rest..].iter_mut().zip(&values[start + rest..start + length]) {
+            *sum += coefficient * *v;
         }
     }
 }
