@@ -117,7 +117,9 @@ impl Cli {
         // 0: one thread per core. This thread is one of them: it begins each parallel step at once,
         // while a sleeping thread takes milliseconds to join in.
         let threads = self.global.threads.map_or(0, usize::from);
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).use_current_thread();
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .use_current_thread();
         pool.build_global().context("cannot start the threads")?;
         let context = Context {
             json: self.global.json == files::JsonTo::Output,

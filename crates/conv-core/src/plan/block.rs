@@ -4,8 +4,9 @@ use std::ops::Range;
 use std::sync::Arc;
 
 use ndarray::linalg::general_mat_mul;
-use ndarray::{Array2, ArrayView2, Axis};
+use ndarray::{Array2, ArrayView2, ArrayViewMut2, Axis, s};
 use psf_types::{PixelRegion, PsfModel};
+use rayon::prelude::*;
 
 use super::allowed_errors::CellError;
 use super::coefficient_table::{CoefficientTable, FluxRole};
@@ -40,7 +41,7 @@ pub(crate) struct Stamps<T> {
 }
 
 /// The number of pixels of stamps that are computed together.
-const PIXELS_PER_PRODUCT: usize = 512;
+const PIXELS_PER_PRODUCT: usize = 256;
 
 impl<T: ConvReal> Stamps<T> {
     /// `[kernel, y, x]`.
@@ -102,7 +103,7 @@ impl<T: ConvReal> Block<T> {
     /// The kernels' stamps, stored or computed now.
     pub(crate) fn stamps_or_new(&self, space: &PsfSpace) -> Stamps<T> {
         self.stamps.clone().unwrap_or_else(|| {
-            let made = stamps_of(space, &[self]).pop();
+            let made = stamps_of(space, &[self], false).pop();
             made.expect("the stamps of one block")
         })
     }
@@ -118,47 +119,52 @@ impl<T: ConvReal> Block<T> {
     }
 }
 
-/// Computes the kernels' stamps of several blocks by matrix products. The product for references is in
-/// f64: in f32, the rounding of a PSF's core would hide faint wings. Modes beside a reference hold only
-/// small differences of PSFs.
-pub(crate) fn stamps_of<T: ConvReal>(space: &PsfSpace, blocks: &[&Block<T>]) -> Vec<Stamps<T>> {
+/// Computes the kernels' stamps of several blocks, on all threads if `in_parallel` is true. Modes
+/// beside a reference hold only small differences of PSFs, in the first directions. Their product is
+/// in the precision of the stamps. The product for references is in f64: in f32, the rounding of a
+/// PSF's core would hide faint wings.
+pub(crate) fn stamps_of<T: ConvReal>(
+    space: &PsfSpace,
+    blocks: &[&Block<T>],
+    in_parallel: bool,
+) -> Vec<Stamps<T>> {
     let directions: Vec<Array2<f64>> = blocks.iter().map(|block| block.directions()).collect();
     let views: Vec<ArrayView2<'_, f64>> = directions.iter().map(|directions| directions.view()).collect();
     let all = ndarray::concatenate(Axis(0), &views).expect("equally many directions");
     let mut exact = Vec::new();
-    let mut first = 0;
-    for (block, directions) in blocks.iter().zip(&directions) {
+    let mut end = 0;
+    let mut rows = Vec::with_capacity(blocks.len());
+    for block in blocks {
+        let first = end;
+        end += block.kernel_count();
         let has_reference = block.modes.reference().is_some();
-        exact.extend(first..first + if has_reference { 1 } else { directions.nrows() });
-        first += directions.nrows();
+        exact.extend(first..if has_reference { first + 1 } else { end });
+        rows.push(first..end);
     }
-    // Modes hold the first components, and the directions beside components.
-    let components = blocks.iter().map(|block| block.modes.component_count()).max();
-    let beside = space.component_count()..all.ncols();
-    let held: Vec<usize> = (0..components.unwrap_or(0)).chain(beside).collect();
+    let held = blocks.iter().map(|block| block.modes.direction_count()).max();
+    let held = ..held.unwrap_or(0);
     let of_exact = all.select(Axis(0), &exact);
-    let of_modes = all.select(Axis(1), &held).mapv(T::nearest);
+    let of_modes = all.slice(s![.., held]).mapv(T::nearest);
     let mut shared = Array2::zeros((all.nrows(), space.pixel_count()));
-    // The stamps of few pixels stay in the caches.
-    let parts = shared.axis_chunks_iter_mut(Axis(1), PIXELS_PER_PRODUCT);
-    for (mut part, i) in parts.into_iter().zip(0..) {
+    let product = |(i, mut part): (usize, ArrayViewMut2<'_, T>)| {
         let first = i * PIXELS_PER_PRODUCT;
         let stamps = space.pixels_of_stamps(first..first + part.ncols());
-        let of_held = stamps.select(Axis(0), &held).mapv(T::nearest);
+        let of_held = stamps.slice(s![held, ..]).mapv(T::nearest);
         general_mat_mul(T::one(), &of_modes, &of_held, T::zero(), &mut part);
         for (&kernel, stamp) in exact.iter().zip(of_exact.dot(&stamps).outer_iter()) {
             part.row_mut(kernel).assign(&stamp.mapv(T::nearest));
         }
+    };
+    let parts = shared.axis_chunks_iter_mut(Axis(1), PIXELS_PER_PRODUCT);
+    if in_parallel {
+        parts.into_par_iter().enumerate().for_each(product);
+    } else {
+        parts.into_iter().enumerate().for_each(product);
     }
     let shared = Arc::new(shared);
-    let mut end = 0;
-    let rows = directions.iter().map(|directions| {
-        end += directions.nrows();
-        end - directions.nrows()..end
-    });
     let of_block = |rows| Stamps {
         shared: Arc::clone(&shared),
         rows,
     };
-    rows.map(of_block).collect()
+    rows.into_iter().map(of_block).collect()
 }

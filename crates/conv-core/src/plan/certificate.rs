@@ -4,7 +4,7 @@
 use std::sync::Arc;
 
 use coeff_field::{InterpolatedField, interpolation};
-use ndarray::{Array1, Array2, Array3, ArrayView1, Axis, s};
+use ndarray::{Array1, Array2, Array3, Axis, s};
 use psf_types::{
     Anchor, CoefficientField, FrameShape, Normalisation, OutsidePolicy, PixelRegion, Position, PsfBasis,
     PsfModel, SampleCoefficients, SamplePositions, StampGrid, ToleranceOn,
@@ -226,7 +226,6 @@ fn errors_of_block<T: ConvReal>(
     let (nx, ny) = (region.shape().nx(), region.shape().ny());
     let mut buffer = Vec::new();
     let (ones, mut weighted) = (vec![T::one(); nx], Array2::zeros((kernels.nrows(), nx)));
-    let first = usize::from(model.is_mean_centred());
     let mut coefficients = vec![0.0; model.stamp_count()];
     let mut found = Vec::with_capacity(nx * ny);
     for row in 0..ny {
@@ -244,10 +243,8 @@ fn errors_of_block<T: ConvReal>(
             .mapv_inplace(|v| v + T::nearest(coefficient_error));
         for column in 0..nx {
             let position = region.position(column, row);
-            model.coefficients_into(position, &mut coefficients).unwrap();
             let mut psf = space.mean.clone();
-            psf.slice_mut(s![..model.rank()])
-                .scaled_add(1.0, &ArrayView1::from(&coefficients[first..]));
+            space.psf_into(position, &mut coefficients, &mut psf).unwrap();
             if model.needs_flux_scaling() {
                 let flux = psf.dot(&space.fluxes);
                 if flux <= 0.0 {

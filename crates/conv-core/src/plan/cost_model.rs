@@ -38,14 +38,11 @@ const DRAW_GATHERED: f64 = 6.0;
 /// Computing a local stamp, per stamp pixel and per stamp of the model.
 const MAKE_STAMP: f64 = 0.012e-9;
 /// Planning a block, without its stamps and cells.
-const PLAN_BLOCK: f64 = 85e-6;
+const PLAN_BLOCK: f64 = 40e-6;
 /// Planning a cell of a block, per mode.
-const PLAN_CELL: f64 = 40e-9;
+const PLAN_CELL: f64 = 50e-9;
 /// Computing the coefficients in a cell in its first and last row, per mode.
 const EXPAND_CELL: f64 = 9e-9;
-/// The number of executions that share the cost of a plan. More of them would choose smaller blocks
-/// with fewer modes.
-const EXECUTIONS: f64 = 2.0;
 /// One product and sum of the direct convolution.
 const DIRECT: f64 = 0.012e-9;
 
@@ -72,16 +69,15 @@ impl CostModel {
         self.transform(size) * (0.42 + 0.5 * stamp.0 as f64 / size.0 as f64)
     }
 
-    /// An execution's share of planning a block without its stamps, and the time to expand its
-    /// cells.
+    /// Planning a block without its stamps, and expanding its cells once.
     pub(crate) fn plan_and_expand(cells: f64, kernels: f64) -> f64 {
-        PLAN_BLOCK / EXECUTIONS + (PLAN_CELL / EXECUTIONS + EXPAND_CELL) * cells * kernels
+        PLAN_BLOCK + (PLAN_CELL + EXPAND_CELL) * cells * kernels
     }
 
-    /// An execution's share of computing the kernels of a block from the `stamps` of the model.
-    /// Each execution computes a part `made_anew` of the kernels again.
+    /// Computing the kernels of a block from the `stamps` of the model, when the block is planned. An
+    /// execution computes a part `made_anew` of the kernels again.
     pub(crate) fn make_stamps(stamp: (usize, usize), stamps: usize, kernels: f64, made_anew: f64) -> f64 {
-        (1.0 / EXECUTIONS + made_anew) * MAKE_STAMP * kernels * (stamp.0 * stamp.1 * stamps) as f64
+        (1.0 + made_anew) * MAKE_STAMP * kernels * (stamp.0 * stamp.1 * stamps) as f64
     }
 
     pub(crate) fn stamp_bytes(self, stamp: (usize, usize)) -> f64 {

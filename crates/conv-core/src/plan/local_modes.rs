@@ -47,8 +47,8 @@ pub struct LocalModes {
     duals: Option<Array2<f64>>,
     /// Flux and coefficients.
     values: NodeFunctions,
-    /// The number of components that the modes hold. They also hold the directions beside components.
-    components: usize,
+    /// The number of directions that the modes hold, counted from the first.
+    directions: usize,
 }
 
 /// The number of bands (neighbouring rows, [`RegionCells`]) whose PSFs determine the directions of
@@ -70,9 +70,9 @@ const ROUNDING: f64 = 2e-16;
 /// Directions in which PSFs differ by at most this fraction of the smallest allowed error are left
 /// out.
 const OUTSIDE_SPAN: f64 = 0.2;
-/// The last components are left out as far as PSFs hold at most this fraction of the smallest allowed
+/// The last directions are left out as far as PSFs hold at most this fraction of the smallest allowed
 /// error of them.
-const LAST_COMPONENTS: f64 = 0.05;
+const LAST_DIRECTIONS: f64 = 0.05;
 /// An error of coefficients below this fraction of the first guess counts as 0. The cells of a
 /// polynomial are then single pixels.
 const SMALLEST_ERROR: f64 = 1e-6;
@@ -134,35 +134,28 @@ impl LocalModes {
             // Directions left out would hold flux.
             None => 0.0,
         };
-        let components = space.component_count();
-        let left_out = leave_out(
-            &mut rows,
-            space.fluxes.view(),
-            components,
-            LAST_COMPONENTS * least,
-        );
-        let used: Vec<usize> = (0..left_out.components).chain(components..rows.ncols()).collect();
-        let rows = rows.select(Axis(1), &used);
-        let (span, outside) = span(rows.view(), (OUTSIDE_SPAN * least).max(ROUNDING * scale));
+        let left_out = leave_out(&mut rows, space.fluxes.view(), LAST_DIRECTIONS * least);
+        let used = ..left_out.directions;
+        let rows = rows.slice(s![.., used]);
+        let (span, outside) = span(rows, (OUTSIDE_SPAN * least).max(ROUNDING * scale));
         let rows = rows.dot(&span.t());
         // From here on, modes are orthonormal in the scalar product of coordinates.
         let metric = space.growth.as_ref().and_then(|growth| {
             let psf_norm = reference.as_ref().map_or(0.0, |reference| norm(reference.view()));
-            Metric::new(growth.circles.select(Axis(1), &used).dot(&span.t()), psf_norm)
+            Metric::new(growth.circles.slice(s![.., used]).dot(&span.t()), psf_norm)
         });
         let rows = match &metric {
             None => rows,
             Some(metric) => rows.dot(&metric.root),
         };
-        let flux_axis =
-            flux_axis(&span, space.fluxes.select(Axis(0), &used).view()).map(|axis| match &metric {
-                None => axis,
-                Some(metric) => {
-                    let axis = metric.inverse.dot(&axis);
-                    let length = norm(axis.view());
-                    axis / length
-                }
-            });
+        let flux_axis = flux_axis(&span, space.fluxes.slice(s![used])).map(|axis| match &metric {
+            None => axis,
+            Some(metric) => {
+                let axis = metric.inverse.dot(&axis);
+                let length = norm(axis.view());
+                axis / length
+            }
+        });
         let covariance = support.covariance(rows.view());
         let (rotation, forced) = mode_axes(
             &covariance,
@@ -178,7 +171,7 @@ impl LocalModes {
             Some(metric) => metric.inverse.dot(&span),
         };
         let growth = space.growth.as_ref().map(|growth| {
-            let circles = growth.circles.select(Axis(1), &used);
+            let circles = growth.circles.slice(s![.., used]);
             let circles = rotation.t().dot(&axes).dot(&circles.t());
             TailGrowth::new(circles, growth.remainder)
         });
@@ -200,11 +193,11 @@ impl LocalModes {
         let needed = vectorized!(modes.count())?;
         let rank = forced.max(needed);
         let kept = rotation.slice(s![.., ..rank]);
-        let in_all = |modes: Array2<f64>| in_all_directions(&modes, &used, space.mean.len());
+        let in_all = |modes: Array2<f64>| in_all_directions(&modes, space.mean.len());
         Ok(Self {
             modes: in_all(kept.t().dot(&axes)),
             duals: metric.map(|metric| in_all(kept.t().dot(&metric.root.t()).dot(&span))),
-            components: left_out.components,
+            directions: left_out.directions,
             values: table(&[fluxes.view()], rank),
             reference,
         })
@@ -215,10 +208,9 @@ impl LocalModes {
         Support::of(cells).mean(&space.rows(cells))
     }
 
-    /// The number of components that the modes hold, counted from the first. They also hold the
-    /// directions beside components.
-    pub(crate) fn component_count(&self) -> usize {
-        self.components
+    /// The number of directions that the modes hold, counted from the first.
+    pub(crate) fn direction_count(&self) -> usize {
+        self.directions
     }
 
     /// The number of modes, without the reference.
@@ -261,12 +253,10 @@ impl LocalModes {
     }
 }
 
-/// Vectors `[vector, direction]` among `count` directions, from those in the directions `used`.
-fn in_all_directions(vectors: &Array2<f64>, used: &[usize], count: usize) -> Array2<f64> {
+/// Vectors `[vector, direction]` among `count` directions, from those in the first directions.
+fn in_all_directions(vectors: &Array2<f64>, count: usize) -> Array2<f64> {
     let mut all = Array2::zeros((vectors.nrows(), count));
-    for (column, &direction) in vectors.columns().into_iter().zip(used) {
-        all.column_mut(direction).assign(&column);
-    }
+    all.slice_mut(s![.., ..vectors.ncols()]).assign(vectors);
     all
 }
 

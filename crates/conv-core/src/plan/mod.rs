@@ -49,8 +49,6 @@ use crate::{ConvError, ConvReal};
 
 /// The number of blocks planned in parallel.
 const BLOCKS_AT_ONCE: usize = 64;
-/// The number of blocks whose stamps are computed by one matrix product.
-const BLOCKS_PER_PRODUCT: usize = 32;
 
 /// A planned convolution of light of one shape with one model: tiles, the modes of each tile, their
 /// stamps and coefficients.
@@ -256,15 +254,14 @@ impl<T: ConvReal> Plan<T> {
             }
             room += 1;
         }
-        let space = &self.whole.space;
-        self.blocks[..room]
-            .par_chunks_mut(BLOCKS_PER_PRODUCT)
-            .for_each(|blocks| {
-                let made = stamps_of(space, &blocks.iter().collect::<Vec<_>>());
-                for (block, stamps) in blocks.iter_mut().zip(made) {
-                    block.stamps = Some(stamps);
-                }
-            });
+        if room == 0 {
+            return;
+        }
+        let kept = &mut self.blocks[..room];
+        let made = stamps_of(&self.whole.space, &kept.iter().collect::<Vec<_>>(), true);
+        for (block, stamps) in kept.iter_mut().zip(made) {
+            block.stamps = Some(stamps);
+        }
     }
 
     /// The model.

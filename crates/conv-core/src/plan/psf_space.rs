@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis, NewAxis, s};
-use psf_types::{ErrorLimit, PixelRegion, PsfModel, ToleranceOn};
+use psf_types::{ErrorLimit, FieldError, PixelRegion, Position, PsfModel, ToleranceOn};
 
 use super::allowed_errors::{AllowedErrors, CellError, ROUNDING_NORM};
 use super::growth_curves::GrowthCurves;
@@ -12,10 +12,10 @@ use super::region_cells::RegionCells;
 
 /// Coordinates in which the norm of a vector is the L2 norm of its PSF.
 ///
-/// Each direction is a stamp, and these stamps are orthonormal. The first are the components of the
-/// basis. One more direction holds the part of the mean stamp that the components do not span. An
-/// unscaled PSF of the model is `mean + sum_n w_n node_n`, where `w_n` is the weight of node `n` of
-/// the coefficient field.
+/// Each direction is a stamp, and these stamps are orthonormal. The first holds the part of the mean
+/// stamp that the components of the basis do not span, if there is such a part. The others are the
+/// components. An unscaled PSF of the model is `mean + sum_n w_n node_n`, where `w_n` is the weight
+/// of node `n` of the coefficient field.
 #[derive(Debug)]
 pub struct PsfSpace {
     model: PsfModel,
@@ -47,7 +47,7 @@ impl PsfSpace {
         // than the mean, it is orthogonal to the components only after a second pass (Kahan, in Parlett
         // 1980, section 6-9).
         let mut rest = mean.map_or_else(|| Array1::zeros(components.ncols()), |mean| mean.to_owned());
-        let (whole, mut along) = (norm(rest.view()), Array1::zeros(rank));
+        let (whole, mut along) = (norm(rest.view()), Array1::<f64>::zeros(rank));
         for _ in 0..2 {
             for (along, component) in along.iter_mut().zip(components.outer_iter()) {
                 let part = component.dot(&rest);
@@ -60,12 +60,13 @@ impl PsfSpace {
         }
         let left = norm(rest.view());
         let rest_of_mean = (left > NEGLIGIBLE_REMAINDER * whole).then(|| rest / left);
-        let mut mean = along.to_vec();
-        let mut fluxes = model.stamp_fluxes()[model.stamp_count() - rank..].to_vec();
+        let (mut mean, mut fluxes) = (Vec::new(), Vec::new());
         if let Some(rest) = &rest_of_mean {
             mean.push(left);
             fluxes.push(model.grid().flux_of_sum(rest.sum()));
         }
+        mean.extend(along);
+        fluxes.extend_from_slice(&model.stamp_fluxes()[model.stamp_count() - rank..]);
         let mut space = Self {
             model: model.clone(),
             rest_of_mean,
@@ -103,47 +104,54 @@ impl PsfSpace {
     /// Some pixels of the directions' stamps, `[direction, stamp pixel]`.
     pub(crate) fn pixels_of_stamps(&self, pixels: Range<usize>) -> Array2<f64> {
         let (_, components) = mean_and_components(&self.model);
-        let mut parts = vec![components.slice_move(s![.., pixels.clone()])];
-        parts.extend(
-            self.rest_of_mean
-                .iter()
-                .map(|rest| rest.slice(s![NewAxis, pixels.clone()])),
-        );
+        let rest = self.rest_of_mean.iter();
+        let mut parts: Vec<_> = rest.map(|rest| rest.slice(s![NewAxis, pixels.clone()])).collect();
+        parts.push(components.slice(s![.., pixels.clone()]));
         ndarray::concatenate(Axis(0), &parts).expect("equally many pixels")
     }
 
     /// The stamps of vectors `[vector, direction]`, `[vector, stamp pixel]`.
     pub(crate) fn stamps_of(&self, vectors: &Array2<f64>) -> Array2<f64> {
         let (_, components) = mean_and_components(&self.model);
-        let mut stamps = vectors.slice(s![.., ..components.nrows()]).dot(&components);
+        let mut stamps = vectors.slice(s![.., self.first_component()..]).dot(&components);
         if let Some(rest) = &self.rest_of_mean {
             for (mut stamp, vector) in stamps.outer_iter_mut().zip(vectors.outer_iter()) {
-                stamp.scaled_add(vector[components.nrows()], rest);
+                stamp.scaled_add(vector[0], rest);
             }
         }
         stamps
     }
 
-    /// The number of components of the basis. One more direction may hold the rest of the mean.
-    pub(crate) fn component_count(&self) -> usize {
-        self.model.field().component_count()
+    /// Sets `psf` to the vector of the PSF at a position, not scaled to unit flux. `coefficients` is
+    /// memory for those of the model's stamps.
+    pub(crate) fn psf_into(
+        &self,
+        position: Position,
+        coefficients: &mut [f64],
+        psf: &mut Array1<f64>,
+    ) -> Result<(), FieldError> {
+        self.model.coefficients_into(position, coefficients)?;
+        psf.assign(&self.mean);
+        let mut along_components = psf.slice_mut(s![self.first_component()..]);
+        along_components += &ArrayView1::from(&coefficients[usize::from(self.model.is_mean_centred())..]);
+        Ok(())
+    }
+
+    /// The index of the first direction that is a component.
+    fn first_component(&self) -> usize {
+        usize::from(self.rest_of_mean.is_some())
     }
 
     /// A first guess of the error of cells that leaves most of the tolerance to the modes of a
     /// region: [`SHARE_OF_CELLS`] of it for the faintest of a few PSFs.
     pub(crate) fn error_of_cells(&self, region: PixelRegion, tolerance: f64) -> CellError {
         let last = (region.shape().nx() - 1, region.shape().ny() - 1);
-        let first = usize::from(self.model.is_mean_centred());
-        let mut coefficients = vec![0.0; self.model.stamp_count()];
+        let (mut psf, mut coefficients) = (self.mean.clone(), vec![0.0; self.model.stamp_count()]);
         let mut sizes = Vec::new();
         for (column, row) in [(0, 0), (last.0, 0), (0, last.1), last, (last.0 / 2, last.1 / 2)] {
             let position = region.position(column, row);
-            if self.model.coefficients_into(position, &mut coefficients).is_err() {
+            if self.psf_into(position, &mut coefficients, &mut psf).is_err() {
                 continue;
-            }
-            let mut psf = self.mean.clone();
-            for (value, a) in psf.iter_mut().zip(&coefficients[first..]) {
-                *value += a;
             }
             sizes.push((norm(psf.view()), psf.dot(&self.fluxes).abs()));
         }
@@ -184,7 +192,7 @@ impl PsfSpace {
     fn with_limit<R>(&self, error: CellError, use_limit: impl FnOnce(ErrorLimit<'_>) -> R) -> R {
         let mut flux = Vec::new();
         if error.flux_weight > 0.0 {
-            let components = self.fluxes.iter().take(self.component_count());
+            let components = self.fluxes.iter().skip(self.first_component());
             flux.extend(components.map(|flux| error.flux_weight * flux));
         }
         let size = error.size;
@@ -237,7 +245,8 @@ impl PsfSpace {
         let mut rows = Array2::zeros((cells.nodes.len() + 1, self.mean.len()));
         let (mut nodes, mut offset) = rows.view_mut().split_at(Axis(0), cells.nodes.len());
         for (mut row, &node) in nodes.outer_iter_mut().zip(&cells.nodes) {
-            row.slice_mut(s![..values.ncols()]).assign(&values.row(node));
+            row.slice_mut(s![self.first_component()..])
+                .assign(&values.row(node));
         }
         if cells.is_partition_of_unity() {
             nodes += &self.mean;

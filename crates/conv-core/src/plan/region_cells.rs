@@ -109,8 +109,7 @@ impl RegionCells {
         all
     }
 
-    /// About how many cells [`new`](Self::new) makes. A rectangle that crosses several bands counts
-    /// once.
+    /// About how many cells [`new`](Self::new) makes.
     pub(crate) fn expected(
         field: &dyn CoefficientField,
         region: PixelRegion,
@@ -118,7 +117,16 @@ impl RegionCells {
     ) -> usize {
         match field.bilinear_cells(region, error) {
             BilinearCells::Lines { x, y, .. } => (x.len() + 1) * (y.len() + 1),
-            BilinearCells::Rectangles(rectangles) => rectangles.len(),
+            BilinearCells::Rectangles(rectangles) => {
+                let mut edges: Vec<f64> = rectangles.iter().flat_map(|[_, y]| [y.0, y.1]).collect();
+                edges.sort_by(f64::total_cmp);
+                edges.dedup();
+                let bands = |[_, y]: &[(f64, f64); 2]| {
+                    let [first, end] = [y.0, y.1].map(|y| edges.partition_point(|&edge| edge < y));
+                    (end - first).max(1)
+                };
+                rectangles.iter().map(bands).sum()
+            }
             BilinearCells::Bands(lines) => {
                 let shape = region.shape();
                 let middle = region.y0() + shape.ny() as i64 / 2;

@@ -1,6 +1,6 @@
 //! The directions that rows span, up to remainders that do not matter.
 
-use ndarray::{Array2, ArrayView1, ArrayView2, s};
+use ndarray::{Array2, ArrayView1, ArrayView2, Axis};
 
 use super::norm::{dot, norm};
 use crate::simd::vectorized;
@@ -12,56 +12,52 @@ const MIN_NEW_PART: f64 = 0.5;
 /// factor.
 const ROUND: f64 = 0.5;
 
-/// The part of rows along the last components that is left out of them.
+/// The part of rows along the last directions that is left out of them.
 #[derive(Debug, Default)]
 pub(crate) struct LeftOut {
-    /// The number of components that are not left out.
-    pub(crate) components: usize,
+    /// The number of directions that are not left out.
+    pub(crate) directions: usize,
     /// The norm of the largest part left out.
     pub(crate) part: f64,
     /// The norm of the largest change by which the other coordinates make up for the part's flux.
     pub(crate) moved: f64,
 }
 
-/// Leaves the parts of `rows` along the last of `components` out, as many as have a norm of at most
-/// `limit` in each row. The rows keep their fluxes. `fluxes` are those of the rows' coordinates.
-pub(crate) fn leave_out(
-    rows: &mut Array2<f64>,
-    fluxes: ArrayView1<'_, f64>,
-    components: usize,
-    limit: f64,
-) -> LeftOut {
+/// Leaves the parts of `rows` along the last directions out, as many as have a norm of at most
+/// `limit` in each row. The rows keep their fluxes. `fluxes` are those of the directions.
+pub(crate) fn leave_out(rows: &mut Array2<f64>, fluxes: ArrayView1<'_, f64>, limit: f64) -> LeftOut {
     let needed = |row: ArrayView1<'_, f64>| {
         let mut square = 0.0;
-        let fits = |i: &usize| {
-            square += row[*i] * row[*i];
+        let fits = |v: &&f64| {
+            square += *v * *v;
             square <= limit * limit
         };
-        components - (0..components).rev().take_while(fits).count()
+        row.len() - row.iter().rev().take_while(fits).count()
     };
-    let mut left_out = LeftOut {
-        components: rows.outer_iter().map(needed).max().unwrap_or(components),
-        ..LeftOut::default()
-    };
-    let last = left_out.components..components;
-    let mut kept = fluxes.to_owned();
-    kept.slice_mut(s![last.clone()]).fill(0.0);
-    let length = norm(kept.view());
-    if length == 0.0 {
+    let directions = rows.outer_iter().map(needed).max().unwrap_or(0);
+    let (kept, last) = fluxes.split_at(Axis(0), directions);
+    let square = kept.dot(&kept);
+    if square == 0.0 {
+        let directions = fluxes.len();
         return LeftOut {
-            components,
+            directions,
             ..LeftOut::default()
         };
     }
-    for mut row in rows.outer_iter_mut() {
-        let mut part = row.slice_mut(s![last.clone()]);
-        let flux = part.dot(&fluxes.slice(s![last.clone()]));
-        left_out.part = left_out.part.max(norm(part.view()));
-        left_out.moved = left_out.moved.max(flux.abs() / length);
-        part.fill(0.0);
-        row.scaled_add(flux / (length * length), &kept);
+    let (mut part, mut moved) = (0.0_f64, 0.0_f64);
+    for row in rows.outer_iter_mut() {
+        let (mut row, mut left_out) = row.split_at(Axis(0), directions);
+        let flux = left_out.dot(&last);
+        part = part.max(norm(left_out.view()));
+        moved = moved.max(flux.abs() / square.sqrt());
+        left_out.fill(0.0);
+        row.scaled_add(flux / square, &kept);
     }
-    left_out
+    LeftOut {
+        directions,
+        part,
+        moved,
+    }
 }
 
 /// Returns orthonormal rows that span `rows` up to remainders, and the norm of the largest
@@ -148,7 +144,7 @@ fn remove(basis: &[f64], row: &mut [f64]) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use ndarray::Array1;
+    use ndarray::{Array1, s};
 
     #[test]
     fn directions_are_orthonormal_and_leave_little_out() {
@@ -193,24 +189,23 @@ mod tests {
     }
 
     #[test]
-    fn rows_without_their_last_components_keep_their_fluxes() {
+    fn rows_without_their_last_directions_keep_their_fluxes() {
         let rows = Array2::from_shape_fn((4, 6), |(i, j)| {
-            let size = if j == 5 { 1.0 } else { 0.1_f64.powi(j as i32) };
-            size * (1.0 + ((3 * i + 5 * j) % 7) as f64)
+            0.1_f64.powi(j as i32) * (1.0 + ((3 * i + 5 * j) % 7) as f64)
         });
         let fluxes = Array1::from_vec(vec![0.3, -0.2, 0.5, 0.1, 0.4, 2.0]);
-        for (limit, components) in [(0.0, 5), (1e-3, 4), (1e-2, 3), (1e-1, 2), (1e3, 0)] {
+        for (limit, directions) in [(0.0, 6), (1e-4, 5), (1e-3, 4), (1e-2, 3), (1e-1, 2), (1e3, 6)] {
             let mut short = rows.clone();
-            let left_out = leave_out(&mut short, fluxes.view(), 5, limit);
-            assert_eq!(left_out.components, components);
-            assert!(short.slice(s![.., components..5]).iter().all(|&v| v == 0.0));
-            let part = |row: ArrayView1<'_, f64>| norm(row.slice(s![components..5]));
+            let left_out = leave_out(&mut short, fluxes.view(), limit);
+            assert_eq!(left_out.directions, directions);
+            assert!(short.slice(s![.., directions..]).iter().all(|&v| v == 0.0));
+            let part = |row: ArrayView1<'_, f64>| norm(row.slice(s![directions..]));
             let parts: Vec<f64> = rows.outer_iter().map(part).collect();
             assert_eq!(left_out.part, parts.into_iter().fold(0.0, f64::max));
             for (before, after) in rows.outer_iter().zip(short.outer_iter()) {
                 assert!((before.dot(&fluxes) - after.dot(&fluxes)).abs() < 1e-14);
                 let mut moved = &after - &before;
-                moved.slice_mut(s![components..5]).fill(0.0);
+                moved.slice_mut(s![directions..]).fill(0.0);
                 assert!(norm(moved.view()) <= left_out.moved + 1e-14);
             }
         }

@@ -276,8 +276,8 @@ impl Tiling {
         }
     }
 
-    /// Predicted seconds of an execution if every pixel is lit, with its share of the plan.
-    /// `stamps` is the number of stamps of the model.
+    /// Predicted seconds of the plan and of one execution, if every pixel is lit. `stamps` is the
+    /// number of stamps of the model.
     fn seconds<T: ConvReal>(
         &self,
         Contents { kernels, cells }: Contents,

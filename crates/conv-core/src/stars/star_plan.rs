@@ -390,12 +390,8 @@ impl<'a> StarVectors<'a> {
     /// Computes the PSF at a position, not scaled to unit flux. Returns the factor that scales it
     /// to unit flux, or 1 if the model needs no scaling.
     pub(crate) fn set(&mut self, position: Position) -> Result<f64, FieldError> {
-        self.model.coefficients_into(position, &mut self.coefficients)?;
-        let first = usize::from(self.model.is_mean_centred());
-        self.psf.assign(&self.space.mean);
-        for (value, a) in self.psf.iter_mut().zip(&self.coefficients[first..]) {
-            *value += a;
-        }
+        self.space
+            .psf_into(position, &mut self.coefficients, &mut self.psf)?;
         self.flux = self.psf.dot(&self.space.fluxes);
         if !self.model.needs_flux_scaling() {
             Ok(1.0)
