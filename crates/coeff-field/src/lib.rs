@@ -100,6 +100,7 @@ mod geometry;
 mod grid;
 mod interpolation;
 mod lattice;
+mod lattice_values;
 mod line;
 mod mesh;
 mod neighbours;
