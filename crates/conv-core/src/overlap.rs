@@ -1,6 +1,8 @@
 //! Adds overlapping parts of an image in an order that does not depend on the number of threads.
 //! Divides images into disjoint parts to which threads write at the same time.
 
+use std::ops::Range;
+
 use ndarray::{Array2, ArrayViewMut2, Axis, s};
 use psf_types::{FrameShape, PixelRegion, Progress};
 use rayon::prelude::*;
@@ -20,16 +22,14 @@ impl<T: ConvReal> Piece<T> {
     fn add_to(&self, output: &mut ArrayViewMut2<'_, T>, (first_column, first_row): (i64, i64)) {
         let (ny, nx) = output.dim();
         let (rows, columns) = self.values.dim();
-        let (Some((from_row, to_row, height)), Some((from_column, to_column, width))) = (
+        let (Some((from_rows, to_rows)), Some((from_columns, to_columns))) = (
             overlap(self.first_row - first_row, rows, ny),
             overlap(self.first_column - first_column, columns, nx),
         ) else {
             return;
         };
-        let mut target = output.slice_mut(s![to_row..to_row + height, to_column..to_column + width]);
-        let values = self
-            .values
-            .slice(s![from_row..from_row + height, from_column..from_column + width]);
+        let mut target = output.slice_mut(s![to_rows, to_columns]);
+        let values = self.values.slice(s![from_rows, from_columns]);
         // Row by row, because the values of a row lie side by side in memory.
         for (mut target, values) in target.outer_iter_mut().zip(values.outer_iter()) {
             target += &values;
@@ -62,9 +62,9 @@ pub(crate) fn region(x0: i64, y0: i64, (nx, ny): (usize, usize)) -> PixelRegion 
     PixelRegion::new(x0, y0, shape)
 }
 
-/// Finds the pixels that two regions share. For x and for y, returns the values of [`overlap`] for
+/// Finds the pixels that two regions share. For x and for y, returns the ranges of [`overlap`] for
 /// the pixels of `part` on `whole`. `None` if there are none.
-pub(crate) fn shared(part: PixelRegion, whole: PixelRegion) -> Option<[(usize, usize, usize); 2]> {
+pub(crate) fn shared(part: PixelRegion, whole: PixelRegion) -> Option<[(Range<usize>, Range<usize>); 2]> {
     let along = |first: i64, length: usize, start: i64, limit: usize| {
         overlap(first.saturating_sub(start), length, limit)
     };
@@ -76,12 +76,13 @@ pub(crate) fn shared(part: PixelRegion, whole: PixelRegion) -> Option<[(usize, u
 }
 
 /// Finds the values that lie on an axis of length `limit`. There are `length` values, and the first
-/// has index `first` on the axis. Returns the first index among the values, the first index on the
-/// axis, and the number of values that lie on the axis. `None` if there are none.
-pub(crate) fn overlap(first: i64, length: usize, limit: usize) -> Option<(usize, usize, usize)> {
+/// has index `first` on the axis. Returns the range of the values that lie on the axis, first among
+/// the values and then on the axis. `None` if there are none.
+pub(crate) fn overlap(first: i64, length: usize, limit: usize) -> Option<(Range<usize>, Range<usize>)> {
     let start = first.max(0);
     let end = first.saturating_add(length as i64).min(limit as i64);
-    (start < end).then(|| ((start - first) as usize, start as usize, (end - start) as usize))
+    let range = |from: i64, to: i64| from as usize..to as usize;
+    (start < end).then(|| (range(start - first, end - first), range(start, end)))
 }
 
 /// The number of sets of pieces computed in parallel. It limits the number of pieces in memory.

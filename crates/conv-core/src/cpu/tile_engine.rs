@@ -142,14 +142,14 @@ impl<T: ConvReal> TileEngine<'_, T> {
         for (y, into) in plane.chunks_exact_mut(self.fft.pitch()).take(rows).enumerate() {
             let into = &mut into[..padded];
             let source_row = row + y as i64;
-            if let Some((from, start, count)) = shared
+            if let Some((to, from)) = &shared
                 && (0..height as i64).contains(&source_row)
             {
                 let values = source.row(source_row as usize);
                 let values = values.to_slice().expect("images are row-major");
-                into[..from].fill(T::zero());
-                into[from..from + count].copy_from_slice(&values[start..start + count]);
-                into[from + count..].fill(T::zero());
+                into[..to.start].fill(T::zero());
+                into[to.clone()].copy_from_slice(&values[from.clone()]);
+                into[to.end..].fill(T::zero());
             } else {
                 into.fill(T::zero());
             }
@@ -167,7 +167,7 @@ impl<T: ConvReal> TileEngine<'_, T> {
         (column, row): (i64, i64),
     ) {
         let (height, width) = output.dim();
-        let Some((from, start, count)) = overlap(column, columns, width) else {
+        let Some((from, to)) = overlap(column, columns, width) else {
             return;
         };
         for (y, values) in plane.chunks_exact(self.fft.pitch()).take(rows).enumerate() {
@@ -175,9 +175,7 @@ impl<T: ConvReal> TileEngine<'_, T> {
             if (0..height as i64).contains(&target) {
                 let mut target = output.row_mut(target as usize);
                 let target = target.as_slice_mut().expect("images are row-major");
-                let pairs = target[start..start + count]
-                    .iter_mut()
-                    .zip(&values[from..from + count]);
+                let pairs = target[to.clone()].iter_mut().zip(&values[from.clone()]);
                 pairs.for_each(
                     #[inline(always)]
                     |(t, v)| *t += *v,

@@ -257,7 +257,7 @@ impl<T: ConvReal> GalaxyPlan<T> {
             let light = (catalogue.light)(galaxy);
             let on_region = shared(overlap::region(window.0, window.1, (side, side)), region);
             let mut drawn = None;
-            if let Some([_, (row, _, count)]) = on_region {
+            if let Some([_, (rows, _)]) = &on_region {
                 drawn = Some(match &psf {
                     Psf::Local(local, coefficients) => {
                         let drawn = Drawn {
@@ -267,12 +267,12 @@ impl<T: ConvReal> GalaxyPlan<T> {
                             coefficients,
                             outline: &placed.outline,
                         };
-                        drawer.draw(&drawn, row..row + count)
+                        drawer.draw(&drawn, rows.clone())
                     }
                     Psf::Exact(psf) => {
                         let (light, frame) = (light.as_ref(), catalogue.frame.shape());
                         let all = self.exact_window(psf, galaxy.flux(), light, window, centre, frame)?;
-                        all.slice(s![row..row + count, ..]).mapv(T::nearest)
+                        all.slice(s![rows.clone(), ..]).mapv(T::nearest)
                     }
                 });
             }
@@ -284,17 +284,19 @@ impl<T: ConvReal> GalaxyPlan<T> {
                 };
                 self.far_light(moments, light, (x, y), window, reach)
             });
-            if let Some((mut values, [(column, _, width), (row, ..)])) = drawn.zip(on_region) {
+            if let Some((mut values, [(columns, _), (rows, _)])) = drawn.zip(on_region) {
                 if let Some(outside) = &outside {
-                    outside.subtract_repeated(&weights, row, &mut values);
+                    outside.subtract_repeated(&weights, rows.start, &mut values);
                 }
+                let (first_column, first_row) =
+                    (window.0 + columns.start as i64, window.1 + rows.start as i64);
                 // Windows may be larger than the region.
-                if width < side {
-                    values = values.slice(s![.., column..column + width]).to_owned();
+                if columns.len() < side {
+                    values = values.slice(s![.., columns]).to_owned();
                 }
                 pieces.push(Piece {
-                    first_column: window.0 + column as i64,
-                    first_row: window.1 + row as i64,
+                    first_column,
+                    first_row,
                     values,
                 });
             }

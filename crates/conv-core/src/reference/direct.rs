@@ -1,7 +1,9 @@
 //! The exact double sum, with which every other method is compared.
 
+use std::ops::Range;
+
 use ndarray::{Array2, ArrayView2, ArrayView3, s};
-use psf_types::{Anchor, FrameShape, Image, ImageView, PixelRegion, Progress, PsfModel};
+use psf_types::{Anchor, FrameShape, Image, ImageView, PixelRegion, Progress, PsfModel, StampGrid};
 use rayon::prelude::*;
 
 use super::ConvolutionMethod;
@@ -84,36 +86,47 @@ impl Direct {
     ) -> Result<f64, ConvError> {
         let (field, first) = (view.field_region(), view.first_pixel());
         let (column, row) = (column + first.0, row + first.1);
-        let (height, width) = model.grid().dim();
-        // The light under the stamp turned around the pixel.
-        let (column_under, row_under) = (
-            column as i64 - (reach.right + first_column) as i64,
-            row as i64 - (reach.above + first_row) as i64,
-        );
-        let (Some((i0, x0, nx)), Some((j0, y0, ny))) = (
-            overlap(column_under, width, light.ncols()),
-            overlap(row_under, height, light.nrows()),
-        ) else {
+        let in_light = (column as i64 - first_column as i64, row as i64 - first_row as i64);
+        let Some([(from_columns, columns), (from_rows, rows)]) =
+            under(in_light, reach, model.grid(), light.dim())
+        else {
             return Ok(0.0);
         };
         let stamps = model.stamps().slice_move(s![.., ..;-1, ..;-1]);
+        let stamps = stamps.slice_move(s![.., from_rows, from_columns]);
         let mut coefficients = vec![0.0; model.stamp_count()];
         if self.anchor == Anchor::Output {
             model.scaled_coefficients_into(field.position(column, row), &mut coefficients)?;
         }
         let mut sum = 0.0;
-        let light = light.slice(s![y0..y0 + ny, x0..x0 + nx]);
+        let (first_column, first_row) = (first_column + columns.start, first_row + rows.start);
+        let light = light.slice(s![rows, columns]);
         for ((j, i), flux) in light.indexed_iter().filter(|(_, flux)| !flux.is_zero()) {
             if self.anchor != Anchor::Output {
-                let source = field.position(first_column + x0 + i, first_row + y0 + j);
+                let source = field.position(first_column + i, first_row + j);
                 model.scaled_coefficients_into(source, &mut coefficients)?;
             }
-            let values = stamps.slice(s![.., j0 + j, i0 + i]);
+            let values = stamps.slice(s![.., j, i]);
             let h: f64 = coefficients.iter().zip(values).map(|(a, b)| a * b).sum();
             sum += flux.as_f64() * h;
         }
         Ok(sum)
     }
+}
+
+/// Finds the light under the stamp turned around a pixel, in an array of light with `(ny, nx)`
+/// pixels. For x and for y, returns the range of stamp pixels and the range of light. `None` if
+/// there is no light.
+fn under(
+    (x, y): (i64, i64),
+    reach: Reach,
+    grid: StampGrid,
+    (ny, nx): (usize, usize),
+) -> Option<[(Range<usize>, Range<usize>); 2]> {
+    Some([
+        overlap(x - reach.right as i64, grid.nx(), nx)?,
+        overlap(y - reach.above as i64, grid.ny(), ny)?,
+    ])
 }
 
 /// The PSFs at pixels `(x, y)` of the scene, `[psf, stamp pixel]`.
@@ -150,17 +163,11 @@ impl<T: ConvReal> ConvolutionMethod<T> for Direct {
         // The pixels that have PSFs of their own, in pixels of the light.
         let whole = if gathers { view.frame } else { view.shape.region() };
         let nx = whole.shape().nx();
-        // Finds the light under the stamp turned around a pixel.
-        let under = |(x, y): (usize, usize)| {
-            let columns = overlap(x as i64 - reach.right as i64, width, light.ncols())?;
-            let rows = overlap(y as i64 - reach.above as i64, height, light.nrows())?;
-            Some((columns, rows))
-        };
+        let under = |x: usize, y: usize| under((x as i64, y as i64), reach, model.grid(), light.dim());
         let is_lit = |&(x, y): &(usize, usize)| {
             if gathers {
-                under((x, y)).is_some_and(|((_, x, w), (_, y, h))| {
-                    let light = light.slice(s![y..y + h, x..x + w]);
-                    light.iter().any(|v| !v.is_zero())
+                under(x, y).is_some_and(|[(_, columns), (_, rows)]| {
+                    light.slice(s![rows, columns]).iter().any(|v| !v.is_zero())
                 })
             } else {
                 !light[[y, x]].is_zero()
@@ -191,10 +198,11 @@ impl<T: ConvReal> ConvolutionMethod<T> for Direct {
                         .expect("the grid's size");
                     let (i, j) = (x - x0, y - y0);
                     if gathers {
-                        let ((from_x, x, w), (from_y, y, h)) = under((x, y)).expect("light reaches it");
+                        let [(from_columns, columns), (from_rows, rows)] =
+                            under(x, y).expect("light reaches it");
                         let turned = psf.slice(s![..;-1, ..;-1]);
-                        let psf = turned.slice(s![from_y..from_y + h, from_x..from_x + w]);
-                        let light = light.slice(s![y..y + h, x..x + w]);
+                        let psf = turned.slice(s![from_rows, from_columns]);
+                        let light = light.slice(s![rows, columns]);
                         values[[j, i]] = psf.iter().zip(light).map(|(p, f)| p * f.as_f64()).sum();
                     } else {
                         let mut target = values.slice_mut(s![j..j + height, i..i + width]);

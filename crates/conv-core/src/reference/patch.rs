@@ -129,19 +129,18 @@ impl<T: ConvReal> Work<'_, T> {
         );
         let (from, to) = if gathers { (plane, patch) } else { (patch, plane) };
         let in_plane = |x: i64, y: i64| ((x - plane.x0()) as usize, (y - plane.y0()) as usize);
-        let Some([(_, x, nx), (_, y, ny)]) =
-            shared(from, region(0, 0, (self.light.ncols(), self.light.nrows())))
-        else {
+        let whole = region(0, 0, (self.light.ncols(), self.light.nrows()));
+        let Some([(_, columns), (_, rows)]) = shared(from, whole) else {
             return Ok(None);
         };
-        let light = self.light.slice(s![y..y + ny, x..x + nx]);
+        let first = in_plane(columns.start as i64, rows.start as i64);
+        let light = self.light.slice(s![rows, columns]);
         if light.iter().all(Zero::is_zero) {
             return Ok(None);
         }
         let psf = self.model.psf_at(self.centre(patch))?;
         let [mut spectrum, mut kernel] = [self.fft.zeros(), self.fft.zeros()];
-        self.fft
-            .forward(light, in_plane(x as i64, y as i64), &mut spectrum);
+        self.fft.forward(light, first, &mut spectrum);
         self.fft.kernel(psf.values(), self.reach, &mut kernel);
         spectrum *= &kernel;
         let shape = (to.shape().ny(), to.shape().nx());
