@@ -24,94 +24,89 @@ pub(crate) struct Scatter<'j, 'o, T: ConvReal> {
     pub(crate) output: ArrayViewMut2<'o, T>,
 }
 
-/// The first pixel and the end of the range that each column or row of blocks reaches on the other
-/// side.
-type Extents = Vec<(usize, usize)>;
-
-/// A block's part of the output, and the part's first column and row on the other side.
-struct Task<'a, T> {
-    column: usize,
-    row: usize,
-    output: ArrayViewMut2<'a, T>,
-    origin: (usize, usize),
+/// A block (column and row), its part of the output, and the part's first column and row on the
+/// other side.
+pub(super) struct Task<'a, T> {
+    pub(super) block: (usize, usize),
+    pub(super) output: ArrayViewMut2<'a, T>,
+    pub(super) origin: (usize, usize),
 }
 
 impl<T: ConvReal> WithIsa<T> for Scatter<'_, '_, T> {
     type Output = Result<TileCounts, ConvError>;
 
     fn run<S: Lanes<T>>(mut self, simd: S) -> Self::Output {
-        let plan = &self.pass.processor.plan;
-        let extents = (plan.extents(0), plan.extents(1));
-        let columns = &extents.0;
+        let (pass, plan) = (&self.pass, &self.pass.processor.plan);
+        let [columns, rows] = [0, 1].map(|axis| plan.extents(axis));
         // The numbers of colours depend on all rows of blocks, so that a band has the same colours
         // even if it is executed alone.
-        let (column_colours, row_colours) = (colours(columns), colours(&extents.1));
-        let bands: Vec<usize> = self.pass.rows.clone().step_by(plan.tiling.band()).collect();
+        let (column_colours, row_colours) = (colours(&columns), colours(&rows));
+        let numbered = |extents: Vec<(usize, usize)>| extents.into_iter().enumerate();
+        let (columns, rows) = (numbered(columns), numbered(rows));
         let mut counts = TileCounts::default();
-        for first in bands {
-            let band = first..(first + plan.tiling.band()).min(self.pass.rows.end);
+        for first in pass.rows.clone().step_by(plan.tiling.band()) {
+            let band = first..(first + plan.tiling.band()).min(pass.rows.end);
             for row_colour in 0..row_colours {
-                let rows: Vec<usize> = band
-                    .clone()
-                    .filter(|row| row % row_colours == row_colour)
-                    .collect();
+                let of_colour = |row: &usize| band.contains(row) && row % row_colours == row_colour;
+                let rows: Vec<_> = rows.clone().filter(|(row, _)| of_colour(row)).collect();
                 for column_colour in 0..column_colours {
-                    let of_colour: Vec<usize> =
-                        (column_colour..columns.len()).step_by(column_colours).collect();
-                    counts += self.together(simd, &extents, &rows, &of_colour)?;
+                    let of_colour = columns.clone().skip(column_colour).step_by(column_colours);
+                    let columns: Vec<_> = of_colour.collect();
+                    counts += together(
+                        pass,
+                        self.output.view_mut(),
+                        &columns,
+                        &rows,
+                        |task, workspace| scatter_block(simd, pass, task, workspace),
+                    )?;
                 }
             }
-            self.pass.progress.advance(band.len() as u64);
+            pass.progress.advance(band.len() as u64);
         }
         Ok(counts)
     }
 }
 
-impl<T: ConvReal> Scatter<'_, '_, T> {
-    /// Executes the blocks at some rows and columns. Their outputs do not overlap.
-    fn together<S: Lanes<T>>(
-        &mut self,
-        simd: S,
-        (column_extents, row_extents): &(Extents, Extents),
-        rows: &[usize],
-        columns: &[usize],
-    ) -> Result<TileCounts, ConvError> {
-        let first_output = self.pass.first_output;
-        let height = self.output.nrows();
-        let within = |row: usize| row.saturating_sub(first_output).min(height);
-        let row_ranges: Vec<(usize, usize)> = rows
-            .iter()
-            .map(|&row| (within(row_extents[row].0), within(row_extents[row].1)))
-            .collect();
-        let column_ranges: Vec<(usize, usize)> = columns.iter().map(|&c| column_extents[c]).collect();
-        let mut tasks = Vec::with_capacity(rows.len() * columns.len());
-        let parts = split(self.output.view_mut(), 0, &row_ranges);
-        for ((&row, part), &(top, _)) in rows.iter().zip(parts).zip(&row_ranges) {
-            let parts = split(part, 1, &column_ranges);
-            for ((&column, output), &(left, _)) in columns.iter().zip(parts).zip(&column_ranges) {
-                tasks.push(Task {
-                    column,
-                    row,
-                    output,
-                    origin: (left, top + first_output),
-                });
-            }
+/// Executes the blocks at some columns and rows in parallel, each with its part of the output. A
+/// column or row is given by its number, and by the first pixel and the end of its range on the other
+/// side. The ranges do not overlap.
+pub(super) fn together<T: ConvReal>(
+    pass: &LightPass<'_, T>,
+    output: ArrayViewMut2<'_, T>,
+    columns: &[(usize, (usize, usize))],
+    rows: &[(usize, (usize, usize))],
+    execute: impl Fn(Task<'_, T>, &mut Workspace<T>) -> Result<TileCounts, ConvError> + Sync,
+) -> Result<TileCounts, ConvError> {
+    let height = output.nrows();
+    let within = |row: usize| row.saturating_sub(pass.first_output).min(height);
+    let in_output = rows.iter().map(|&(_, (start, end))| (within(start), within(end)));
+    let row_ranges: Vec<(usize, usize)> = in_output.collect();
+    let column_ranges: Vec<(usize, usize)> = columns.iter().map(|&(_, range)| range).collect();
+    let mut tasks = Vec::with_capacity(rows.len() * columns.len());
+    let parts = split(output, 0, &row_ranges);
+    for ((&(row, _), part), &(top, _)) in rows.iter().zip(parts).zip(&row_ranges) {
+        let parts = split(part, 1, &column_ranges);
+        for (&(column, (left, _)), output) in columns.iter().zip(parts) {
+            tasks.push(Task {
+                block: (column, row),
+                output,
+                origin: (left, top + pass.first_output),
+            });
         }
-        let pass = &self.pass;
-        let done: Vec<Result<TileCounts, ConvError>> = tasks
-            .into_par_iter()
-            .with_max_len(1)
-            .map(|task| {
-                pass.processor
-                    .with_workspace(|workspace| scatter_block(simd, pass, task, workspace))
-            })
-            .collect();
-        let mut counts = TileCounts::default();
-        for outcome in done {
-            counts += outcome?;
-        }
-        Ok(counts)
     }
+    let done: Vec<Result<TileCounts, ConvError>> = tasks
+        .into_par_iter()
+        .with_max_len(1)
+        .map(|task| {
+            pass.processor
+                .with_workspace(|workspace| execute(task, workspace))
+        })
+        .collect();
+    let mut counts = TileCounts::default();
+    for outcome in done {
+        counts += outcome?;
+    }
+    Ok(counts)
 }
 
 fn scatter_block<T: ConvReal, S: Lanes<T>>(
@@ -122,12 +117,12 @@ fn scatter_block<T: ConvReal, S: Lanes<T>>(
 ) -> Result<TileCounts, ConvError> {
     let plan = &pass.processor.plan;
     let engine = pass.tile_engine();
-    let (block, origin, mut output) = ((task.column, task.row), task.origin, task.output);
+    let (origin, mut output) = (task.origin, task.output);
     each_tile(
         simd,
         pass,
         Direction::Scatter,
-        block,
+        task.block,
         workspace,
         |local, (x, y), treatment, workspace| {
             let reach = plan.geometry.reach_from(x, y);
