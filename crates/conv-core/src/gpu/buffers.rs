@@ -4,7 +4,6 @@ use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Mutex, PoisonError};
 
 use super::device::{Attempt, GpuDevice};
-use super::panels::Rectangle;
 use super::stopwatch::{self, Marks};
 use crate::error::GpuError;
 
@@ -143,7 +142,8 @@ pub(super) struct Readback {
 /// A panel that the GPU is computing.
 #[derive(Debug)]
 pub(super) struct InFlight {
-    pub(super) output: Rectangle,
+    /// Bytes of the result.
+    bytes: u64,
     pub(super) marks: Marks,
     values: wgpu::Buffer,
     stopwatch: wgpu::Buffer,
@@ -174,13 +174,13 @@ impl InFlight {
     /// Asks the driver to map the result and the time marks when the submission is done, so that
     /// the host can read them.
     pub(super) fn new(
-        output: Rectangle,
+        bytes: u64,
         marks: Marks,
         (values, stopwatch): (wgpu::Buffer, wgpu::Buffer),
         submission: wgpu::SubmissionIndex,
     ) -> Self {
         let (sender, mapped) = channel();
-        for (buffer, length) in [(&values, output.bytes()), (&stopwatch, stopwatch::BYTES)] {
+        for (buffer, length) in [(&values, bytes), (&stopwatch, stopwatch::BYTES)] {
             let sender = sender.clone();
             buffer
                 .slice(..length)
@@ -190,7 +190,7 @@ impl InFlight {
                 });
         }
         Self {
-            output,
+            bytes,
             marks,
             values,
             stopwatch,
@@ -213,7 +213,7 @@ impl InFlight {
             let mapped = mapped.map_err(|_| device.failed(&"the result was not received"))?;
             mapped.map_err(|error| device.failed(&error))?;
         }
-        let values = self.values.slice(..self.output.bytes()).get_mapped_range();
+        let values = self.values.slice(..self.bytes).get_mapped_range();
         let values = values.map_err(|error| device.failed(&error))?;
         let marks = self.stopwatch.slice(..stopwatch::BYTES).get_mapped_range();
         let marks = marks.map_err(|error| device.failed(&error))?;

@@ -1,13 +1,12 @@
 //! Execution of plans on a GPU.
 
-use std::sync::{Mutex, OnceLock};
+use std::sync::{Arc, Mutex, OnceLock};
 
 use ndarray::ArrayViewMut2;
 
 use super::batch_data::WorkBuffers;
-use super::device::{GpuDevice, locked};
-use super::layout::{GpuOptions, GpuPlan, Layout};
-use super::panels::TileGrid;
+use super::device::{GpuDevice, Pipelines, locked};
+use super::layout::{GpuOptions, Layout};
 use super::plane_source::PlaneSource;
 use super::run::Run;
 use super::stopwatch::GpuTimes;
@@ -21,7 +20,9 @@ use crate::{ConvError, ConvReal};
 #[derive(Debug)]
 pub(crate) struct GpuEngine {
     pub(crate) device: GpuDevice,
-    plan: GpuPlan,
+    /// The shaders for the plan's transforms.
+    pipelines: Arc<Pipelines>,
+    options: GpuOptions,
     forward: Layout,
     /// The layout of the adjoint, made when it is first needed.
     adjoint: OnceLock<Layout>,
@@ -42,17 +43,13 @@ impl GpuEngine {
         }
         let mut attempt = device.attempt()?;
         let (nx, ny) = plan.tiling.size;
-        let gpu_plan = GpuPlan {
-            pipelines: attempt.pipelines(PlaneSource::new(nx, ny, attempt.adapter())?)?,
-            grid: TileGrid::new(plan),
-            options,
-        };
+        let pipelines = attempt.pipelines(PlaneSource::new(nx, ny, attempt.adapter())?)?;
         let mut working = WorkBuffers::new(device);
-        let forward = gpu_plan.layout(plan, &mut attempt, &mut working, false, 0)?;
         Ok(Self {
-            forward,
+            forward: Layout::new(plan, &pipelines, options, &mut attempt, &mut working, false)?,
             device: device.clone(),
-            plan: gpu_plan,
+            pipelines,
+            options,
             adjoint: OnceLock::new(),
             working: Mutex::new(vec![working]),
             times: Mutex::new(None),
@@ -79,13 +76,14 @@ impl GpuEngine {
             _ if !pass.flip => &self.forward,
             Some(layout) => layout,
             None => {
-                let (plan, taken) = (&pass.processor.plan, self.forward.bytes);
-                let layout = self.plan.layout(plan, &mut attempt, &mut working, true, taken)?;
+                let left = self.options.memory_bytes().saturating_sub(self.forward.bytes);
+                let (plan, options) = (&pass.processor.plan, self.options.with_memory(left));
+                let layout = Layout::new(plan, &self.pipelines, options, &mut attempt, &mut working, true)?;
                 self.adjoint.get_or_init(|| layout)
             }
         };
-        let plan = (&self.plan, layout);
-        let (counts, times) = Run::new(&attempt, plan, pass, &mut working, output).run()?;
+        let run = Run::new(&attempt, (&self.pipelines, layout), pass, &mut working, output);
+        let (counts, times) = run.run()?;
         // After an error the buffers are not put back, because work in progress may still write to
         // them.
         locked(&self.working).push(working);

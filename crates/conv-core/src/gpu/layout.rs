@@ -1,11 +1,9 @@
 //! The work of a plan for one operation (the convolution or its adjoint), divided for a GPU into
 //! panels and batches (`panels.rs` explains them).
 
-use std::sync::Arc;
-
 use super::batch_data::{BatchData, WorkBuffers};
 use super::device::{Attempt, Pipelines};
-use super::panels::{Limits, Panel, TileGrid, panels};
+use super::panels::{Panel, panels};
 use crate::ConvReal;
 use crate::error::GpuError;
 use crate::plan::Plan;
@@ -73,76 +71,53 @@ pub(super) struct Layout {
     /// True for the adjoint, in which stamps are turned by 180 degrees.
     pub(super) flip: bool,
     pub(super) panels: Vec<Panel>,
-    /// The data of each batch of each panel, as far as they fit into the memory limit.
-    pub(super) kept: Vec<Vec<Option<BatchData>>>,
     /// The size of the kept data in bytes.
     pub(super) bytes: u64,
 }
 
-/// A plan's tiles, the shaders for its transforms, and the limits of its work.
-#[derive(Debug)]
-pub(super) struct GpuPlan {
-    pub(super) pipelines: Arc<Pipelines>,
-    pub(super) grid: TileGrid,
-    pub(super) options: GpuOptions,
-}
-
-impl GpuPlan {
+impl Layout {
     /// Divides the work of the convolution, or of its adjoint if `flip` is true. Then computes, for
     /// each batch, the data that do not depend on the light, as far as they fit into the memory
-    /// limit of the options. `taken` bytes of this memory are already in use.
-    pub(super) fn layout<T: ConvReal>(
-        &self,
+    /// limit of the options.
+    pub(super) fn new<T: ConvReal>(
         plan: &Plan<T>,
+        pipelines: &Pipelines,
+        options: GpuOptions,
         device: &mut Attempt,
         working: &mut WorkBuffers,
         flip: bool,
-        taken: u64,
-    ) -> Result<Layout, GpuError> {
-        let memory = self.options.memory_bytes().saturating_sub(taken);
-        let adapter = device.adapter();
-        let limits = Limits {
-            adapter,
-            piece: self.options.piece_bytes().min(adapter.most_at_once()),
-        };
-        let direction = plan.direction(flip);
-        let panels = panels(&self.grid, &self.pipelines.source, direction, limits)?;
-        let mut layout = Layout {
+    ) -> Result<Self, GpuError> {
+        let (direction, plane_bytes) = (plan.direction(flip), pipelines.source.bytes());
+        let piece = options.piece_bytes.min(device.adapter().most_at_once());
+        let mut layout = Self {
             direction,
             flip,
-            kept: panels
-                .iter()
-                .map(|panel| panel.batches.iter().map(|_| None).collect())
-                .collect(),
-            panels,
+            panels: panels(plan, direction, plane_bytes, device.adapter(), piece)?,
             bytes: 0,
         };
-        for (panel, kept) in layout.panels.iter().zip(&mut layout.kept) {
-            for (batch, kept) in panel.batches.iter().zip(kept) {
-                // The spectra are the largest part of the data. If they alone do not fit, the data
-                // of this batch and of later batches are not computed.
-                let least = batch.spectra as u64 * self.pipelines.source.bytes();
-                if layout.bytes + least > memory {
-                    return Ok(layout);
-                }
-                let data = match BatchData::new(device, &self.pipelines, working, plan, (batch, flip), None) {
-                    // Keeps no more data: each execution computes the data that are not kept.
-                    Err(GpuError::OutOfMemory { .. }) => {
-                        device.forgive();
-                        // Returns an error if wgpu has closed the whole device.
-                        device.check()?;
-                        // Some of the working buffers may be invalid.
-                        *working = WorkBuffers::new(device);
-                        return Ok(layout);
-                    }
-                    made => made?,
-                };
-                if layout.bytes + data.bytes() > memory {
-                    return Ok(layout);
-                }
-                layout.bytes += data.bytes();
-                *kept = Some(data);
+        for batch in layout.panels.iter_mut().flat_map(|panel| &mut panel.batches) {
+            // The spectra are the largest part of the data. If they alone do not fit, the data
+            // of this batch and of later batches are not computed.
+            if layout.bytes + batch.spectra as u64 * plane_bytes > options.memory_bytes {
+                break;
             }
+            let data = match BatchData::new(device, pipelines, working, plan, (batch, flip), None) {
+                // Keeps no more data: each execution computes the data that are not kept.
+                Err(GpuError::OutOfMemory { .. }) => {
+                    device.forgive();
+                    // Returns an error if wgpu has closed the whole device.
+                    device.check()?;
+                    // Some of the working buffers may be invalid.
+                    *working = WorkBuffers::new(device);
+                    break;
+                }
+                made => made?,
+            };
+            if layout.bytes + data.bytes() > options.memory_bytes {
+                break;
+            }
+            layout.bytes += data.bytes();
+            batch.kept = Some(data);
         }
         Ok(layout)
     }

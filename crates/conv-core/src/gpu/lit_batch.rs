@@ -170,10 +170,10 @@ impl<T: ConvReal> Examination<'_, '_, T> {
                 slot.tile.part.size,
             ),
         };
-        let output = self.panel.output;
+        let [columns, rows] = &self.panel.output;
         let out = (
-            (first.0 - output.column as i64) as i32,
-            (first.1 - output.row as i64) as i32,
+            (first.0 - columns.start as i64) as i32,
+            (first.1 - rows.start as i64) as i32,
         );
         Place {
             kernels: part.kernels.len() as u32,

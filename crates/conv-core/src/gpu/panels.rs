@@ -11,34 +11,16 @@
 use std::ops::Range;
 
 use super::adapter::Adapter;
-use super::plane_source::PlaneSource;
+use super::batch_data::BatchData;
 use crate::ConvReal;
 use crate::error::GpuError;
 use crate::overlap::colours;
 use crate::plan::Plan;
-use crate::plan::axis_cuts::Stretch;
-use crate::plan::block::Block;
-use crate::plan::geometry::{Direction, Geometry, PlacedTile, TilePart};
-
-/// A plan's tiles, listed along x and along y.
-#[derive(Debug)]
-pub(crate) struct TileGrid {
-    /// The tiles along x, and the tiles along y.
-    pub(crate) tiles: [Vec<AxisTile>; 2],
-    geometry: Geometry,
-    /// The number of kernels per block, row by row.
-    kernel_counts: Vec<usize>,
-    blocks_across: usize,
-    /// The number of rows of blocks processed together.
-    band: usize,
-    /// The number of colours along each axis, for tiles that scatter their light. No two tiles of
-    /// one colour write to the same pixel.
-    colours: [usize; 2],
-}
+use crate::plan::geometry::{Direction, PlacedTile, TilePart};
 
 /// The extent of a tile along an axis, and the index of its block there.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct AxisTile {
+struct AxisTile {
     start: usize,
     length: usize,
     block: usize,
@@ -46,125 +28,23 @@ pub(crate) struct AxisTile {
     corner: usize,
 }
 
-impl TileGrid {
-    pub(crate) fn new<T: ConvReal>(plan: &Plan<T>) -> Self {
-        let along = |stretches: &[Stretch]| {
-            let tiles = stretches.iter().enumerate().flat_map(|(block, stretch)| {
-                stretch.placed().map(move |(start, length, corner)| AxisTile {
-                    start,
-                    length,
-                    block,
-                    corner,
-                })
-            });
-            tiles.collect::<Vec<_>>()
-        };
-        let mut grid = Self {
-            tiles: [along(&plan.tiling.columns), along(&plan.tiling.rows)],
-            geometry: plan.geometry,
-            kernel_counts: plan.blocks.iter().map(Block::kernel_count).collect(),
-            blocks_across: plan.tiling.columns.len(),
-            band: plan.tiling.band(),
-            colours: [1; 2],
-        };
-        grid.colours = [0, 1].map(|axis| {
-            let tiles = 0..grid.tiles[axis].len();
-            let extents = tiles.map(|tile| grid.extent(Direction::Scatter, axis, tile..tile + 1));
-            colours(&extents.map(|e| (e.start, e.end)).collect::<Vec<_>>())
-        });
-        grid
-    }
-
-    /// The pixels along an axis that some tiles write to.
-    pub(crate) fn extent(&self, direction: Direction, axis: usize, tiles: Range<usize>) -> Range<usize> {
-        let (first, last) = (self.tiles[axis][tiles.start], self.tiles[axis][tiles.end - 1]);
-        let (start, end) = (first.start, last.start + last.length);
-        match direction {
-            Direction::Gather => start..end,
-            Direction::Scatter => self.geometry.reached(axis, start..end),
-        }
-    }
-
-    /// For each band (some rows of blocks that are processed together), the rows of its tiles.
-    pub(crate) fn bands(&self) -> Vec<Range<usize>> {
-        let rows = &self.tiles[1];
-        let mut bands: Vec<Range<usize>> = Vec::new();
-        for (row, tile) in rows.iter().enumerate() {
-            match bands.last_mut() {
-                Some(band) if rows[band.start].block / self.band == tile.block / self.band => {
-                    band.end = row + 1;
-                }
-                _ => bands.push(row..row + 1),
-            }
-        }
-        bands
-    }
-
-    pub(crate) fn block_of(&self, axis: usize, tile: usize) -> usize {
-        self.tiles[axis][tile].block
-    }
-
-    /// The blocks that some tiles belong to.
-    pub(crate) fn blocks_of(&self, axis: usize, tiles: Range<usize>) -> Range<usize> {
-        self.block_of(axis, tiles.start)..self.block_of(axis, tiles.end - 1) + 1
-    }
-
-    /// The tiles in the range `among` that belong to a block.
-    pub(crate) fn tiles_of(&self, axis: usize, block: usize, among: &Range<usize>) -> Range<usize> {
-        let of_axis = &self.tiles[axis];
-        let first = of_axis.partition_point(|tile| tile.block < block);
-        let end = of_axis.partition_point(|tile| tile.block <= block);
-        first.max(among.start)..end.min(among.end)
-    }
-
-    pub(crate) fn tile(&self, column: usize, row: usize) -> PlacedTile {
-        let (x, y) = (self.tiles[0][column], self.tiles[1][row]);
-        PlacedTile {
-            first: (x.start, y.start),
-            part: TilePart {
-                corner: (x.corner, y.corner),
-                size: (x.length, y.length),
-            },
-        }
-    }
-
-    /// The colour of a tile. The results of tiles of one colour do not overlap.
-    pub(crate) fn colour(&self, direction: Direction, column: usize, row: usize) -> usize {
-        match direction {
-            Direction::Scatter => column % self.colours[0] + self.colours[0] * (row % self.colours[1]),
-            Direction::Gather => 0,
-        }
-    }
-
-    pub(crate) fn kernel_count(&self, (column, row): (usize, usize)) -> usize {
-        self.kernel_counts[row * self.blocks_across + column]
-    }
-}
-
-/// A rectangle of the output: of the image or, in the adjoint, of the light array.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Rectangle {
-    pub(super) column: usize,
-    pub(super) row: usize,
-    pub(super) columns: usize,
-    pub(super) rows: usize,
-}
-
-impl Rectangle {
-    /// Bytes of its values.
-    pub(super) fn bytes(&self) -> u64 {
-        F32 * (self.columns * self.rows) as u64
-    }
-}
-
 /// Tiles whose results share a buffer.
 #[derive(Debug)]
 pub(super) struct Panel {
     /// The rows of blocks to which its tiles belong.
     pub(super) block_rows: Range<usize>,
-    /// The pixels to which its tiles write.
-    pub(super) output: Rectangle,
+    /// The columns and rows of the output (of the image or, in the adjoint, of the light array) to
+    /// which its tiles write.
+    pub(super) output: [Range<usize>; 2],
     pub(super) batches: Vec<Batch>,
+}
+
+impl Panel {
+    /// Bytes of its result.
+    pub(super) fn bytes(&self) -> u64 {
+        let [columns, rows] = &self.output;
+        F32 * (columns.len() * rows.len()) as u64
+    }
 }
 
 /// Tiles processed together.
@@ -179,6 +59,8 @@ pub(super) struct Batch {
     pub(super) spectra: usize,
     /// The number of values of all stamps.
     pub(super) stamps: usize,
+    /// The data that do not depend on the light, if there is memory to keep them.
+    pub(super) kept: Option<BatchData>,
 }
 
 /// Some tiles and some kernels of one block.
@@ -208,83 +90,128 @@ pub(super) struct TileSlot {
     pub(super) plane: usize,
 }
 
-/// The limits of pieces.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Limits<'a> {
-    pub(super) adapter: &'a Adapter,
-    /// The most bytes that a buffer of a piece should have. If a piece cannot be that small, only
-    /// the adapter's limit applies.
-    pub(super) piece: u64,
-}
-
 /// The most planes of a batch. A dispatch allows at most this many workgroups along an axis.
 const MOST_PLANES: usize = 65_535;
 const F32: u64 = 4;
 
 /// Divides a plan's work into panels, from the first row of blocks to the last. Tiles scatter or
-/// gather light, as `direction` says.
-pub(super) fn panels(
-    plan: &TileGrid,
-    source: &PlaneSource,
+/// gather light, as `direction` says. A plane has `plane_bytes` bytes. A buffer of a piece has at
+/// most `piece` bytes. If a piece cannot be that small, only the adapter's limit applies.
+pub(super) fn panels<T: ConvReal>(
+    plan: &Plan<T>,
     direction: Direction,
-    limits: Limits<'_>,
+    plane_bytes: u64,
+    adapter: &Adapter,
+    piece: u64,
 ) -> Result<Vec<Panel>, GpuError> {
-    let packing = Packing {
+    let tiles = [&plan.tiling.columns, &plan.tiling.rows].map(|stretches| {
+        let of_blocks = stretches.iter().enumerate().flat_map(|(block, stretch)| {
+            stretch.placed().map(move |(start, length, corner)| AxisTile {
+                start,
+                length,
+                block,
+                corner,
+            })
+        });
+        of_blocks.collect::<Vec<_>>()
+    });
+    let mut packing = Packing {
         plan,
-        plane_bytes: source.bytes(),
         direction,
-        limits,
+        tiles,
+        colours: [1; 2],
+        plane_bytes,
+        adapter,
+        piece,
     };
-    let columns = packing.groups(0, &(0..plan.tiles[0].len()), 1)?;
-    let widest = columns
-        .iter()
-        .map(|group| plan.extent(direction, 0, group.clone()).len())
-        .max();
+    let [columns, rows] = [0, 1].map(|axis| {
+        let extents = (0..packing.tiles[axis].len()).map(|tile| packing.extent(axis, tile..tile + 1));
+        extents.map(|e| (e.start, e.end)).collect::<Vec<_>>()
+    });
+    packing.colours = [colours(&columns), colours(&rows)];
+    let tallest = rows.iter().map(|(start, end)| end - start).max();
+    let columns = packing.groups(0, 0..columns.len(), tallest.unwrap_or(1))?;
+    let widths = columns.iter().map(|group| packing.extent(0, group.clone()).len());
+    let widest = widths.max().unwrap_or(1);
+    let band = plan.tiling.band();
     let mut panels = Vec::new();
-    for band in plan.bands() {
-        for rows in packing.groups(1, &band, widest.unwrap_or(1))? {
+    let mut first = 0;
+    for of_band in packing.tiles[1].chunk_by(|a, b| a.block / band == b.block / band) {
+        for rows in packing.groups(1, first..first + of_band.len(), widest)? {
             for columns in &columns {
                 panels.push(packing.panel(columns.clone(), rows.clone())?);
             }
         }
+        first += of_band.len();
     }
     Ok(panels)
 }
 
-struct Packing<'a> {
-    plan: &'a TileGrid,
-    plane_bytes: u64,
+/// A plan's tiles, and the limits of pieces.
+struct Packing<'a, T: ConvReal> {
+    plan: &'a Plan<T>,
     direction: Direction,
-    limits: Limits<'a>,
+    /// The tiles along x, and the tiles along y.
+    tiles: [Vec<AxisTile>; 2],
+    /// The number of colours along each axis. No two tiles of one colour write to the same pixel.
+    colours: [usize; 2],
+    plane_bytes: u64,
+    adapter: &'a Adapter,
+    piece: u64,
 }
 
-impl Packing<'_> {
-    /// Groups neighbouring tiles along an axis so that the results of each group fit into a piece.
-    /// Along y (axis 1), results are `across` pixels wide. Along x (axis 0), `across` is not used:
-    /// results are as high as the result of the tallest tile.
-    fn groups(
-        &self,
-        axis: usize,
-        tiles: &Range<usize>,
-        across: usize,
-    ) -> Result<Vec<Range<usize>>, GpuError> {
-        let across = if axis == 0 {
-            let rows =
-                (0..self.plan.tiles[1].len()).map(|row| self.plan.extent(self.direction, 1, row..row + 1));
-            rows.map(|extent| extent.len()).max().unwrap_or(1)
-        } else {
-            across
+impl<T: ConvReal> Packing<'_, T> {
+    /// The pixels along an axis that some tiles write to.
+    fn extent(&self, axis: usize, tiles: Range<usize>) -> Range<usize> {
+        let (first, last) = (self.tiles[axis][tiles.start], self.tiles[axis][tiles.end - 1]);
+        let (start, end) = (first.start, last.start + last.length);
+        match self.direction {
+            Direction::Gather => start..end,
+            Direction::Scatter => self.plan.geometry.reached(axis, start..end),
+        }
+    }
+
+    /// The blocks that some tiles belong to.
+    fn blocks_of(&self, axis: usize, tiles: &Range<usize>) -> Range<usize> {
+        self.tiles[axis][tiles.start].block..self.tiles[axis][tiles.end - 1].block + 1
+    }
+
+    /// The tiles in the range `among` that belong to a block.
+    fn tiles_of(&self, axis: usize, block: usize, among: &Range<usize>) -> Range<usize> {
+        let of_axis = &self.tiles[axis];
+        let first = of_axis.partition_point(|tile| tile.block < block);
+        let end = of_axis.partition_point(|tile| tile.block <= block);
+        first.max(among.start)..end.min(among.end)
+    }
+
+    /// A tile, without places for its data.
+    fn tile(&self, column: usize, row: usize) -> TileSlot {
+        let (x, y) = (self.tiles[0][column], self.tiles[1][row]);
+        let tile = PlacedTile {
+            first: (x.start, y.start),
+            part: TilePart {
+                corner: (x.corner, y.corner),
+                size: (x.length, y.length),
+            },
         };
-        let bytes =
-            |range: Range<usize>| F32 * (self.plan.extent(self.direction, axis, range).len() * across) as u64;
+        TileSlot {
+            tile,
+            colour: column % self.colours[0] + self.colours[0] * (row % self.colours[1]),
+            light: 0,
+            plane: 0,
+        }
+    }
+
+    /// Groups neighbouring tiles along an axis so that the results of each group fit into a piece.
+    /// Along the other axis, results have at most `across` pixels.
+    fn groups(&self, axis: usize, tiles: Range<usize>, across: usize) -> Result<Vec<Range<usize>>, GpuError> {
+        let bytes = |range: Range<usize>| F32 * (self.extent(axis, range).len() * across) as u64;
         let mut groups: Vec<Range<usize>> = Vec::new();
-        for tile in tiles.clone() {
+        for tile in tiles {
             match groups.last_mut() {
-                Some(group) if bytes(group.start..tile + 1) <= self.limits.piece => group.end = tile + 1,
+                Some(group) if bytes(group.start..tile + 1) <= self.piece => group.end = tile + 1,
                 _ => {
-                    self.limits
-                        .adapter
-                        .fits("the result of a tile", bytes(tile..tile + 1))?;
+                    self.adapter.fits("the result of a tile", bytes(tile..tile + 1))?;
                     groups.push(tile..tile + 1);
                 }
             }
@@ -293,35 +220,22 @@ impl Packing<'_> {
     }
 
     fn panel(&self, columns: Range<usize>, rows: Range<usize>) -> Result<Panel, GpuError> {
-        let plan = self.plan;
-        let x = plan.extent(self.direction, 0, columns.clone());
-        let y = plan.extent(self.direction, 1, rows.clone());
         let mut batches = Vec::new();
-        for block_row in plan.blocks_of(1, rows.clone()) {
-            for block_column in plan.blocks_of(0, columns.clone()) {
-                let block = (block_column, block_row);
+        let block_rows = self.blocks_of(1, &rows);
+        for block_row in block_rows.clone() {
+            for block_column in self.blocks_of(0, &columns) {
                 let mut tiles = Vec::new();
-                for row in plan.tiles_of(1, block_row, &rows) {
-                    for column in plan.tiles_of(0, block_column, &columns) {
-                        tiles.push(TileSlot {
-                            tile: plan.tile(column, row),
-                            colour: plan.colour(self.direction, column, row),
-                            light: 0,
-                            plane: 0,
-                        });
-                    }
+                for row in self.tiles_of(1, block_row, &rows) {
+                    let of_block = self.tiles_of(0, block_column, &columns);
+                    tiles.extend(of_block.map(|column| self.tile(column, row)));
                 }
-                self.add(&mut batches, block, &tiles, 0..plan.kernel_count(block))?;
+                let kernels = 0..self.plan.block(block_column, block_row).kernel_count();
+                self.add(&mut batches, (block_column, block_row), &tiles, kernels)?;
             }
         }
         Ok(Panel {
-            block_rows: plan.blocks_of(1, rows),
-            output: Rectangle {
-                column: x.start,
-                row: y.start,
-                columns: x.len(),
-                rows: y.len(),
-            },
+            block_rows,
+            output: [self.extent(0, columns), self.extent(1, rows)],
             batches,
         })
     }
@@ -339,11 +253,11 @@ impl Packing<'_> {
         // Only the first kernels of a tile may share a batch with earlier parts, because the results
         // of two parts with the same tile overlap.
         let last = batches.last_mut().filter(|_| kernels.start == 0);
-        if last.is_some_and(|batch| self.place(batch, block, tiles, kernels.clone())) {
+        if last.is_some_and(|batch| self.place(batch, block, tiles, kernels.clone(), false)) {
             return Ok(());
         }
         let mut batch = Batch::default();
-        if !self.place(&mut batch, block, tiles, kernels.clone()) {
+        if !self.place(&mut batch, block, tiles, kernels.clone(), false) {
             if tiles.len() > 1 {
                 let mut each = tiles.chunks(1);
                 return each.try_for_each(|tile| self.add(batches, block, tile, kernels.clone()));
@@ -354,19 +268,15 @@ impl Packing<'_> {
                 return self.add(batches, block, tiles, middle..kernels.end);
             }
             // The smallest piece may be larger than the limit in the options.
-            self.limits.adapter.fits("a tile", self.least(&tiles[0]))?;
-            self.force(&mut batch, block, tiles, kernels);
+            let values = self
+                .light_values(&tiles[0])
+                .max(self.plan.geometry.stamp_values());
+            let planes = self.planes_a_tile(1) as u64 * self.plane_bytes;
+            self.adapter.fits("a tile", planes.max(F32 * values as u64))?;
+            self.place(&mut batch, block, tiles, kernels, true);
         }
         batches.push(batch);
         Ok(())
-    }
-
-    /// Bytes of the largest buffer that a tile needs with one kernel.
-    fn least(&self, tile: &TileSlot) -> u64 {
-        let planes = self.planes_a_tile(1) as u64 * self.plane_bytes;
-        planes
-            .max(F32 * self.light_values(tile) as u64)
-            .max(F32 * self.plan.geometry.stamp_values() as u64)
     }
 
     /// The number of values of a tile's light, rounded up so that the next tile's light begins at
@@ -383,49 +293,45 @@ impl Packing<'_> {
         }
     }
 
-    /// Adds a part to a batch if the part fits. Returns whether it fits.
+    /// Adds a part to a batch if the part fits into a piece, or in any case if `force` is true.
+    /// Returns whether it added the part.
     fn place(
         &self,
         batch: &mut Batch,
         block: (usize, usize),
         tiles: &[TileSlot],
         kernels: Range<usize>,
+        force: bool,
     ) -> bool {
-        let light: usize = tiles.iter().map(|slot| self.light_values(slot)).sum();
-        let planes = batch.planes + tiles.len() * self.planes_a_tile(kernels.len());
-        let spectra = batch.spectra + kernels.len();
-        let stamps = batch.stamps + kernels.len() * self.plan.geometry.stamp_values();
-        let piece = self.limits.piece;
-        let fits = planes.max(spectra) as u64 * self.plane_bytes <= piece
-            && planes.max(spectra) <= MOST_PLANES
-            && F32 * (batch.light + light) as u64 <= piece
-            && F32 * stamps as u64 <= piece;
-        if fits {
-            self.force(batch, block, tiles, kernels);
-        }
-        fits
-    }
-
-    fn force(&self, batch: &mut Batch, block: (usize, usize), tiles: &[TileSlot], kernels: Range<usize>) {
-        let mut part = Part {
+        let (mut light, mut planes) = (batch.light, batch.planes);
+        let slots = tiles.iter().map(|slot| {
+            let placed = TileSlot {
+                light,
+                plane: planes,
+                ..*slot
+            };
+            light += self.light_values(slot);
+            planes += self.planes_a_tile(kernels.len());
+            placed
+        });
+        let part = Part {
             block,
             number: batch.parts.len() as u32,
-            tiles: Vec::with_capacity(tiles.len()),
+            tiles: slots.collect(),
             spectrum: batch.spectra,
             stamp: batch.stamps,
             kernels: kernels.clone(),
         };
-        for slot in tiles {
-            part.tiles.push(TileSlot {
-                light: batch.light,
-                plane: batch.planes,
-                ..*slot
-            });
-            batch.light += self.light_values(slot);
-            batch.planes += self.planes_a_tile(kernels.len());
+        let spectra = batch.spectra + kernels.len();
+        let stamps = batch.stamps + kernels.len() * self.plan.geometry.stamp_values();
+        let fits = planes.max(spectra) as u64 * self.plane_bytes <= self.piece
+            && planes.max(spectra) <= MOST_PLANES
+            && F32 * light.max(stamps) as u64 <= self.piece;
+        if fits || force {
+            batch.parts.push(part);
+            (batch.light, batch.planes) = (light, planes);
+            (batch.spectra, batch.stamps) = (spectra, stamps);
         }
-        batch.spectra += kernels.len();
-        batch.stamps += kernels.len() * self.plan.geometry.stamp_values();
-        batch.parts.push(part);
+        fits || force
     }
 }

@@ -5,7 +5,6 @@ use pulp::bytemuck::cast_slice;
 use super::adapter::Adapter;
 use super::buffers::{Growing, InFlight, Readback};
 use super::device::{GpuDevice, Pipelines};
-use super::panels::Rectangle;
 use super::plane_source::PlaneSource;
 use super::shader::{STRIP, Shader};
 use super::stopwatch::Marks;
@@ -207,16 +206,11 @@ impl ShaderTrial<'_> {
         let mut encoder = device.encoder();
         calls.encode(&mut encoder, None);
         let length = self.buffers.last().and_then(Option::as_ref).map_or(0, Vec::len);
-        let output = Rectangle {
-            column: 0,
-            row: 0,
-            columns: length,
-            rows: 1,
-        };
-        let read = Readback::new().with_room(device, output.bytes());
-        encoder.copy_buffer_to_buffer(bound[bound.len() - 1], 0, &read.0, 0, Some(output.bytes()));
+        let bytes = 4 * length as u64;
+        let read = Readback::new().with_room(device, bytes);
+        encoder.copy_buffer_to_buffer(bound[bound.len() - 1], 0, &read.0, 0, Some(bytes));
         let submission = device.queue().submit([encoder.finish()]);
-        InFlight::new(output, Marks::default(), read, submission)
+        InFlight::new(bytes, Marks::default(), read, submission)
             .read(device, |_, values, _| cast_slice(values).to_vec())
     }
 }

@@ -11,8 +11,8 @@ use rayon::prelude::*;
 use super::batch_calls::BatchCalls;
 use super::batch_data::{BatchData, WorkBuffers};
 use super::buffers::InFlight;
-use super::device::Attempt;
-use super::layout::{GpuPlan, Layout};
+use super::device::{Attempt, Pipelines};
+use super::layout::Layout;
 use super::lit_batch::{Examination, LitBatch};
 use super::panels::{Batch, Panel};
 use super::shader::Params;
@@ -28,7 +28,7 @@ const MOST_BATCHES: usize = 3;
 /// One execution of the plan on the GPU.
 pub(super) struct Run<'a, 'j, T: ConvReal> {
     device: &'a Attempt,
-    plan: &'a GpuPlan,
+    pipelines: &'a Pipelines,
     layout: &'a Layout,
     pass: &'a LightPass<'j, T>,
     working: &'a mut WorkBuffers,
@@ -36,7 +36,7 @@ pub(super) struct Run<'a, 'j, T: ConvReal> {
     times: GpuTimes,
     counts: TileCounts,
     /// The panel that the GPU computes while the host prepares the next one.
-    pending: Option<InFlight>,
+    pending: Option<(&'a Panel, InFlight)>,
     /// Submitted batches, the oldest first.
     batches: VecDeque<wgpu::SubmissionIndex>,
     /// The index of the next readback buffer, 0 or 1.
@@ -46,7 +46,7 @@ pub(super) struct Run<'a, 'j, T: ConvReal> {
 impl<'a, 'j, T: ConvReal> Run<'a, 'j, T> {
     pub(super) fn new(
         device: &'a Attempt,
-        (plan, layout): (&'a GpuPlan, &'a Layout),
+        (pipelines, layout): (&'a Pipelines, &'a Layout),
         pass: &'a LightPass<'j, T>,
         working: &'a mut WorkBuffers,
         output: ArrayViewMut2<'a, T>,
@@ -54,7 +54,7 @@ impl<'a, 'j, T: ConvReal> Run<'a, 'j, T> {
         let measured = working.stopwatch.is_some().then_some(Duration::ZERO);
         Self {
             device,
-            plan,
+            pipelines,
             layout,
             pass,
             output,
@@ -74,16 +74,15 @@ impl<'a, 'j, T: ConvReal> Run<'a, 'j, T> {
     /// Executes the pass. Returns the numbers of tiles, and the times.
     pub(super) fn run(mut self) -> Result<(TileCounts, GpuTimes), ConvError> {
         let clock = Instant::now();
-        let layout = self.layout;
         let rows = &self.pass.rows;
         let mut done = rows.start;
-        for (panel, kept) in layout.panels.iter().zip(&layout.kept) {
+        for panel in &self.layout.panels {
             if panel.block_rows.start < rows.start || panel.block_rows.end > rows.end {
                 continue;
             }
-            let submitted = self.submit(panel, kept)?;
+            let submitted = self.submit(panel)?;
             self.finish()?;
-            self.pending = submitted;
+            self.pending = submitted.map(|submitted| (panel, submitted));
             if panel.block_rows.start > done {
                 self.pass.progress.advance((panel.block_rows.start - done) as u64);
                 done = panel.block_rows.start;
@@ -96,11 +95,11 @@ impl<'a, 'j, T: ConvReal> Run<'a, 'j, T> {
     }
 
     /// Submits a panel to the GPU. Returns `None` if the panel is dark.
-    fn submit(&mut self, panel: &Panel, kept: &[Option<BatchData>]) -> Result<Option<InFlight>, ConvError> {
+    fn submit(&mut self, panel: &Panel) -> Result<Option<InFlight>, ConvError> {
         let mut marks = Marks::default();
-        let bytes = panel.output.bytes();
+        let bytes = panel.bytes();
         let mut begun = false;
-        for (batch, kept) in panel.batches.iter().zip(kept) {
+        for batch in &panel.batches {
             let (staging, mut lit) = self.examine(panel, batch)?;
             self.counts += lit.counts;
             if lit.is_dark() {
@@ -113,12 +112,12 @@ impl<'a, 'j, T: ConvReal> Run<'a, 'j, T> {
                 self.device.wait(oldest.expect("batches are in progress"))?;
             }
             let made;
-            let data = if let Some(data) = kept {
+            let data = if let Some(data) = &batch.kept {
                 data
             } else {
                 made = BatchData::new(
                     self.device,
-                    &self.plan.pipelines,
+                    self.pipelines,
                     self.working,
                     &self.pass.processor.plan,
                     (batch, self.layout.flip),
@@ -153,7 +152,7 @@ impl<'a, 'j, T: ConvReal> Run<'a, 'j, T> {
         let submission = device.queue().submit([encoder.finish()]);
         self.times.bytes.1 += bytes;
         device.check()?;
-        Ok(Some(InFlight::new(panel.output, marks, readback, submission)))
+        Ok(Some(InFlight::new(bytes, marks, readback, submission)))
     }
 
     /// Inspects the light of a batch and writes it to a buffer from which the GPU can copy.
@@ -185,7 +184,7 @@ impl<'a, 'j, T: ConvReal> Run<'a, 'j, T> {
         marks: &mut Marks,
     ) -> Result<(), GpuError> {
         let device = self.device;
-        let bytes = panel.output.bytes();
+        let bytes = panel.bytes();
         let light = self.working.light.with_room(device, 4 * batch.light as u64);
         let result = self.working.panel.with_room(device, bytes);
         device.check()?;
@@ -204,11 +203,11 @@ impl<'a, 'j, T: ConvReal> Run<'a, 'j, T> {
         self.times.bytes.0 += copied.iter().map(|&(_, count)| 4 * count as u64).sum::<u64>();
         let work = BatchCalls {
             device,
-            pipelines: &self.plan.pipelines,
+            pipelines: self.pipelines,
             direction: self.layout.direction,
             params: Params {
                 flip: self.layout.flip,
-                panel: (panel.output.columns, panel.output.rows),
+                panel: (panel.output[0].len(), panel.output[1].len()),
                 stamp: self.pass.processor.plan.geometry.stamp,
                 ..Params::default()
             },
@@ -232,22 +231,21 @@ impl<'a, 'j, T: ConvReal> Run<'a, 'j, T> {
 
     /// Waits for the panel that the GPU computes, if any, and adds it to the output.
     fn finish(&mut self) -> Result<(), GpuError> {
-        let Some(pending) = self.pending.take() else {
+        let Some((panel, submitted)) = self.pending.take() else {
             return Ok(());
         };
         let (first_output, output, times) = (self.pass.first_output, &mut self.output, &mut self.times);
         let stopwatch = self.working.stopwatch.as_ref();
-        pending.read(self.device, |panel, values, marks| {
+        submitted.read(self.device, |submitted, values, marks| {
             let clock = Instant::now();
-            let place = panel.output;
-            let rows = place.row - first_output..place.row - first_output + place.rows;
-            let columns = place.column..place.column + place.columns;
-            let values: &[T] = cast_slice(values);
+            let [columns, rows] = panel.output.clone();
+            let rows = rows.start - first_output..rows.end - first_output;
+            let values = cast_slice::<_, T>(values).par_chunks_exact(columns.len());
             output
                 .slice_mut(s![rows, columns])
                 .axis_iter_mut(Axis(0))
                 .into_par_iter()
-                .zip(values.par_chunks_exact(place.columns))
+                .zip(values)
                 .for_each(|(mut row, values)| {
                     for (pixel, value) in row.iter_mut().zip(values) {
                         *pixel += *value;
@@ -255,7 +253,7 @@ impl<'a, 'j, T: ConvReal> Run<'a, 'j, T> {
                 });
             times.host += clock.elapsed();
             // The sums become `None` if the times of a panel were not measured.
-            let taken = stopwatch.and_then(|stopwatch| stopwatch.durations(&panel.marks, marks));
+            let taken = stopwatch.and_then(|stopwatch| stopwatch.durations(&submitted.marks, marks));
             times.kernels = times.kernels.zip(taken).map(|(sum, (kernels, _))| sum + kernels);
             times.transfers = times.transfers.zip(taken).map(|(sum, (_, copies))| sum + copies);
         })
