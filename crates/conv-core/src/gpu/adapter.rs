@@ -176,15 +176,19 @@ fn adapters_of(backends: wgpu::Backends) -> Vec<(wgpu::Adapter, Adapter)> {
 }
 
 /// Returns the preferred adapter. If `name` is given, returns the first adapter that matches it. If
-/// there is no such adapter, returns the names of all adapters as the error.
-pub(super) fn choose(name: Option<&str>) -> Result<(wgpu::Adapter, Adapter), Vec<String>> {
+/// there is no such adapter, the error names all adapters.
+pub(super) fn choose(name: Option<&str>) -> Result<(wgpu::Adapter, Adapter), GpuError> {
     let mut adapters = open_adapters();
     let wanted = adapters
         .iter()
         .position(|(_, adapter)| name.is_none_or(|name| adapter.answers_to(name)));
-    match wanted {
-        Some(index) => Ok(adapters.swap_remove(index)),
-        None => Err(adapters.iter().map(|(_, adapter)| adapter.name.clone()).collect()),
+    match (wanted, name) {
+        (Some(index), _) => Ok(adapters.swap_remove(index)),
+        (None, Some(name)) if !adapters.is_empty() => Err(GpuError::NoSuchAdapter {
+            wanted: name.to_owned(),
+            present: adapters.into_iter().map(|(_, adapter)| adapter.name).collect(),
+        }),
+        _ => Err(GpuError::NoAdapter),
     }
 }
 

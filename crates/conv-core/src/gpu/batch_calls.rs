@@ -11,6 +11,7 @@ use super::lit_batch::LitBatch;
 use super::panels::Batch;
 use super::passes::Calls;
 use super::shader::{Draw, Params, STRIP, Shader, Tile};
+use super::stopwatch::Marks;
 use crate::error::GpuError;
 use crate::plan::geometry::Direction;
 
@@ -28,24 +29,35 @@ pub(super) struct BatchCalls<'a> {
     pub(super) panel: &'a wgpu::Buffer,
 }
 
-impl<'a> BatchCalls<'a> {
-    /// The calls for the lit tiles of a batch.
-    pub(super) fn calls(&self, working: &mut WorkBuffers) -> Result<Calls<'a>, GpuError> {
+impl BatchCalls<'_> {
+    /// Encodes the calls for the lit tiles of a batch.
+    pub(super) fn encode(
+        &self,
+        working: &mut WorkBuffers,
+        encoder: &mut wgpu::CommandEncoder,
+        marks: &mut Marks,
+    ) -> Result<(), GpuError> {
         let lit = self.lit;
         let tiles = colours(&lit.tiles);
         let drawn = colours(&lit.drawn);
         let most = 2 + tiles.len() + drawn.len();
-        let mut calls = Calls::new(self.device, self.pipelines, &mut working.params, most);
+        let writes = working
+            .stopwatch
+            .as_ref()
+            .and_then(|stopwatch| stopwatch.kernels(marks));
+        let params = &mut working.params;
+        let mut calls = Calls::new(self.device, self.pipelines, params, most, encoder, writes);
         if !lit.tiles.is_empty() {
             self.transforms(&mut calls, working, &tiles);
         }
         if !lit.drawn.is_empty() {
             self.draws(&mut calls, working, &drawn)?;
         }
-        Ok(calls)
+        calls.end();
+        Ok(())
     }
 
-    fn transforms(&self, calls: &mut Calls<'a>, working: &mut WorkBuffers, colours: &[Range<usize>]) {
+    fn transforms(&self, calls: &mut Calls<'_>, working: &mut WorkBuffers, colours: &[Range<usize>]) {
         let (device, source, lit) = (self.device, &self.pipelines.source, self.lit);
         let (rows, columns) = (&self.pipelines.row_roots, &self.pipelines.column_roots);
         let spreads = self.direction == Direction::Scatter;
@@ -94,7 +106,7 @@ impl<'a> BatchCalls<'a> {
 
     fn draws(
         &self,
-        calls: &mut Calls<'a>,
+        calls: &mut Calls<'_>,
         working: &mut WorkBuffers,
         colours: &[Range<usize>],
     ) -> Result<(), GpuError> {

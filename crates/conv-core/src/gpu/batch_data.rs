@@ -101,21 +101,12 @@ impl BatchData {
             spectra,
         };
         device.check()?;
-        let planes = working.planes.with_room(device, bytes);
-        device.check()?;
-        let stamp = Params {
+        let params = Params {
             flip,
             stamp: plan.geometry.stamp,
             ..Params::default()
         };
-        let memory = (&planes, &mut working.params);
-        let calls = data.stamp_calls(device, pipelines, memory, stamp, batch);
-        let stopwatch = working.stopwatch.as_ref().zip(marks);
-        let writes = stopwatch.and_then(|(stopwatch, marks)| stopwatch.kernels(marks));
-        let mut encoder = device.encoder();
-        calls.encode(&mut encoder, writes);
-        device.queue().submit([encoder.finish()]);
-        device.check()?;
+        data.transform_stamps(device, pipelines, working, params, batch.spectra, marks)?;
         Ok(data)
     }
 
@@ -129,56 +120,55 @@ impl BatchData {
         self.tables.size() + self.stamps.size()
     }
 
-    /// The shader calls that compute the spectra of stamps.
-    fn stamp_calls<'a>(
+    /// Computes the spectra of `count` stamps.
+    fn transform_stamps(
         &self,
-        device: &'a Attempt,
-        pipelines: &'a Pipelines,
-        (planes, buffer): (&wgpu::Buffer, &mut Growing),
+        device: &Attempt,
+        pipelines: &Pipelines,
+        working: &mut WorkBuffers,
         params: Params,
-        batch: &Batch,
-    ) -> Calls<'a> {
-        let stamp = params.stamp;
+        count: usize,
+        marks: Option<&mut Marks>,
+    ) -> Result<(), GpuError> {
+        let planes = working.planes.with_room(device, self.spectra.size());
+        device.check()?;
         // Each stamp is transformed like the light of a tile with one kernel.
         let place = Place {
             kernels: 1,
             ..Place::default()
         };
-        let tiles = (0..batch.spectra).map(|kernel| Tile {
-            light: kernel * stamp.0 * stamp.1,
-            size: stamp,
+        let tiles = (0..count).map(|kernel| Tile {
+            light: kernel * params.stamp.0 * params.stamp.1,
+            size: params.stamp,
             plane: kernel,
             spectrum: kernel,
             place,
             ..Tile::default()
         });
         let tiles: Vec<u32> = tiles.flat_map(|tile| tile.words()).collect();
-        let work: Vec<u32> = (0..batch.spectra as u32).flat_map(|kernel| [kernel, 0]).collect();
+        let work: Vec<u32> = (0..count as u32).flat_map(|kernel| [kernel, 0]).collect();
         let tiles = device.filled("stamps' places", &tiles);
         let work = device.filled("stamps' planes", &work);
-        let source = &pipelines.source;
-        let mut calls = Calls::new(device, pipelines, buffer, 2);
-        let all = batch.spectra as u32;
+        let stopwatch = working.stopwatch.as_ref().zip(marks);
+        let writes = stopwatch.and_then(|(stopwatch, marks)| stopwatch.kernels(marks));
+        let mut encoder = device.encoder();
+        let mut calls = Calls::new(device, pipelines, &mut working.params, 2, &mut encoder, writes);
+        let (source, roots) = (&pipelines.source, &pipelines.row_roots);
         calls.add(
             Shader::WeighRows,
             params.words(),
-            &[
-                &tiles,
-                &work,
-                &self.tables,
-                &self.stamps,
-                &pipelines.row_roots,
-                planes,
-            ],
-            (source.row_groups(), all),
+            &[&tiles, &work, &self.tables, &self.stamps, roots, &planes],
+            (source.row_groups(), count as u32),
         );
         calls.add(
             Shader::SpectrumColumns,
             params.words(),
-            &[&tiles, &pipelines.column_roots, planes, &self.spectra],
-            (source.column_groups(), all),
+            &[&tiles, &pipelines.column_roots, &planes, &self.spectra],
+            (source.column_groups(), count as u32),
         );
-        calls
+        calls.end();
+        device.queue().submit([encoder.finish()]);
+        device.check()
     }
 }
 

@@ -67,13 +67,7 @@ impl GpuDevice {
     /// [`GpuError`] if there is no GPU, if no GPU matches the name, or if the driver cannot open
     /// the GPU.
     pub fn new(name: Option<&str>) -> Result<Self, GpuError> {
-        let (handle, adapter) = choose(name).map_err(|present| match name {
-            Some(name) if !present.is_empty() => GpuError::NoSuchAdapter {
-                wanted: name.to_owned(),
-                present,
-            },
-            _ => GpuError::NoAdapter,
-        })?;
+        let (handle, adapter) = choose(name)?;
         let descriptor = wgpu::DeviceDescriptor {
             label: Some("psfield"),
             required_features: handle.features() & TIMESTAMPS,

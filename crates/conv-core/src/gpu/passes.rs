@@ -1,4 +1,4 @@
-//! Lists of shader calls.
+//! Passes of shader calls.
 
 use pulp::bytemuck::cast_slice;
 
@@ -10,25 +10,18 @@ use super::shader::{STRIP, Shader};
 use super::stopwatch::Marks;
 use crate::error::GpuError;
 
-/// Shader calls, collected to be submitted together.
+/// Shader calls of one pass.
 #[derive(Debug)]
 pub(super) struct Calls<'a> {
     device: &'a GpuDevice,
     pipelines: &'a Pipelines,
+    pass: wgpu::ComputePass<'a>,
     params: wgpu::Buffer,
     /// The bytes of all parameters.
     bytes: Vec<u8>,
     /// The number of bytes from the parameters of one call to the next. The parameters of each call
     /// must begin at a multiple of a number that the adapter sets.
     step: usize,
-    list: Vec<Call>,
-}
-
-#[derive(Debug)]
-struct Call {
-    shader: Shader,
-    bindings: wgpu::BindGroup,
-    groups: (u32, u32),
 }
 
 /// The size of a call's parameters in bytes.
@@ -43,22 +36,27 @@ pub(super) fn params_buffer() -> Growing {
 }
 
 impl<'a> Calls<'a> {
-    /// An empty list for at most `most` calls.
+    /// A pass of at most `most` calls.
     pub(super) fn new(
         device: &'a GpuDevice,
         pipelines: &'a Pipelines,
         params: &mut Growing,
         most: usize,
+        encoder: &'a mut wgpu::CommandEncoder,
+        marks: Option<wgpu::ComputePassTimestampWrites<'_>>,
     ) -> Self {
         let step = device.device().limits().min_uniform_buffer_offset_alignment as usize;
         let step = step.max(PARAM_BYTES as usize);
         Self {
             device,
             pipelines,
+            pass: encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
+                label: Some("shaders"),
+                timestamp_writes: marks,
+            }),
             params: params.with_room(device, (most * step) as u64),
             bytes: Vec::with_capacity(most * step),
             step,
-            list: Vec::with_capacity(most),
         }
     }
 
@@ -94,38 +92,23 @@ impl<'a> Calls<'a> {
                 resource,
             })
             .collect();
-        let layout = self.pipelines.get(shader).get_bind_group_layout(0);
+        let pipeline = self.pipelines.get(shader);
         let bindings = self
             .device
             .device()
             .create_bind_group(&wgpu::BindGroupDescriptor {
                 label: Some(shader.name()),
-                layout: &layout,
+                layout: &pipeline.get_bind_group_layout(0),
                 entries: &entries,
             });
-        self.list.push(Call {
-            shader,
-            bindings,
-            groups,
-        });
+        self.pass.set_pipeline(pipeline);
+        self.pass.set_bind_group(0, &bindings, &[]);
+        self.pass.dispatch_workgroups(groups.0, groups.1, 1);
     }
 
-    /// Writes the parameters to their buffer before the next submission, and encodes the calls.
-    pub(super) fn encode(
-        self,
-        encoder: &mut wgpu::CommandEncoder,
-        marks: Option<wgpu::ComputePassTimestampWrites<'_>>,
-    ) {
+    /// Ends the pass, and writes the parameters to their buffer before the next submission.
+    pub(super) fn end(self) {
         self.device.queue().write_buffer(&self.params, 0, &self.bytes);
-        let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
-            label: Some("shaders"),
-            timestamp_writes: marks,
-        });
-        for call in &self.list {
-            pass.set_pipeline(self.pipelines.get(call.shader));
-            pass.set_bind_group(0, &call.bindings, &[]);
-            pass.dispatch_workgroups(call.groups.0, call.groups.1, 1);
-        }
     }
 }
 
@@ -200,11 +183,11 @@ impl ShaderTrial<'_> {
         };
         let buffers: Vec<wgpu::Buffer> = self.buffers.iter().map(filled).collect();
         let mut memory = params_buffer();
-        let mut calls = Calls::new(device, &pipelines, &mut memory, 1);
+        let mut encoder = device.encoder();
+        let mut calls = Calls::new(device, &pipelines, &mut memory, 1, &mut encoder, None);
         let bound: Vec<&wgpu::Buffer> = buffers.iter().collect();
         calls.add(shader, self.params, &bound, (groups, self.count));
-        let mut encoder = device.encoder();
-        calls.encode(&mut encoder, None);
+        calls.end();
         let length = self.buffers.last().and_then(Option::as_ref).map_or(0, Vec::len);
         let bytes = 4 * length as u64;
         let read = Readback::new().with_room(device, bytes);

@@ -217,13 +217,7 @@ impl<'a, 'j, T: ConvReal> Run<'a, 'j, T> {
             light: &light,
             panel: &result,
         };
-        let calls = work.calls(self.working)?;
-        let writes = self
-            .working
-            .stopwatch
-            .as_ref()
-            .and_then(|stopwatch| stopwatch.kernels(marks));
-        calls.encode(&mut encoder, writes);
+        work.encode(self.working, &mut encoder, marks)?;
         self.batches.push_back(device.queue().submit([encoder.finish()]));
         self.working.staging.give_back(staging);
         device.check()
