@@ -264,7 +264,7 @@ impl<T: ConvReal> Engine<T> {
             let direct_sums = false;
             return gpu.run(&LightPass { direct_sums, ..pass }, output);
         }
-        match self.plan().direction(flip) {
+        match pass.direction() {
             Direction::Scatter => T::dispatch(Scatter { pass, output }),
             Direction::Gather => T::dispatch(Gather { pass, output }),
         }

@@ -8,7 +8,6 @@ use super::scatter::{Task, together};
 use super::tile_engine::Workspace;
 use super::treatment::{TileCounts, TileMethod, each_tile};
 use crate::plan::axis_cuts::Stretch;
-use crate::plan::geometry::Direction;
 use crate::simd::{Lanes, WithIsa, vectorized};
 use crate::{ConvError, ConvReal};
 
@@ -53,7 +52,6 @@ fn gather_block<T: ConvReal, S: Lanes<T>>(
     each_tile(
         simd,
         pass,
-        Direction::Gather,
         task.block,
         workspace,
         |local, (x, y), treatment, workspace| {

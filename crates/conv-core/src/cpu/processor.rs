@@ -7,12 +7,12 @@ use std::sync::{Arc, Mutex};
 use ndarray::ArrayView2;
 use psf_types::{FieldError, Progress};
 
-use super::tile_engine::{LocalTile, TileEngine, Workspace};
+use super::tile_engine::{TileEngine, Workspace};
 use crate::ConvReal;
 use crate::plan::Plan;
 use crate::plan::block::{Block, Stamps};
 use crate::plan::coefficient_table::CoefficientTable;
-use crate::plan::geometry::TilePart;
+use crate::plan::geometry::{Direction, TilePart};
 use crate::simd::{Lanes, vectorized};
 use crate::transform::TileTransform;
 
@@ -77,6 +77,11 @@ impl<'a, T: ConvReal> LightPass<'a, T> {
             flip: self.flip,
         }
     }
+
+    /// The direction in which the light passes.
+    pub(crate) fn direction(&self) -> Direction {
+        self.processor.plan.direction(self.flip)
+    }
 }
 
 /// Coefficients, stamps and spectra of a block. When a tile first needs one of them, it is taken
@@ -111,16 +116,6 @@ impl<'a, T: ConvReal> BlockKernels<'a, T> {
         self.stamps
             .get_or_init(|| self.block.stamps_or_new(&self.plan.whole.space))
             .values()
-    }
-
-    /// A tile with the coefficients and stamps of the block.
-    pub(crate) fn local(&self, part: TilePart, transforms_kernels: bool) -> LocalTile<'_, T> {
-        LocalTile {
-            part,
-            table: self.table(),
-            stamps: self.stamps(),
-            transforms_kernels,
-        }
     }
 
     /// Returns an error if a pixel of a tile needs a PSF but has none. The error names the first

@@ -8,7 +8,6 @@ use super::processor::LightPass;
 use super::tile_engine::Workspace;
 use super::treatment::{TileCounts, TileMethod, each_tile};
 use crate::overlap::{colours, split};
-use crate::plan::geometry::Direction;
 use crate::simd::{Lanes, WithIsa, vectorized};
 use crate::{ConvError, ConvReal};
 
@@ -121,7 +120,6 @@ fn scatter_block<T: ConvReal, S: Lanes<T>>(
     each_tile(
         simd,
         pass,
-        Direction::Scatter,
         task.block,
         workspace,
         |local, (x, y), treatment, workspace| {

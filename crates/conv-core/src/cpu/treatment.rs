@@ -226,12 +226,11 @@ fn choose<T: ConvReal>(
 pub(crate) fn treated<T: ConvReal>(
     pass: &LightPass<'_, T>,
     kernels: &BlockKernels<'_, T>,
-    direction: Direction,
     tile: PlacedTile,
     workspace: &mut Workspace<T>,
 ) -> Result<Option<Treatment<T>>, ConvError> {
     pass.progress.check_cancelled()?;
-    let plan = &pass.processor.plan;
+    let (plan, direction) = (&pass.processor.plan, pass.direction());
     let engine = pass.tile_engine();
     let pitch = engine.fft.pitch();
     let (corner, size) = match direction {
@@ -327,7 +326,6 @@ impl TileCounts {
 pub(crate) fn each_tile<T: ConvReal, S: Lanes<T>>(
     simd: S,
     pass: &LightPass<'_, T>,
-    direction: Direction,
     (column, row): (usize, usize),
     workspace: &mut Workspace<T>,
     mut convolve: impl FnMut(LocalTile<'_, T>, (usize, usize), &Treatment<T>, &mut Workspace<T>),
@@ -337,7 +335,8 @@ pub(crate) fn each_tile<T: ConvReal, S: Lanes<T>>(
     let mut counts = TileCounts::default();
     let (across, up) = (&plan.tiling.columns[column], &plan.tiling.rows[row]);
     // The only tile of a block transforms each kernel itself.
-    let transforms_kernels = direction == Direction::Scatter && across.tiles.len() * up.tiles.len() == 1;
+    let is_alone = across.tiles.len() * up.tiles.len() == 1;
+    let transforms_kernels = pass.direction() == Direction::Scatter && is_alone;
     for (y, rows, below) in up.placed() {
         for (x, columns, left) in across.placed() {
             let part = TilePart {
@@ -345,7 +344,7 @@ pub(crate) fn each_tile<T: ConvReal, S: Lanes<T>>(
                 size: (columns, rows),
             };
             let tile = PlacedTile { first: (x, y), part };
-            let Some(treatment) = treated(pass, &kernels, direction, tile, workspace)? else {
+            let Some(treatment) = treated(pass, &kernels, tile, workspace)? else {
                 counts.dark += 1;
                 continue;
             };
@@ -353,12 +352,13 @@ pub(crate) fn each_tile<T: ConvReal, S: Lanes<T>>(
             if treatment.method == Some(TileMethod::ByTransforms) && !transforms_kernels {
                 kernels.transform(simd, &pass.tile_engine(), workspace);
             }
-            convolve(
-                kernels.local(part, transforms_kernels),
-                (x, y),
-                &treatment,
-                workspace,
-            );
+            let local = LocalTile {
+                part,
+                table: kernels.table(),
+                stamps: kernels.stamps(),
+                transforms_kernels,
+            };
+            convolve(local, (x, y), &treatment, workspace);
         }
     }
     Ok(counts)

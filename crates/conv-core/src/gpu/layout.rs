@@ -7,7 +7,6 @@ use super::panels::{Panel, panels};
 use crate::ConvReal;
 use crate::error::GpuError;
 use crate::plan::Plan;
-use crate::plan::geometry::Direction;
 
 /// Limits of the work on a GPU.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -67,9 +66,6 @@ impl Default for GpuOptions {
 /// The work of a plan for one operation (the convolution or its adjoint), and the data kept for it.
 #[derive(Debug)]
 pub(super) struct Layout {
-    pub(super) direction: Direction,
-    /// True for the adjoint, in which stamps are turned by 180 degrees.
-    pub(super) flip: bool,
     pub(super) panels: Vec<Panel>,
     /// The size of the kept data in bytes.
     pub(super) bytes: u64,
@@ -87,12 +83,10 @@ impl Layout {
         working: &mut WorkBuffers,
         flip: bool,
     ) -> Result<Self, GpuError> {
-        let (direction, plane_bytes) = (plan.direction(flip), pipelines.source.bytes());
+        let plane_bytes = pipelines.source.bytes();
         let piece = options.piece_bytes.min(device.adapter().most_at_once());
         let mut layout = Self {
-            direction,
-            flip,
-            panels: panels(plan, direction, plane_bytes, device.adapter(), piece)?,
+            panels: panels(plan, plan.direction(flip), plane_bytes, device.adapter(), piece)?,
             bytes: 0,
         };
         for batch in layout.panels.iter_mut().flat_map(|panel| &mut panel.batches) {

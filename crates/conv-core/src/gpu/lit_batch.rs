@@ -4,7 +4,6 @@ use pulp::bytemuck::cast_slice;
 use rayon::prelude::*;
 
 use super::device::Attempt;
-use super::layout::Layout;
 use super::panels::{Batch, Panel, Part, TileSlot};
 use super::shader::{Draw, Place, Tile};
 use crate::cpu::processor::{BlockKernels, LightPass};
@@ -57,7 +56,6 @@ pub(super) struct DrawnTile {
 /// Inspects the light of a batch's tiles and writes it to a mapped buffer.
 pub(super) struct Examination<'a, 'j, T: ConvReal> {
     pub(super) device: &'a Attempt,
-    pub(super) layout: &'a Layout,
     pub(super) panel: &'a Panel,
     pub(super) batch: &'a Batch,
     pub(super) pass: &'a LightPass<'j, T>,
@@ -71,13 +69,10 @@ impl<T: ConvReal> Examination<'_, '_, T> {
         // one task, which computes the data once.
         let tasks: Vec<(&Part, &[TileSlot])> = parts
             .flat_map(|part| {
-                let together = if self.pass.processor.plan.keeps(part.block) {
-                    1
-                } else {
-                    part.tiles.len()
-                };
-                let tasks = part.tiles.chunks(together.max(1));
-                tasks.map(move |tiles| (part, tiles))
+                let block = self.pass.processor.plan.block(part.block.0, part.block.1);
+                let is_kept = block.table.is_some() && block.stamps.is_some();
+                let together = if is_kept { 1 } else { part.tiles.len().max(1) };
+                part.tiles.chunks(together).map(move |tiles| (part, tiles))
             })
             .collect();
         let parts: Vec<Result<LitBatch, ConvError>> = tasks
@@ -106,7 +101,7 @@ impl<T: ConvReal> Examination<'_, '_, T> {
         let kernels = BlockKernels::new(&processor.plan, part.block);
         processor.with_workspace(|workspace| {
             for slot in tiles {
-                let treatment = treated(self.pass, &kernels, self.layout.direction, slot.tile, workspace)?;
+                let treatment = treated(self.pass, &kernels, slot.tile, workspace)?;
                 // A tile whose kernels are in several parts counts once.
                 let first = part.kernels.start == 0;
                 let Some(treatment) = treatment else {
@@ -138,7 +133,7 @@ impl<T: ConvReal> Examination<'_, '_, T> {
 
     fn light_size(&self, slot: &TileSlot) -> (usize, usize) {
         self.geometry()
-            .light_size(self.layout.direction, slot.tile.part.size)
+            .light_size(self.pass.direction(), slot.tile.part.size)
     }
 
     /// Copies a tile's light to its place in the mapped buffer.
@@ -160,7 +155,7 @@ impl<T: ConvReal> Examination<'_, '_, T> {
     /// the panel.
     fn place(&self, part: &Part, slot: &TileSlot) -> Place {
         let geometry = self.geometry();
-        let (first, size) = match self.layout.direction {
+        let (first, size) = match self.pass.direction() {
             Direction::Scatter => (
                 geometry.reach_from(slot.tile.first.0, slot.tile.first.1),
                 geometry.around(slot.tile.part.size),
@@ -187,7 +182,7 @@ impl<T: ConvReal> Examination<'_, '_, T> {
     /// Column and row of a result's first pixel in the tile's plane.
     fn skip(&self) -> (usize, usize) {
         let stamp = self.geometry().stamp;
-        match self.layout.direction {
+        match self.pass.direction() {
             Direction::Scatter => (0, 0),
             Direction::Gather => (stamp.0 - 1, stamp.1 - 1),
         }
@@ -219,7 +214,7 @@ impl<T: ConvReal> Examination<'_, '_, T> {
             .iter()
             .map(|&(row, column, _)| [row as i32 - skip.1 as i32, column as i32 - skip.0 as i32])
             .collect();
-        let amounts = match self.layout.direction {
+        let amounts = match self.pass.direction() {
             Direction::Gather => treatment
                 .drawn
                 .iter()

@@ -120,7 +120,7 @@ impl<'a, 'j, T: ConvReal> Run<'a, 'j, T> {
                     self.pipelines,
                     self.working,
                     &self.pass.processor.plan,
-                    (batch, self.layout.flip),
+                    (batch, self.pass.flip),
                     Some(&mut marks),
                 )?;
                 self.times.bytes.0 += made.host_bytes();
@@ -161,7 +161,6 @@ impl<'a, 'j, T: ConvReal> Run<'a, 'j, T> {
         let staging = self.working.staging.take(self.device, 4 * batch.light as u64);
         let examination = Examination {
             device: self.device,
-            layout: self.layout,
             panel,
             batch,
             pass: self.pass,
@@ -204,9 +203,9 @@ impl<'a, 'j, T: ConvReal> Run<'a, 'j, T> {
         let work = BatchCalls {
             device,
             pipelines: self.pipelines,
-            direction: self.layout.direction,
+            direction: self.pass.direction(),
             params: Params {
-                flip: self.layout.flip,
+                flip: self.pass.flip,
                 panel: (panel.output[0].len(), panel.output[1].len()),
                 stamp: self.pass.processor.plan.geometry.stamp,
                 ..Params::default()

@@ -70,14 +70,12 @@ impl<T: ConvReal> Plan<T> {
             for (x, columns) in self.tiling.columns.iter().enumerate() {
                 let kernels = self.block(x, y).kernel_count() as u64;
                 memory += kernels * plane;
-                for (&(_, height), &(_, width)) in rows
-                    .tiles
-                    .iter()
-                    .flat_map(|row| columns.tiles.iter().map(move |tile| (row, tile)))
-                {
-                    let of_tile = of_tile(kernels, (width, height));
-                    bus += of_tile.0;
-                    memory += of_tile.1;
+                for &(_, height) in &rows.tiles {
+                    for &(_, width) in &columns.tiles {
+                        let of_tile = of_tile(kernels, (width, height));
+                        bus += of_tile.0;
+                        memory += of_tile.1;
+                    }
                 }
             }
         }
@@ -96,12 +94,6 @@ impl<T: ConvReal> Plan<T> {
         let (nx, ny) = self.tiling.size;
         (size_of::<T>() == size_of::<f32>() && adapter.can_transform(nx, ny))
             .then(|| self.gpu_work().seconds(adapter.kind))
-    }
-
-    /// Returns whether the plan keeps a block's coefficients and stamps.
-    pub(crate) fn keeps(&self, (column, row): (usize, usize)) -> bool {
-        let block = self.block(column, row);
-        block.table.is_some() && block.stamps.is_some()
     }
 }
 
