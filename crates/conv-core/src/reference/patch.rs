@@ -42,15 +42,10 @@ impl PatchConvolution {
     /// multiple of `size` pixels from there, in both directions. Returns the first pixel and the
     /// number of pixels of each part.
     fn cut(self, origin: usize, length: usize) -> Vec<(usize, usize)> {
-        let first_cut = origin % self.size;
-        let cuts = (first_cut..length).step_by(self.size);
-        let starts: Vec<usize> = (first_cut > 0).then_some(0).into_iter().chain(cuts).collect();
-        let ends = starts.iter().skip(1).copied().chain([length]);
-        starts
-            .iter()
-            .zip(ends)
-            .map(|(&start, end)| (start, end - start))
-            .collect()
+        let inner = (origin % self.size..length).step_by(self.size);
+        let mut cuts: Vec<usize> = [0].into_iter().chain(inner).chain([length]).collect();
+        cuts.dedup();
+        cuts.windows(2).map(|cut| (cut[0], cut[1] - cut[0])).collect()
     }
 }
 
@@ -77,8 +72,7 @@ impl<T: ConvReal> ConvolutionMethod<T> for PatchConvolution {
             reach,
             fft: RealFft2::<T>::at_least(patch + height - 1, patch + width - 1, progress),
             light: light.view(),
-            field: view.field_region(),
-            frame: view.frame,
+            view,
         };
         // The region that is divided into patches, and the frame's first pixel in it. This region
         // is the frame if each output pixel has its own PSF, otherwise all light.
@@ -110,8 +104,7 @@ struct Work<'a, T: ConvReal> {
     reach: Reach,
     fft: RealFft2<'a, T>,
     light: ArrayView2<'a, T>,
-    field: PixelRegion,
-    frame: PixelRegion,
+    view: View,
 }
 
 impl<T: ConvReal> Work<'_, T> {
@@ -145,8 +138,8 @@ impl<T: ConvReal> Work<'_, T> {
         spectrum *= &kernel;
         let shape = (to.shape().ny(), to.shape().nx());
         Ok(Some(Piece {
-            first_column: to.x0() - self.frame.x0(),
-            first_row: to.y0() - self.frame.y0(),
+            first_column: to.x0() - self.view.frame.x0(),
+            first_row: to.y0() - self.view.frame.y0(),
             values: self
                 .fft
                 .inverse(&mut spectrum, in_plane(to.x0(), to.y0()), shape)?,
@@ -155,7 +148,7 @@ impl<T: ConvReal> Work<'_, T> {
 
     /// The field position of the centre of a patch.
     fn centre(&self, patch: PixelRegion) -> Position {
-        let field = patch.shifted(self.field.x0(), self.field.y0());
+        let field = patch.shifted(-self.view.frame.x0(), -self.view.frame.y0());
         let (nx, ny) = (patch.shape().nx(), patch.shape().ny());
         field.position(0, 0).midpoint(field.position(nx - 1, ny - 1))
     }
