@@ -1,6 +1,6 @@
 //! The light at the edges of stamps, and how far beyond its stamp an interpolated PSF is needed.
 
-use ndarray::{Array2, ArrayView2, ArrayView3, Axis, s};
+use ndarray::{Array1, Array2, ArrayView1, ArrayView2, ArrayView3, Axis, s};
 use psf_types::{PsfModel, StampGrid};
 
 use super::kernel::{Kernel, MOST_REACH, POLE};
@@ -36,37 +36,29 @@ pub fn edge_reach(
     let Some(weights) = weights else {
         let reaches = stamps.outer_iter().map(|stamp| {
             let lines = edges(stamp);
-            reach(kernel, lines.light(), lines.flux, grid.oversampling())
+            reach(kernel, light(lines.lines.view()), lines.flux, grid.oversampling())
         });
         return reaches.max().unwrap_or(0);
     };
     let all: Vec<EdgeLines> = stamps.outer_iter().map(edges).collect();
     let mean = mean.map(edges);
-    let length = all
-        .iter()
-        .chain(&mean)
-        .map(|e| e.lines.ncols())
-        .max()
-        .unwrap_or(0);
-    let mut flat = Array2::zeros((all.len(), 2 * length));
+    let length = all.first().map_or(0, |edges| edges.lines.len());
+    let mut flat = Array2::zeros((all.len(), length));
     for (mut row, edges) in flat.outer_iter_mut().zip(&all) {
-        row.slice_mut(s![..length]).assign(&edges.lines.row(0));
-        row.slice_mut(s![length..]).assign(&edges.lines.row(1));
+        row.assign(&edges.lines);
     }
-    let (of_mean, flux_of_mean) = mean.map_or(([0.0; 2], 0.0), |m| (m.light(), m.flux));
+    let (of_mean, flux_of_mean) = mean.map_or(([0.0; 2], 0.0), |m| (light(m.lines.view()), m.flux));
     let step = weights.nrows().div_ceil(MOST_PSFS).max(1);
-    let (mut light, mut flux) = (of_mean, flux_of_mean.abs());
+    let (mut brightest, mut flux) = (of_mean, flux_of_mean.abs());
     for some in weights.slice(s![..;step, ..]).axis_chunks_iter(Axis(0), 64) {
         for (psf, weights) in some.dot(&flat).outer_iter().zip(some.outer_iter()) {
-            for (i, light) in light.iter_mut().enumerate() {
-                let sum: f64 = psf.iter().skip(i * length).take(length).map(|v| v.abs()).sum();
-                *light = light.max(of_mean[i] + sum);
-            }
+            let sums = light(psf);
+            brightest = [0, 1].map(|i| brightest[i].max(of_mean[i] + sums[i]));
             let sum: f64 = weights.iter().zip(&all).map(|(w, e)| w * e.flux).sum();
             flux = flux.max((flux_of_mean + sum).abs());
         }
     }
-    reach(kernel, light, flux, grid.oversampling())
+    reach(kernel, brightest, flux, grid.oversampling())
 }
 
 /// The [`edge_reach`] of a model's PSFs.
@@ -80,9 +72,9 @@ pub fn edge_reach_of(model: &PsfModel) -> usize {
 
 /// The lines of a stamp that determine the light beyond its edges.
 struct EdgeLines {
-    /// Two rows, each for all four sides. For a spline: the outermost pixels, and the coefficients
+    /// Two halves, each for all four sides. For a spline: the outermost pixels, and the coefficients
     /// at the outermost pixels. For a Lanczos kernel: the three outermost lines of pixels, and 0.
-    lines: Array2<f64>,
+    lines: Array1<f64>,
     /// The sum over the stamp.
     flux: f64,
 }
@@ -107,18 +99,18 @@ impl EdgeLines {
             }
         }
         coefficients.resize(pixels.len(), 0.0);
-        let mut lines = Array2::zeros((2, pixels.len()));
-        lines.row_mut(0).assign(&ndarray::aview1(&pixels));
-        lines.row_mut(1).assign(&ndarray::aview1(&coefficients));
+        pixels.extend(coefficients);
         Self {
-            lines,
+            lines: pixels.into(),
             flux: stamp.sum(),
         }
     }
+}
 
-    fn light(&self) -> [f64; 2] {
-        [0, 1].map(|row| self.lines.row(row).iter().map(|v| v.abs()).sum())
-    }
+/// The sums of the absolute values of both halves of [`EdgeLines::lines`].
+fn light(lines: ArrayView1<'_, f64>) -> [f64; 2] {
+    let (pixels, coefficients) = lines.split_at(Axis(0), lines.len() / 2);
+    [pixels, coefficients].map(|half| half.iter().map(|v| v.abs()).sum())
 }
 
 /// The largest absolute value of a spline less than a pixel beyond the outermost pixel, where the

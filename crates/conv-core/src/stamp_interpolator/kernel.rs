@@ -126,13 +126,6 @@ impl Kernel {
         let index = usize::try_from(index + margin as i64).ok();
         index.filter(|&i| i < length + 2 * margin)
     }
-
-    /// The pixel at or below a coordinate, and the fraction of a pixel from there to the
-    /// coordinate.
-    pub(crate) fn split(self, t: f64, length: usize) -> (i64, f64) {
-        let t = t.clamp(-self.reach(), (length - 1) as f64 + self.reach());
-        (t.floor() as i64, t - t.floor())
-    }
 }
 
 /// Converts values to the coefficients of their cubic B-spline, in place. The line starts and ends
@@ -213,9 +206,9 @@ impl Taps {
         if !kernel.domain(length).contains(&t) {
             return;
         }
-        let (pixel, u) = kernel.split(t, length);
-        let first = pixel + kernel.first_tap();
-        let weights = kernel.weights(u);
+        let t = t.clamp(-kernel.reach(), (length - 1) as f64 + kernel.reach());
+        let first = t.floor() as i64 + kernel.first_tap();
+        let weights = kernel.weights(t - t.floor());
         for (tap, weight) in weights.iter().take(kernel.tap_count()).enumerate() {
             if let Some(index) = kernel.index(first + tap as i64, length) {
                 self.taps.push((index, weight * scale));

@@ -93,7 +93,7 @@ impl<T: ConvReal> DrawGroups<'_, T> {
         };
         vectorized!(
             simd,
-            match self.axes[0].tap_count() {
+            match self.axes[0].kernel.tap_count() {
                 4 => self.draw::<S, 4>(simd, group, &mut tile),
                 _ => self.draw::<S, MOST_TAPS>(simd, group, &mut tile),
             }

@@ -76,10 +76,6 @@ impl PhasedAxis {
         ])
     }
 
-    pub(super) fn tap_count(&self) -> usize {
-        self.kernel.tap_count()
-    }
-
     /// The index in the stamp of a coefficient. `kept` is its number, counted from the first
     /// coefficient kept. `None` if the coefficient is zero.
     pub(super) fn index(&self, kept: usize) -> Option<usize> {

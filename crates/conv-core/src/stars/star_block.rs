@@ -52,7 +52,7 @@ pub(super) const CHUNK: usize = 16;
 
 impl RowLayout {
     pub(super) fn new(columns: &PhasedAxis) -> Self {
-        let (s, taps) = (columns.oversampling, columns.tap_count());
+        let (s, taps) = (columns.oversampling, columns.kernel.tap_count());
         let pixels = columns.kept.div_ceil(s).next_multiple_of(CHUNK);
         let is_shared = s < taps;
         // Without sharing, the first tap is at residue `s` at most.

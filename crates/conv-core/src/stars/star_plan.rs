@@ -286,7 +286,7 @@ impl<T: ConvReal> StarPlan<T> {
         let block = phased.blocks.get(key, make, StarBlock::bytes);
         let mut vectors = StarVectors::new(&self.model, &phased.space);
         let mut coefficients = Vec::with_capacity(block.modes.kernel_count());
-        let taps = phased.axes[1].tap_count();
+        let taps = phased.axes[1].kernel.tap_count();
         let mut weights = Vec::with_capacity(stars.len() * taps * block.modes.kernel_count());
         let (mut prepared, mut missed) = (Vec::with_capacity(stars.len()), Vec::new());
         for (number, &StarKey { index, .. }) in stars.iter().enumerate() {
