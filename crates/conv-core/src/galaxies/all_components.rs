@@ -192,7 +192,7 @@ impl<T: ConvReal> GalaxyPlan<T> {
         let transformed = |directions: Array2<f64>, largest: &[f64]| {
             let accuracy = self.extent.accuracy();
             let kernels = Kernels::new(stamps, directions, largest, psf, accuracy);
-            let outline = kernels.outline_of(light);
+            let outline = kernels.power.outline(light);
             let spectra = stamps.spectra_of(&kernels, side, stamps.band_number(outline.radius()));
             (spectra, outline)
         };

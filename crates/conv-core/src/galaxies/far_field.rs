@@ -67,16 +67,6 @@ impl FarLight {
         first_row: usize,
         values: &mut Array2<T>,
     ) {
-        let repeated = self.repeated(weights);
-        let values = values.as_slice_mut().expect("row-major");
-        for (value, &repeated) in values.iter_mut().zip(&repeated[first_row * self.window.2..]) {
-            *value -= repeated;
-        }
-    }
-
-    /// The light that an image with the period of the window brings to the window from outside, for
-    /// every pixel, rows first. `weights` are those of the window.
-    fn repeated<T: ConvReal>(&self, weights: &BlockWeights<T>) -> Vec<T> {
         let (x0, y0, side) = self.window;
         let period = side as f64;
         let most = (self.reach / period + 0.5).floor().min(MOST_PERIODS) as i64;
@@ -97,7 +87,11 @@ impl FarLight {
                 }
             }
         }
-        square.into_values()
+        let repeated = square.into_values();
+        let values = values.as_slice_mut().expect("row-major");
+        for (value, &repeated) in values.iter_mut().zip(&repeated[first_row * side..]) {
+            *value -= repeated;
+        }
     }
 
     /// Whether the square of `size` pixels around a point contains light.

@@ -200,7 +200,7 @@ impl<T: ConvReal> GalaxyPlan<T> {
                 let block = block_of((x.round() as i64, y.round() as i64), BLOCK);
                 let outline = match self.options.anchor() {
                     Anchor::Output => Outline::default(),
-                    _ => self.block(block).kernels.outline_of(light.as_ref()),
+                    _ => self.block(block).kernels.power.outline(light.as_ref()),
                 };
                 let key = (side, self.stamps().band_number(outline.radius()), block);
                 Ok(Some(Placed {
@@ -305,10 +305,13 @@ impl<T: ConvReal> GalaxyPlan<T> {
         Ok((pieces, far))
     }
 
+    /// The block of some galaxies, and its transformed stamps. They are kept for later galaxies
+    /// within the limit of the memory.
     fn local(&self, key: GroupKey) -> Local<T> {
         let block = self.block(key.2);
+        let make = || self.stamps().spectra_of(&block.kernels, key.0, key.1);
         Local {
-            spectra: self.spectra(key, &block.kernels),
+            spectra: self.spectra.get(key, make, Spectra::bytes),
             block,
         }
     }
@@ -361,13 +364,6 @@ impl<T: ConvReal> GalaxyPlan<T> {
             Block { modes, kernels }
         };
         self.blocks.get(key, make, |_| 0)
-    }
-
-    /// The transformed stamps of a block. They are kept for later galaxies within the limit of the
-    /// memory.
-    fn spectra(&self, key: GroupKey, kernels: &Kernels) -> Arc<Spectra<T>> {
-        let make = || self.stamps().spectra_of(kernels, key.0, key.1);
-        self.spectra.get(key, make, Spectra::bytes)
     }
 
     /// The light of a galaxy outside its window, up to the distance `reach`. `None` if the values of

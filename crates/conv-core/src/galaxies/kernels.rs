@@ -4,10 +4,10 @@ use std::f64::consts::PI;
 use std::sync::Arc;
 
 use ndarray::{Array2, ArrayView1, ArrayView2, Axis};
-use psf_types::{LightProfile, StampGrid};
+use psf_types::StampGrid;
 use rustfft::num_complex::Complex64;
 
-use super::power_spectrum::{CopiesOfPower, Outline, PowerSpectrum};
+use super::power_spectrum::{CopiesOfPower, PowerSpectrum};
 use super::spectrum::{Wavenumbers, discrete_transform, has_copies, nearest, spectrum};
 use super::window::Spectra;
 use crate::ConvReal;
@@ -64,7 +64,7 @@ pub(super) struct Kernels {
     /// `[PSF, stamp]`.
     directions: Array2<f64>,
     moments: Vec<Moments>,
-    power: PowerSpectrum,
+    pub(super) power: PowerSpectrum,
 }
 
 /// Moments of a stamp about its centre, in frame pixels: flux, x, y, xx, xy, yy.
@@ -176,12 +176,6 @@ impl Kernels {
             power: PowerSpectrum::new(&stamps.copies, &limit, &typical, accuracy),
             directions,
         }
-    }
-
-    /// The outline of a galaxy: the light of its image at wavenumbers beyond is at most the accuracy
-    /// times the image, in the L2 norm.
-    pub(super) fn outline_of(&self, light: &dyn LightProfile) -> Outline {
-        self.power.outline(light)
     }
 
     /// The moments of a PSF.

@@ -200,11 +200,8 @@ pub(super) fn discrete_transform(
     for (row, values) in stamp.outer_iter().enumerate() {
         let values = values.iter().map(|&v| Complex64::new(v, 0.0));
         let line = along_x.transform(values, &mut work);
-        columns
-            .column_mut(row)
-            .iter_mut()
-            .zip(line)
-            .for_each(|(to, v)| *to = v);
+        let to = columns.column_mut(row);
+        to.into_iter().zip(line).for_each(|(to, v)| *to = v);
     }
     let mut planes = Array2::zeros((radius + 1, 2 * radius + 1));
     let area = 1.0 / (s * s);

@@ -89,29 +89,24 @@ impl<T: ConvReal> WindowDrawer<T> {
     pub(super) fn draw(&mut self, galaxy: &Drawn<'_, T>, rows: std::ops::Range<usize>) -> Array2<T> {
         let columns = self.fold(galaxy);
         let (side, half) = (self.side, self.side / 2 + 1);
-        let Self {
-            folded,
-            scratch,
-            lines,
-            ..
-        } = self;
         self.along_y
-            .process_with_scratch(&mut folded[..columns * side], scratch);
+            .process_with_scratch(&mut self.folded[..columns * side], &mut self.scratch);
         let mut values = Array2::zeros((rows.len(), side));
         let mut each_row = values.as_slice_mut().expect("row-major").chunks_exact_mut(side);
         for first in rows.clone().step_by(ROWS_AT_ONCE) {
             let count = ROWS_AT_ONCE.min(rows.end - first);
-            for (kx, column) in folded.chunks_exact(side).enumerate() {
+            for (kx, column) in self.folded.chunks_exact(side).enumerate() {
                 for (line, &value) in column[first..first + count].iter().enumerate() {
-                    lines[line * half + kx] = value;
+                    self.lines[line * half + kx] = value;
                 }
             }
-            for (line, values) in lines.chunks_exact_mut(half).zip(each_row.by_ref().take(count)) {
+            let lines = self.lines.chunks_exact_mut(half);
+            for (line, values) in lines.zip(each_row.by_ref().take(count)) {
                 // The first and the last value of a real line's transform are real.
                 line[0].im = T::zero();
                 line[half - 1].im = T::zero();
                 self.along_x
-                    .process_with_scratch(line, values, scratch)
+                    .process_with_scratch(line, values, &mut self.scratch)
                     .expect("the lengths of the plan");
             }
         }
