@@ -138,11 +138,11 @@ impl Adapter {
 /// }
 /// ```
 pub fn adapters() -> Vec<Adapter> {
-    open_adapters().into_iter().map(|(_, adapter)| adapter).collect()
+    open_adapters().into_iter().map(|(adapter, _)| adapter).collect()
 }
 
 /// Adapters with their handles, the preferred one first.
-fn open_adapters() -> Vec<(wgpu::Adapter, Adapter)> {
+fn open_adapters() -> Vec<(Adapter, wgpu::Adapter)> {
     let mut adapters = adapters_of(wgpu::Backends::PRIMARY);
     // OpenGL is used only if no other interface finds an adapter. Its limits are lower, and its
     // libraries print warnings on machines without a screen.
@@ -150,14 +150,14 @@ fn open_adapters() -> Vec<(wgpu::Adapter, Adapter)> {
         adapters = adapters_of(wgpu::Backends::GL);
     }
     // The sort is stable, so adapters of one kind keep the order of the system's list.
-    adapters.sort_by_key(|(_, adapter)| adapter.kind);
+    adapters.sort_by_key(|(adapter, _)| adapter.kind);
     adapters
 }
 
 /// The most storage buffers that a shader uses.
 const BUFFERS: u32 = 6;
 
-fn adapters_of(backends: wgpu::Backends) -> Vec<(wgpu::Adapter, Adapter)> {
+fn adapters_of(backends: wgpu::Backends) -> Vec<(Adapter, wgpu::Adapter)> {
     let instance = wgpu::Instance::new(wgpu::InstanceDescriptor {
         backends,
         ..wgpu::InstanceDescriptor::new_without_display_handle()
@@ -168,25 +168,21 @@ fn adapters_of(backends: wgpu::Backends) -> Vec<(wgpu::Adapter, Adapter)> {
         can.contains(wgpu::DownlevelFlags::COMPUTE_SHADERS)
             && adapter.limits().max_storage_buffers_per_shader_stage >= BUFFERS
     });
-    able.map(|adapter| {
-        let described = Adapter::of(&adapter);
-        (adapter, described)
-    })
-    .collect()
+    able.map(|adapter| (Adapter::of(&adapter), adapter)).collect()
 }
 
 /// Returns the preferred adapter. If `name` is given, returns the first adapter that matches it. If
 /// there is no such adapter, the error names all adapters.
-pub(super) fn choose(name: Option<&str>) -> Result<(wgpu::Adapter, Adapter), GpuError> {
+pub(super) fn choose(name: Option<&str>) -> Result<(Adapter, wgpu::Adapter), GpuError> {
     let mut adapters = open_adapters();
     let wanted = adapters
         .iter()
-        .position(|(_, adapter)| name.is_none_or(|name| adapter.answers_to(name)));
+        .position(|(adapter, _)| name.is_none_or(|name| adapter.answers_to(name)));
     match (wanted, name) {
         (Some(index), _) => Ok(adapters.swap_remove(index)),
         (None, Some(name)) if !adapters.is_empty() => Err(GpuError::NoSuchAdapter {
             wanted: name.to_owned(),
-            present: adapters.into_iter().map(|(_, adapter)| adapter.name).collect(),
+            present: adapters.into_iter().map(|(adapter, _)| adapter.name).collect(),
         }),
         _ => Err(GpuError::NoAdapter),
     }

@@ -67,7 +67,7 @@ impl GpuDevice {
     /// [`GpuError`] if there is no GPU, if no GPU matches the name, or if the driver cannot open
     /// the GPU.
     pub fn new(name: Option<&str>) -> Result<Self, GpuError> {
-        let (handle, adapter) = choose(name)?;
+        let (adapter, handle) = choose(name)?;
         let descriptor = wgpu::DeviceDescriptor {
             label: Some("psfield"),
             required_features: handle.features() & TIMESTAMPS,
@@ -111,9 +111,13 @@ impl GpuDevice {
     /// Tells the driver to close the GPU. Any later use returns [`GpuError::Lost`].
     pub fn close(&self) {
         self.0.device.destroy();
-        locked(&self.0.trouble)
-            .lost
-            .get_or_insert_with(|| "it was closed".to_owned());
+        self.lose("it was closed");
+    }
+
+    /// Marks the GPU as lost. A reason that is already known stays.
+    fn lose(&self, reason: &str) {
+        let lost = &mut locked(&self.0.trouble).lost;
+        lost.get_or_insert_with(|| reason.to_owned());
     }
 
     pub(super) fn device(&self) -> &wgpu::Device {
@@ -161,11 +165,7 @@ impl Attempt {
             })
         }));
         let Ok(waited) = waited else {
-            let mut trouble = locked(&self.device.0.trouble);
-            trouble
-                .lost
-                .get_or_insert_with(|| "it no longer responds".to_owned());
-            drop(trouble);
+            self.device.lose("it no longer responds");
             return self.check();
         };
         self.check()?;

@@ -214,25 +214,16 @@ impl<T: ConvReal> Examination<'_, '_, T> {
             .iter()
             .map(|&(row, column, _)| [row as i32 - skip.1 as i32, column as i32 - skip.0 as i32])
             .collect();
+        let drawn = treatment.drawn.iter();
         let amounts = match self.pass.direction() {
-            Direction::Gather => treatment
-                .drawn
-                .iter()
-                .map(|(_, _, value)| value.as_f64() as f32)
+            Direction::Gather => drawn.map(|(_, _, value)| value.as_f64() as f32).collect(),
+            Direction::Scatter => drawn
+                .flat_map(|&(row, column, value)| {
+                    let here = kernels.table().pixel(corner.1 + row, corner.0 + column);
+                    let weigh = move |kernel| here.weigh(kernel, value).as_f64() as f32;
+                    part.kernels.clone().map(weigh)
+                })
                 .collect(),
-            Direction::Scatter => {
-                let table = kernels.table();
-                let pairs = treatment
-                    .drawn
-                    .iter()
-                    .flat_map(|pixel| part.kernels.clone().map(move |kernel| (pixel, kernel)));
-                pairs
-                    .map(|(&(row, column, value), kernel)| {
-                        let here = table.pixel(corner.1 + row, corner.0 + column);
-                        here.weigh(kernel, value).as_f64() as f32
-                    })
-                    .collect()
-            }
         };
         DrawnTile {
             draw: Draw {
