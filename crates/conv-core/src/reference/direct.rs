@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use ndarray::{Array2, ArrayView2, ArrayView3, s};
+use ndarray::{Array2, ArrayView2, s};
 use psf_types::{Anchor, FrameShape, Image, ImageView, PixelRegion, Progress, PsfModel, StampGrid};
 use rayon::prelude::*;
 
@@ -136,8 +136,8 @@ fn psfs(model: &PsfModel, field: PixelRegion, pixels: &[(usize, usize)]) -> Resu
     for (&(x, y), mut row) in pixels.iter().zip(coefficients.outer_iter_mut()) {
         model.scaled_coefficients_into(field.position(x, y), row.as_slice_mut().expect("row-major"))?;
     }
-    let stamps: ArrayView3<'_, f64> = model.stamps();
-    let flat = stamps
+    let flat = model
+        .stamps()
         .into_shape_with_order((count, model.grid().pixel_count()))
         .expect("row-major");
     Ok(coefficients.dot(&flat))

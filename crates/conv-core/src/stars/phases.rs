@@ -82,12 +82,6 @@ impl PhasedAxis {
         self.kernel.index(kept as i64 + self.first, self.length)
     }
 
-    /// The number of the first coefficient that a star's own pixel uses. Stars with equal numbers
-    /// use the same coefficients along this axis.
-    pub(super) fn phase_number(&self, shift: f64) -> i64 {
-        self.first_of(self.at(shift))
-    }
-
     /// The coordinate in the stamp of the centre of a star's own pixel.
     fn at(&self, shift: f64) -> f64 {
         let at = self.centre - self.oversampling as f64 * shift;
@@ -185,12 +179,11 @@ impl Star {
         self.flux != 0.0 && shared(self.lit(window), region).is_some()
     }
 
-    /// The star's [phase numbers](PhasedAxis::phase_number): in y (rows), then in x (columns).
+    /// The numbers of the first coefficients that the star's own pixel uses: in y (rows), then in x
+    /// (columns). Stars with equal numbers use the same coefficients.
     pub(super) fn phase_numbers(&self, [columns, rows]: &[PhasedAxis; 2]) -> (i64, i64) {
-        (
-            rows.phase_number(self.shift.1),
-            columns.phase_number(self.shift.0),
-        )
+        let number = |axis: &PhasedAxis, shift: f64| axis.first_of(axis.at(shift));
+        (number(rows, self.shift.1), number(columns, self.shift.0))
     }
 
     /// The star's phases: in x (columns), then in y (rows). `None` if the star lights no pixel.

@@ -72,11 +72,6 @@ impl<T: ConvReal> TileTransform<T> {
         self.along_y_len(self.nx)
     }
 
-    /// The number of complex vectors from one group of a spectrum to the next.
-    fn group(&self) -> usize {
-        group(self.nx)
-    }
-
     /// The number of values of working memory for a transform: one column or one group of vectors,
     /// large enough for any instruction set.
     pub fn column_len(&self) -> usize {
@@ -103,7 +98,7 @@ impl<T: ConvReal> TileTransform<T> {
     ) {
         self.forward_along_y(simd, plane, (rows, columns), spectrum, self.nx, column);
         let spectrum: &mut [Pair<S::V>] = cast_slice_mut(&mut spectrum[..self.spectrum_len()]);
-        for group in spectrum.chunks_exact_mut(self.group()) {
+        for group in spectrum.chunks_exact_mut(group(self.nx)) {
             self.across(simd, group, columns);
         }
     }
@@ -132,10 +127,10 @@ impl<T: ConvReal> TileTransform<T> {
         let n = self.nx;
         let spectrum: &mut [Pair<S::V>] = cast_slice_mut(&mut spectrum[..self.spectrum_len()]);
         let sum: &mut [Pair<S::V>] = cast_slice_mut(&mut sum[..self.spectrum_len()]);
-        let others = cast_slice(factor).chunks_exact(only_y.map_or(self.group(), group));
+        let others = cast_slice(factor).chunks_exact(group(only_y.unwrap_or(self.nx)));
         let other: &mut [Pair<S::V>] = &mut cast_slice_mut(column)[..n];
-        let groups = spectrum.chunks_exact_mut(self.group()).zip(others);
-        for ((group, factor), sum) in groups.zip(sum.chunks_exact_mut(self.group())) {
+        let groups = spectrum.chunks_exact_mut(group(self.nx)).zip(others);
+        for ((group, factor), sum) in groups.zip(sum.chunks_exact_mut(group(self.nx))) {
             self.across(simd, group, columns);
             let factor: &[Pair<S::V>] = match only_y {
                 None => &factor[..n],
@@ -220,11 +215,11 @@ impl<T: ConvReal> TileTransform<T> {
         let half = self.ny / 2;
         let spectrum: &mut [Pair<S::V>] = cast_slice_mut(&mut spectrum[..self.spectrum_len()]);
         let column: &mut [Pair<S::V>] = &mut cast_slice_mut(column)[..half];
-        for group in spectrum.chunks_exact_mut(self.group()) {
+        for group in spectrum.chunks_exact_mut(group(self.nx)) {
             self.across.inverse_of_swapped(simd, &mut group[..self.nx]);
         }
         for block in 0..columns.div_ceil(S::LANES) {
-            let groups = spectrum.chunks_exact(self.group());
+            let groups = spectrum.chunks_exact(group(self.nx));
             for (into, group) in column.chunks_exact_mut(S::LANES).zip(groups) {
                 simd.transpose(&group[block * S::LANES..(block + 1) * S::LANES], into);
             }
