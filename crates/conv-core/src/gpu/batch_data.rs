@@ -176,7 +176,7 @@ impl BatchData {
 fn words_of<T: ConvReal>(plan: &Plan<T>, part: &Part) -> (Vec<u32>, Vec<u32>) {
     let kernels = BlockKernels::new(plan, part.block);
     let (table, stamps) = (kernels.table(), kernels.stamps());
-    let size = plan.geometry.stamp.0 * plan.geometry.stamp.1;
+    let size = plan.geometry.stamp_values();
     let stamps = &stamps[part.kernels.start * size..part.kernels.end * size];
     (table.packed(part.kernels.clone()), cast_slice(stamps).to_vec())
 }
@@ -199,7 +199,10 @@ impl<T: ConvReal> CoefficientTable<T> {
     ///
     /// The arrays follow the header. The indices count from the table's first word.
     pub(crate) fn packed(&self, kernels: Range<usize>) -> Vec<u32> {
-        let functions = self.functions_of(kernels.clone());
+        // If there is a divisor, it is the first of the functions.
+        let divisor = self.role.divides().then_some(0).into_iter();
+        let of_kernels = kernels.clone().filter_map(|kernel| self.role.function_of(kernel));
+        let functions: Vec<usize> = divisor.chain(of_kernels).collect();
         let plain = kernels
             .filter(|&kernel| self.role.function_of(kernel).is_none())
             .count();
@@ -228,14 +231,5 @@ impl<T: ConvReal> CoefficientTable<T> {
         ];
         let words = header.map(|word| word as u32).into_iter();
         words.chain(row_starts).chain(runs).chain(values).collect()
-    }
-
-    /// The functions that some kernels need. If there is a divisor, it is the first.
-    fn functions_of(&self, kernels: Range<usize>) -> Vec<usize> {
-        let divisor = self.role.divides().then_some(0);
-        divisor
-            .into_iter()
-            .chain(kernels.filter_map(|kernel| self.role.function_of(kernel)))
-            .collect()
     }
 }

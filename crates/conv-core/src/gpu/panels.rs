@@ -124,13 +124,13 @@ pub(super) fn panels<T: ConvReal>(
         adapter,
         piece,
     };
-    let [columns, rows] = [0, 1].map(|axis| {
+    let [column_extents, row_extents] = [0, 1].map(|axis| {
         let extents = (0..packing.tiles[axis].len()).map(|tile| packing.extent(axis, tile..tile + 1));
         extents.map(|e| (e.start, e.end)).collect::<Vec<_>>()
     });
-    packing.colours = [colours(&columns), colours(&rows)];
-    let tallest = rows.iter().map(|(start, end)| end - start).max();
-    let columns = packing.groups(0, 0..columns.len(), tallest.unwrap_or(1))?;
+    packing.colours = [colours(&column_extents), colours(&row_extents)];
+    let tallest = row_extents.iter().map(|(start, end)| end - start).max();
+    let columns = packing.groups(0, 0..column_extents.len(), tallest.unwrap_or(1))?;
     let widths = columns.iter().map(|group| packing.extent(0, group.clone()).len());
     let widest = widths.max().unwrap_or(1);
     let band = plan.tiling.band();
