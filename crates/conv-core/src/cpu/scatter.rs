@@ -24,7 +24,7 @@ pub(crate) struct Scatter<'j, 'o, T: ConvReal> {
 }
 
 /// A block (column and row), its part of the output, and the part's first column and row on the
-/// other side.
+/// output's side.
 pub(super) struct Task<'a, T> {
     pub(super) block: (usize, usize),
     pub(super) output: ArrayViewMut2<'a, T>,
@@ -67,8 +67,8 @@ impl<T: ConvReal> WithIsa<T> for Scatter<'_, '_, T> {
 }
 
 /// Executes the blocks at some columns and rows in parallel, each with its part of the output. A
-/// column or row is given by its number, and by the first pixel and the end of its range on the other
-/// side. The ranges do not overlap.
+/// column or row is given by its number, and by the first pixel and the end of its range on the
+/// output's side. The ranges do not overlap.
 pub(super) fn together<T: ConvReal>(
     pass: &LightPass<'_, T>,
     output: ArrayViewMut2<'_, T>,

@@ -305,7 +305,7 @@ impl<T: ConvReal> GalaxyPlan<T> {
         Ok((pieces, far))
     }
 
-    /// The block of some galaxies, and its transformed stamps. They are kept for later galaxies
+    /// The block of some galaxies, and its transformed stamps, which are kept for later galaxies
     /// within the limit of the memory.
     fn local(&self, key: GroupKey) -> Local<T> {
         let block = self.block(key.2);

@@ -90,8 +90,8 @@ impl Layout {
             bytes: 0,
         };
         for batch in layout.panels.iter_mut().flat_map(|panel| &mut panel.batches) {
-            // The spectra are the largest part of the data. If they alone do not fit, the data
-            // of this batch and of later batches are not computed.
+            // The spectra are the largest part of the data. If they alone do not fit, the data of
+            // this batch and of later batches are not computed.
             if layout.bytes + batch.spectra as u64 * plane_bytes > options.memory_bytes {
                 break;
             }

@@ -72,8 +72,9 @@ pub fn edge_reach_of(model: &PsfModel) -> usize {
 
 /// The lines of a stamp that determine the light beyond its edges.
 struct EdgeLines {
-    /// Two halves, each for all four sides. For a spline: the outermost pixels, and the coefficients
-    /// at the outermost pixels. For a Lanczos kernel: the three outermost lines of pixels, and 0.
+    /// Two halves, each for all four sides. For a spline: the outermost pixels, and the
+    /// coefficients at the outermost pixels. For a Lanczos kernel: the three outermost lines of
+    /// pixels, and 0.
     lines: Array1<f64>,
     /// The sum over the stamp.
     flux: f64,
