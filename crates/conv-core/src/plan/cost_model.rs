@@ -18,7 +18,7 @@ pub(crate) struct CostModel {
 /// the L2 cache.
 const TRANSFORM: f64 = 17e-12;
 /// Like [`TRANSFORM`], for planes of up to 300 000 values, which do not stay in the L2 cache.
-const TRANSFORM_LARGE: f64 = 21e-12;
+const TRANSFORM_LARGE: f64 = 20e-12;
 /// Like [`TRANSFORM`], for still larger planes.
 const TRANSFORM_HUGE: f64 = 24e-12;
 /// A complex multiply-add, per value of the plane.

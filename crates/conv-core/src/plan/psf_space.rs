@@ -244,13 +244,15 @@ impl PsfSpace {
         let values = self.model.field().node_values();
         let mut rows = Array2::zeros((cells.nodes.len() + 1, self.mean.len()));
         let (mut nodes, mut offset) = rows.view_mut().split_at(Axis(0), cells.nodes.len());
+        let sums_to_1 = cells.is_partition_of_unity();
         for (mut row, &node) in nodes.outer_iter_mut().zip(&cells.nodes) {
-            row.slice_mut(s![self.first_component()..])
-                .assign(&values.row(node));
+            if sums_to_1 {
+                row.assign(&self.mean);
+            }
+            let mut along_components = row.slice_mut(s![self.first_component()..]);
+            along_components += &values.row(node);
         }
-        if cells.is_partition_of_unity() {
-            nodes += &self.mean;
-        } else {
+        if !sums_to_1 {
             offset += &self.mean;
         }
         rows

@@ -25,7 +25,7 @@ pub(crate) struct Tiling {
 }
 
 /// The number of blocks whose modes are counted to predict the cost of a tiling.
-const SAMPLES: usize = 5;
+const SAMPLES: usize = 4;
 /// The fraction of the tolerance with which modes are counted. It makes up for the error of cells,
 /// and for the PSFs that are not looked at.
 const COUNTED: f64 = 0.7;
