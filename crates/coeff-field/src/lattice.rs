@@ -395,7 +395,7 @@ impl FieldWeights for Lattice {
 
     fn node_values(&self, sample_values: ArrayView2<'_, f64>) -> Result<Array2<f64>, CoeffFieldError> {
         check_rows(self.sample_count(), sample_values)?;
-        Ok(self.values.from_samples(sample_values))
+        Ok(self.values.at_nodes(sample_values))
     }
 
     fn weights_into(&self, position: Position, weights: &mut WeightList) -> Result<(), FieldError> {

@@ -41,7 +41,7 @@ pub(crate) struct Middle {
 
 impl NodeValues {
     /// The values `[node, column]` from those of the samples, `[sample, column]`.
-    pub(crate) fn from_samples(&self, samples: ArrayView2<'_, f64>) -> Array2<f64> {
+    pub(crate) fn at_nodes(&self, samples: ArrayView2<'_, f64>) -> Array2<f64> {
         let mut values = sums(&self.own, samples);
         self.centre_errors(&mut values, samples);
         let largest_error = EXACT * largest(samples);
