@@ -4,7 +4,7 @@
 use ndarray::{Array2, ArrayViewMut2, s};
 
 use super::processor::LightPass;
-use super::scatter::{Task, together};
+use super::tasks::{Task, together};
 use super::tile_engine::Workspace;
 use super::treatment::{TileCounts, TileMethod, each_tile};
 use crate::plan::axis_cuts::Stretch;

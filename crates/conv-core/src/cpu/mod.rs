@@ -7,6 +7,7 @@
 pub(crate) mod gather;
 pub(crate) mod processor;
 pub(crate) mod scatter;
+mod tasks;
 mod tile_draw;
 mod tile_engine;
 pub(crate) mod treatment;

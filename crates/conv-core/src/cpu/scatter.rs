@@ -2,12 +2,12 @@
 //! other is the image. PSFs belong to the pixels of the weighted side.
 
 use ndarray::ArrayViewMut2;
-use rayon::prelude::*;
 
 use super::processor::LightPass;
+use super::tasks::{Task, together};
 use super::tile_engine::Workspace;
 use super::treatment::{TileCounts, TileMethod, each_tile};
-use crate::overlap::{colours, split};
+use crate::overlap::colours;
 use crate::simd::{Lanes, WithIsa, vectorized};
 use crate::{ConvError, ConvReal};
 
@@ -21,14 +21,6 @@ use crate::{ConvError, ConvReal};
 pub(crate) struct Scatter<'j, 'o, T: ConvReal> {
     pub(crate) pass: LightPass<'j, T>,
     pub(crate) output: ArrayViewMut2<'o, T>,
-}
-
-/// A block (column and row), its part of the output, and the part's first column and row on the
-/// output's side.
-pub(super) struct Task<'a, T> {
-    pub(super) block: (usize, usize),
-    pub(super) output: ArrayViewMut2<'a, T>,
-    pub(super) origin: (usize, usize),
 }
 
 impl<T: ConvReal> WithIsa<T> for Scatter<'_, '_, T> {
@@ -64,48 +56,6 @@ impl<T: ConvReal> WithIsa<T> for Scatter<'_, '_, T> {
         }
         Ok(counts)
     }
-}
-
-/// Executes the blocks at some columns and rows in parallel, each with its part of the output. A
-/// column or row is given by its number, and by the first pixel and the end of its range on the
-/// output's side. The ranges do not overlap.
-pub(super) fn together<T: ConvReal>(
-    pass: &LightPass<'_, T>,
-    output: ArrayViewMut2<'_, T>,
-    columns: &[(usize, (usize, usize))],
-    rows: &[(usize, (usize, usize))],
-    execute: impl Fn(Task<'_, T>, &mut Workspace<T>) -> Result<TileCounts, ConvError> + Sync,
-) -> Result<TileCounts, ConvError> {
-    let height = output.nrows();
-    let within = |row: usize| row.saturating_sub(pass.first_output).min(height);
-    let in_output = rows.iter().map(|&(_, (start, end))| (within(start), within(end)));
-    let row_ranges: Vec<(usize, usize)> = in_output.collect();
-    let column_ranges: Vec<(usize, usize)> = columns.iter().map(|&(_, range)| range).collect();
-    let mut tasks = Vec::with_capacity(rows.len() * columns.len());
-    let parts = split(output, 0, &row_ranges);
-    for ((&(row, _), part), &(top, _)) in rows.iter().zip(parts).zip(&row_ranges) {
-        let parts = split(part, 1, &column_ranges);
-        for (&(column, (left, _)), output) in columns.iter().zip(parts) {
-            tasks.push(Task {
-                block: (column, row),
-                output,
-                origin: (left, top + pass.first_output),
-            });
-        }
-    }
-    let done: Vec<Result<TileCounts, ConvError>> = tasks
-        .into_par_iter()
-        .with_max_len(1)
-        .map(|task| {
-            pass.processor
-                .with_workspace(|workspace| execute(task, workspace))
-        })
-        .collect();
-    let mut counts = TileCounts::default();
-    for outcome in done {
-        counts += outcome?;
-    }
-    Ok(counts)
 }
 
 fn scatter_block<T: ConvReal, S: Lanes<T>>(

@@ -28,7 +28,12 @@ pub(crate) struct LeftOut {
 pub(crate) fn leave_out(rows: &mut Array2<f64>, fluxes: ArrayView1<'_, f64>, limit: f64) -> LeftOut {
     let mut largest = Array1::<f64>::zeros(rows.ncols());
     for row in rows.outer_iter() {
-        largest.zip_mut_with(&row, |most, v| *most = most.max(v.abs()));
+        largest.zip_mut_with(&row, |most, v| {
+            // NaN exceeds all numbers here, so that no direction with NaN is left out.
+            if v.abs().total_cmp(most).is_gt() {
+                *most = v.abs();
+            }
+        });
     }
     let mut square = 0.0;
     let fits = |v: &&f64| {
@@ -195,6 +200,11 @@ mod tests {
             0.1_f64.powi(j as i32) * (1.0 + ((3 * i + 5 * j) % 7) as f64)
         });
         let fluxes = Array1::from_vec(vec![0.3, -0.2, 0.5, 0.1, 0.4, 2.0]);
+        for last in [f64::NAN, f64::INFINITY] {
+            let mut rows = rows.clone();
+            rows[[1, 5]] = last;
+            assert_eq!(leave_out(&mut rows, fluxes.view(), 1e-2).directions, 6);
+        }
         for (limit, directions) in [(0.0, 6), (1e-4, 5), (1e-3, 4), (1e-2, 3), (1e-1, 2), (1e3, 6)] {
             let mut short = rows.clone();
             let left_out = leave_out(&mut short, fluxes.view(), limit);
