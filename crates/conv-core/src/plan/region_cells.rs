@@ -80,8 +80,10 @@ impl RegionCells {
     /// other rows have no cells.
     pub(crate) fn sampled(field: &dyn CoefficientField, region: PixelRegion) -> Self {
         let (nx, ny) = (region.shape().nx(), region.shape().ny());
-        let cells = field.bilinear_cells(region, ErrorLimit::ZERO);
-        let has_runs = matches!(cells, BilinearCells::Bands(_));
+        let has_runs = matches!(
+            field.bilinear_cells(region, ErrorLimit::ZERO),
+            BilinearCells::Bands(_) | BilinearCells::Rectangles(_)
+        );
         let mut all = Self::default();
         let count = SAMPLED_ROWS.min(ny);
         for i in 0..count {
