@@ -67,6 +67,8 @@ impl Default for GpuOptions {
 #[derive(Debug)]
 pub(super) struct Layout {
     pub(super) panels: Vec<Panel>,
+    /// The data of the first batches, as far as they fit into the memory limit.
+    pub(super) kept: Vec<BatchData>,
     /// The size of the kept data in bytes.
     pub(super) bytes: u64,
 }
@@ -87,9 +89,10 @@ impl Layout {
         let piece = options.piece_bytes.min(device.adapter().most_at_once());
         let mut layout = Self {
             panels: panels(plan, plan.direction(flip), plane_bytes, device.adapter(), piece)?,
+            kept: Vec::new(),
             bytes: 0,
         };
-        for batch in layout.panels.iter_mut().flat_map(|panel| &mut panel.batches) {
+        for batch in layout.panels.iter().flat_map(|panel| &panel.batches) {
             // The spectra are the largest part of the data. If they alone do not fit, the data of
             // this batch and of later batches are not computed.
             if layout.bytes + batch.spectra as u64 * plane_bytes > options.memory_bytes {
@@ -111,7 +114,7 @@ impl Layout {
                 break;
             }
             layout.bytes += data.bytes();
-            batch.kept = Some(data);
+            layout.kept.push(data);
         }
         Ok(layout)
     }

@@ -11,7 +11,6 @@
 use std::ops::Range;
 
 use super::adapter::Adapter;
-use super::batch_data::BatchData;
 use crate::ConvReal;
 use crate::error::GpuError;
 use crate::overlap::colours;
@@ -59,8 +58,8 @@ pub(super) struct Batch {
     pub(super) spectra: usize,
     /// The number of values of all stamps.
     pub(super) stamps: usize,
-    /// The data that do not depend on the light, if there is memory to keep them.
-    pub(super) kept: Option<BatchData>,
+    /// Its index among all batches of the plan.
+    pub(super) number: usize,
 }
 
 /// Some tiles and some kernels of one block.
@@ -134,7 +133,7 @@ pub(super) fn panels<T: ConvReal>(
     let widths = columns.iter().map(|group| packing.extent(0, group.clone()).len());
     let widest = widths.max().unwrap_or(1);
     let band = plan.tiling.band();
-    let mut panels = Vec::new();
+    let mut panels: Vec<Panel> = Vec::new();
     let mut first = 0;
     for of_band in packing.tiles[1].chunk_by(|a, b| a.block / band == b.block / band) {
         for rows in packing.groups(1, first..first + of_band.len(), widest)? {
@@ -143,6 +142,10 @@ pub(super) fn panels<T: ConvReal>(
             }
         }
         first += of_band.len();
+    }
+    let batches = panels.iter_mut().flat_map(|panel| &mut panel.batches);
+    for (number, batch) in batches.enumerate() {
+        batch.number = number;
     }
     Ok(panels)
 }

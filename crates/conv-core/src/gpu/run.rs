@@ -112,7 +112,7 @@ impl<'a, 'j, T: ConvReal> Run<'a, 'j, T> {
                 self.device.wait(oldest.expect("batches are in progress"))?;
             }
             let made;
-            let data = if let Some(data) = &batch.kept {
+            let data = if let Some(data) = self.layout.kept.get(batch.number) {
                 data
             } else {
                 made = BatchData::new(
