@@ -46,8 +46,8 @@ impl<T: ConvReal> TileEngine<'_, T> {
                 let mut target = output.row_mut(row as usize);
                 let target = target.as_slice_mut().expect("images are row-major");
                 let target = &mut target[start..start + (to - from)];
-                // The pixel's own sum comes first, so that an image that grows is rounded once per
-                // pixel, not once per mode.
+                // Adds up the pixel's modes first. So the image is rounded once per pixel, not once per
+                // mode.
                 let line = &mut line[..to - from];
                 if self.flip {
                     let row = (sy - 1 - j) * sx;
@@ -91,7 +91,7 @@ impl<T: ConvReal> TileEngine<'_, T> {
             }
             let (line, weighted) = (&mut line[..to - from], &mut weighted[..to - from]);
             let lit = (y + 1).saturating_sub(sy)..(y + 1).min(rows);
-            // The pixel's own sum comes first, as in `draw_scattered`.
+            // Adds up the pixel's modes first, as in `draw_scattered`.
             let mut sums = sums.slice_mut(s![lit.clone(), from..to]);
             sums.fill(T::zero());
             let columns = local.part.corner.0 + from..local.part.corner.0 + to;

@@ -24,7 +24,7 @@ const TRANSFORM_HUGE: f64 = 24e-12;
 /// A complex multiply-add, per value of the plane.
 const MULTIPLY: f64 = 0.09e-9;
 /// Reading a stored spectrum of a kernel, per value of the plane.
-const READ_SPECTRUM: f64 = 0.05e-9;
+const READ_SPECTRUM: f64 = 0.08e-9;
 /// Multiplication of a pixel's light by the coefficient of one mode.
 const MULTIPLY_LIGHT: f64 = 0.10e-9;
 /// Reading a pixel's light, or adding a pixel to the image, per pixel of the tile.
