@@ -69,6 +69,7 @@ const NEAR: f64 = 0.25;
 /// Under the policy extend, the tree reaches beyond the samples and the frame by this multiple of
 /// their extent, which is the larger of their width and height.
 const BEYOND: f64 = 0.5;
+
 impl Lattice {
     /// Puts an interpolator on a tree. `weights` writes the interpolator's weights at a point
     /// under the policy, or under [`OutsidePolicy::Nearest`] if the policy is an error.

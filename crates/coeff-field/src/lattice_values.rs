@@ -13,7 +13,7 @@ const MUST_FALL: f64 = 0.1;
 /// The number of columns of values that are changed together. Few of them stay in the caches.
 const COLUMNS: usize = 16;
 
-/// How the values at a lattice's nodes follow from those of the samples.
+/// Makes the values at a lattice's nodes from those of the samples.
 ///
 /// The interpolator's own values are changed twice: so that errors in cells are about 0 in the mean
 /// ([`centre_errors`](Self::centre_errors)), and so that there are none at the samples

@@ -42,28 +42,19 @@ impl<T: ConvReal> TileEngine<'_, T> {
                 if from == to || !(0..height as i64).contains(&row) {
                     continue;
                 }
-                let start = (column + from as i64) as usize;
-                let mut target = output.row_mut(row as usize);
-                let target = target.as_slice_mut().expect("images are row-major");
-                let target = &mut target[start..start + (to - from)];
                 // Adds up the pixel's modes first. So the image is rounded once per pixel, not once per
                 // mode.
                 let line = &mut line[..to - from];
                 if self.flip {
-                    let row = (sy - 1 - j) * sx;
-                    line.fill(T::zero());
-                    for (stamp, &c) in local.stamps.chunks_exact(sx * sy).zip(all) {
-                        let values = stamp[row + sx - to..row + sx - from].iter().rev();
-                        for (t, v) in line.iter_mut().zip(values) {
-                            *t += c * *v;
-                        }
-                    }
+                    let first = (sy - j) * sx - to;
+                    combine(simd, line, local.stamps, (sx * sy, first), all);
+                    line.reverse();
                 } else {
                     combine(simd, line, local.stamps, (sx * sy, j * sx + from), all);
                 }
-                for (t, v) in target.iter_mut().zip(line) {
-                    *t += *v;
-                }
+                let start = (column + from as i64) as usize;
+                let mut part = output.slice_mut(s![.., start..start + line.len()]);
+                add_row(line, &mut part, row as usize);
             }
         }
     }

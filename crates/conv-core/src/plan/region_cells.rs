@@ -118,14 +118,8 @@ impl RegionCells {
         match field.bilinear_cells(region, error) {
             BilinearCells::Lines { x, y, .. } => (x.len() + 1) * (y.len() + 1),
             BilinearCells::Rectangles(rectangles) => {
-                let mut edges: Vec<f64> = rectangles.iter().flat_map(|[_, y]| [y.0, y.1]).collect();
-                edges.sort_by(f64::total_cmp);
-                edges.dedup();
-                let bands = |[_, y]: &[(f64, f64); 2]| {
-                    let [first, end] = [y.0, y.1].map(|y| edges.partition_point(|&edge| edge < y));
-                    (end - first).max(1)
-                };
-                rectangles.iter().map(bands).sum()
+                let edges = edges_along_y(&rectangles);
+                rectangles.iter().map(|[_, y]| crossed(&edges, *y).len()).sum()
             }
             BilinearCells::Bands(lines) => {
                 let shape = region.shape();
@@ -264,17 +258,14 @@ impl RegionCells {
                 Some([a?, b?, c?, d?])
             })
             .collect();
-        let mut edges: Vec<f64> = rectangles.iter().flat_map(|[_, y]| [y.0, y.1]).collect();
-        edges.sort_by(f64::total_cmp);
-        edges.dedup();
+        let mut edges = edges_along_y(&rectangles);
         if edges.len() == 1 {
             edges.push(edges[0]);
         }
         // The rectangles between each edge and the next, from left to right.
         let mut of_bands = vec![Vec::new(); edges.len() - 1];
         for (rectangle, [_, y]) in rectangles.iter().enumerate() {
-            let [first, end] = [y.0, y.1].map(|y| edges.partition_point(|&edge| edge < y));
-            for of_band in &mut of_bands[first..end.max(first + 1)] {
+            for of_band in &mut of_bands[crossed(&edges, *y)] {
                 of_band.push(rectangle);
             }
         }
@@ -450,6 +441,20 @@ impl RegionCells {
         self.corners()
             .all(|corner| (sum(corner) - 1.0).abs() <= ROUNDING_OF_WEIGHTS)
     }
+}
+
+/// The y coordinates at which rectangles begin or end, ascending.
+fn edges_along_y(rectangles: &[[(f64, f64); 2]]) -> Vec<f64> {
+    let mut edges: Vec<f64> = rectangles.iter().flat_map(|[_, y]| [y.0, y.1]).collect();
+    edges.sort_by(f64::total_cmp);
+    edges.dedup();
+    edges
+}
+
+/// The bands between edges that a rectangle crosses, from its first to its last y coordinate.
+fn crossed(edges: &[f64], (first, last): (f64, f64)) -> Range<usize> {
+    let [first, end] = [first, last].map(|y| edges.partition_point(|&edge| edge < y));
+    first..end.max(first + 1)
 }
 
 /// The coordinates of corners over a range of pixels: its first pixel, the lines after it, its last
