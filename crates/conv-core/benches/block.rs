@@ -8,7 +8,7 @@ use std::hint::black_box;
 
 use conv_core::ConvReal;
 use conv_core::internals::{
-    CoefficientTable, FluxRole, Inlined, Lanes, LocalModes, PsfSpace, RegionCells, WithIsa,
+    CoefficientTable, FluxRole, FunctionRows, Inlined, Lanes, LocalModes, PsfSpace, RegionCells, WithIsa,
 };
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
 use psf_types::{FrameShape, PixelRegion, PsfModel, ToleranceOn};
@@ -79,10 +79,11 @@ impl<T: ConvReal> WithIsa<T> for Weigh<'_, T> {
             #[inline(always)]
             || {
                 let rows = light.chunks_exact(nx).zip(weighted.chunks_exact_mut(nx));
-                let mut buffer = Vec::new();
-                let mut coefficients = block.table.rows_of(last, 0..nx, &mut buffer);
+                let mut function = FunctionRows::default();
+                function.place(&block.table, 0..nx, 0..block.region.shape().ny());
+                function.set(&block.table, block.role.function_of(last));
                 for (row, (light, weighted)) in rows.enumerate() {
-                    coefficients.multiply(row, light, weighted);
+                    function.multiply(row, light, weighted);
                 }
             },
         ));

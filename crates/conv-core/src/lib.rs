@@ -84,6 +84,7 @@ mod working_range;
 #[doc(hidden)]
 pub mod internals {
     pub use crate::plan::coefficient_table::{CoefficientTable, FluxRole};
+    pub use crate::plan::function_rows::FunctionRows;
     pub use crate::plan::local_modes::LocalModes;
     pub use crate::plan::psf_space::PsfSpace;
     pub use crate::plan::region_cells::RegionCells;

@@ -22,6 +22,7 @@ mod frame;
 mod image;
 mod light_profile;
 pub mod maths;
+mod mean_parts;
 mod model;
 mod progress;
 mod samples;
@@ -33,6 +34,7 @@ pub use choices::{Anchor, Interpolation, Normalisation, OutsidePolicy, StampInte
 pub use frame::{DataError, FrameShape, PixelRegion, Position, Quantity};
 pub use image::{Image, ImageView, Real};
 pub use light_profile::{LightProfile, Outskirts};
+pub use mean_parts::MeanParts;
 pub use model::{BilinearCells, CoefficientField, ErrorLimit, FieldError, PsfModel, PsfModelRecord, RowRun};
 pub use progress::{Cancelled, NoProgress, Progress, Uncounted};
 pub use samples::{PsfSamples, PsfSource, SamplePositions, SourceError};

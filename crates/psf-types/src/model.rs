@@ -4,13 +4,14 @@ use std::borrow::Cow;
 use std::ops::Range;
 use std::sync::Arc;
 
-use ndarray::{Array2, Array3, ArrayView1, ArrayView2, ArrayViewMut2, ArrayViewMut3, s};
+use ndarray::{Array2, Array3, ArrayView1, ArrayView2, ArrayViewMut2, ArrayViewMut3, Axis, s};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use crate::basis::{PsfBasis, SampleCoefficients};
 use crate::choices::{Interpolation, Normalisation, OutsidePolicy};
 use crate::frame::{DataError, FrameShape, PixelRegion, Position, read_through_new};
+use crate::mean_parts::MeanParts;
 use crate::stamp::{Stamp, StampGrid};
 
 /// Coefficient fields `a_k(x)`: a vector of `component_count()` values at any position of the
@@ -243,6 +244,7 @@ pub struct PsfModel {
     /// `[stamp, y, x]`, beginning with the mean if there is one.
     stamps: Arc<Array3<f64>>,
     fluxes: Vec<f64>,
+    mean_parts: Arc<MeanParts>,
     mean_centred: bool,
     grid: StampGrid,
     field: Arc<dyn CoefficientField>,
@@ -284,9 +286,14 @@ impl PsfModel {
         let exact = mean_count == 1
             && (fluxes[0] - 1.0).abs() <= UNIT_FLUX_TOLERANCE
             && fluxes[1..].iter().all(|f| f.abs() <= UNIT_FLUX_TOLERANCE);
+        let shape = (stamps.dim().0, grid.pixel_count());
+        let flat = stamps.view().into_shape_with_order(shape).expect("row-major");
+        let (mean, components) = flat.split_at(Axis(0), mean_count);
+        let mean_parts = Arc::new(MeanParts::new(mean.outer_iter().next(), components));
         Ok(Self {
             stamps: Arc::new(stamps),
             fluxes,
+            mean_parts,
             mean_centred: mean_count == 1,
             grid,
             field,
@@ -323,6 +330,11 @@ impl PsfModel {
     /// The flux of each of these stamps ([`StampGrid::flux_of_sum`]).
     pub fn stamp_fluxes(&self) -> &[f64] {
         &self.fluxes
+    }
+
+    /// The mean in terms of the components.
+    pub fn mean_parts(&self) -> &MeanParts {
+        &self.mean_parts
     }
 
     /// The pixel grid of the stamps.
@@ -365,7 +377,7 @@ impl PsfModel {
     /// # Panics
     /// When there is no such stamp.
     pub fn stamp(&self, index: usize) -> ArrayView2<'_, f64> {
-        self.stamps.index_axis(ndarray::Axis(0), index)
+        self.stamps.index_axis(Axis(0), index)
     }
 
     /// Returns whether `s(x)` may differ from 1. If so, callers must divide the coefficients of

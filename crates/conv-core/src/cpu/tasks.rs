@@ -1,5 +1,7 @@
 //! Blocks that are executed in parallel, each with its own part of the output.
 
+use std::cmp::Reverse;
+
 use ndarray::ArrayViewMut2;
 use rayon::prelude::*;
 
@@ -19,7 +21,7 @@ pub(super) struct Task<'a, T> {
 
 /// Executes the blocks at some columns and rows in parallel, each with its part of the output. A
 /// column or row is given by its number, and by the first pixel and the end of its range on the
-/// output's side. The ranges do not overlap.
+/// output's side. The ranges do not overlap. Of several errors, returns that of the first block.
 pub(super) fn together<T: ConvReal>(
     pass: &LightPass<'_, T>,
     output: ArrayViewMut2<'_, T>,
@@ -44,16 +46,28 @@ pub(super) fn together<T: ConvReal>(
             });
         }
     }
-    let done: Vec<Result<TileCounts, ConvError>> = tasks
-        .into_par_iter()
-        .with_max_len(1)
-        .map(|task| {
+    // Each thread takes the next block when it is free. Those with most kernels come first, so that all
+    // threads end at about the same time.
+    tasks.sort_by_key(|task| {
+        Reverse(
             pass.processor
-                .with_workspace(|workspace| execute(task, workspace))
+                .plan
+                .block(task.block.0, task.block.1)
+                .kernel_count(),
+        )
+    });
+    let mut done: Vec<_> = tasks
+        .into_iter()
+        .par_bridge()
+        .map(|task| {
+            let (column, row) = task.block;
+            let work = |workspace: &mut Workspace<T>| execute(task, workspace);
+            ((row, column), pass.processor.with_workspace(work))
         })
         .collect();
+    done.sort_by_key(|&(place, _)| place);
     let mut counts = TileCounts::default();
-    for outcome in done {
+    for (_, outcome) in done {
         counts += outcome?;
     }
     Ok(counts)

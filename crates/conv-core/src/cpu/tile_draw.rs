@@ -6,6 +6,7 @@ use pulp::bytemuck::{cast_slice, cast_slice_mut};
 use super::tile_engine::{LocalTile, TileEngine, add_row};
 use super::treatment::LitPixel;
 use crate::ConvReal;
+use crate::plan::function_rows::FunctionRows;
 use crate::simd::Lanes;
 
 impl<T: ConvReal> TileEngine<'_, T> {
@@ -71,7 +72,7 @@ impl<T: ConvReal> TileEngine<'_, T> {
         let (columns, rows) = local.part.size;
         let (sx, sy) = self.geometry.stamp;
         let (mut line, mut weighted) = (vec![T::zero(); sx], vec![T::zero(); sx]);
-        let (mut buffer, mut for_fluxes) = (Vec::new(), Vec::new());
+        let (mut function, mut fluxes) = (FunctionRows::default(), FunctionRows::default());
         let mut sums = Array2::zeros((rows, columns));
         for &(y, x, value) in pixels {
             // Light at pixel q, counted in the area around the tile, reaches pixel p of the tile
@@ -85,17 +86,20 @@ impl<T: ConvReal> TileEngine<'_, T> {
             // Adds up the pixel's modes first, as in `draw_scattered`.
             let mut sums = sums.slice_mut(s![lit.clone(), from..to]);
             sums.fill(T::zero());
-            let columns = local.part.corner.0 + from..local.part.corner.0 + to;
-            let mut fluxes = local.table.fluxes(columns.clone(), &mut for_fluxes);
+            let (x0, y0) = local.part.corner;
+            for function in [&mut function, &mut fluxes] {
+                function.place(local.table, x0 + from..x0 + to, y0 + lit.start..y0 + lit.end);
+            }
+            fluxes.set(local.table, local.table.role.divides().then_some(0));
             for (kernel, stamp) in local.stamps.chunks_exact(sx * sy).enumerate() {
-                let mut coefficients = local.table.rows_of(kernel, columns.clone(), &mut buffer);
+                function.set(local.table, local.table.role.function_of(kernel));
                 for (i, p) in lit.clone().enumerate() {
                     for (t, column) in line.iter_mut().zip(from..to) {
                         *t = value * self.at(stamp, column + sx - 1 - x, p + sy - 1 - y);
                     }
-                    coefficients.multiply(local.part.corner.1 + p, line, weighted);
+                    function.multiply(i, line, weighted);
                     if local.table.role.is_divided(kernel) {
-                        fluxes.divide(local.part.corner.1 + p, weighted);
+                        fluxes.divide(i, weighted);
                     }
                     add_row(weighted, &mut sums, i);
                 }

@@ -6,10 +6,11 @@ use ndarray::{Array2, ArrayView2, ArrayViewMut2};
 
 use crate::ConvReal;
 use crate::overlap::overlap;
-use crate::plan::coefficient_table::{CoefficientTable, FunctionRows};
+use crate::plan::coefficient_table::CoefficientTable;
+use crate::plan::function_rows::FunctionRows;
 use crate::plan::geometry::{Geometry, TilePart};
 use crate::simd::{Aligned, Lanes};
-use crate::transform::{TileTransform, X_STEP};
+use crate::transform::{Plane, StoredPlane, TileTransform, X_STEP};
 
 /// Planes (padded arrays of pixels) and spectra of one transform size. From one tile to the next,
 /// only `kernels` keeps its content.
@@ -26,8 +27,8 @@ pub(crate) struct Workspace<T> {
     pub(crate) kernels: Aligned<T>,
     /// Buffer for one row.
     pub(crate) row: Vec<T>,
-    /// Buffer for coefficients.
-    pub(crate) coefficients: Vec<T>,
+    /// The coefficients of one kernel.
+    pub(crate) function: FunctionRows<T>,
 }
 
 impl<T: ConvReal> Workspace<T> {
@@ -40,7 +41,7 @@ impl<T: ConvReal> Workspace<T> {
             column: Aligned::zeros(fft.column_len()),
             kernels: Aligned::zeros(0),
             row: vec![T::zero(); fft.nx],
-            coefficients: Vec::new(),
+            function: FunctionRows::default(),
         }
     }
 }
@@ -71,17 +72,24 @@ impl<T: ConvReal> LocalTile<'_, T> {
         self.part.corner.0..self.part.corner.0 + self.part.size.0
     }
 
-    /// Divides the tile's light by the flux if `kernel` is the first whose light is divided.
+    /// The rows of the tile, counted from its block's first.
+    fn rows(&self) -> Range<usize> {
+        self.part.corner.1..self.part.corner.1 + self.part.size.1
+    }
+
+    /// Sets `function` to the coefficient of a kernel. Divides the tile's light by the flux before, if
+    /// the kernel is the first whose light is divided.
     #[inline(always)]
-    fn divide_light(&self, kernel: usize, light: &mut [T], pitch: usize, buffer: &mut Vec<T>) {
+    fn choose(&self, kernel: usize, light: &mut [T], pitch: usize, function: &mut FunctionRows<T>) {
         let role = self.table.role;
         if role.is_divided(kernel) && (kernel == 0 || !role.is_divided(kernel - 1)) {
-            let mut fluxes = self.table.fluxes(self.columns(), buffer);
+            function.set(self.table, Some(0));
             let (columns, rows) = self.part.size;
             for (y, light) in light.chunks_exact_mut(pitch).take(rows).enumerate() {
-                fluxes.divide(self.part.corner.1 + y, &mut light[..columns]);
+                function.divide(y, &mut light[..columns]);
             }
         }
+        function.set(self.table, role.function_of(kernel));
     }
 
     /// Multiplies values of a tile's row by the coefficients of a kernel, and adds them to the
@@ -89,7 +97,7 @@ impl<T: ConvReal> LocalTile<'_, T> {
     #[inline(always)]
     fn weigh_and_add(
         &self,
-        (kernel, coefficients): (usize, &mut FunctionRows<'_, T>),
+        (kernel, function): (usize, &FunctionRows<T>),
         y: usize,
         values: &[T],
         output: &mut ArrayViewMut2<'_, T>,
@@ -97,7 +105,7 @@ impl<T: ConvReal> LocalTile<'_, T> {
         row: &mut [T],
     ) {
         let row = &mut row[..values.len()];
-        coefficients.multiply(self.part.corner.1 + y, values, row);
+        function.multiply(y, values, row);
         if self.table.role.is_divided(kernel) {
             add_row(row, &mut divided.view_mut(), y);
         } else {
@@ -107,11 +115,18 @@ impl<T: ConvReal> LocalTile<'_, T> {
 
     /// Divides values by the flux and adds them to the output.
     #[inline(always)]
-    fn divide_and_add(&self, mut divided: Array2<T>, output: &mut ArrayViewMut2<'_, T>, buffer: &mut Vec<T>) {
-        let mut fluxes = self.table.fluxes(self.columns(), buffer);
+    fn divide_and_add(
+        &self,
+        mut divided: Array2<T>,
+        output: &mut ArrayViewMut2<'_, T>,
+        function: &mut FunctionRows<T>,
+    ) {
+        if self.table.role.divides() {
+            function.set(self.table, Some(0));
+        }
         for (y, mut row) in divided.outer_iter_mut().enumerate() {
             let row = row.as_slice_mut().expect("row-major");
-            fluxes.divide(self.part.corner.1 + y, row);
+            function.divide(y, row);
             add_row(row, output, y);
         }
     }
@@ -122,6 +137,21 @@ impl<T: ConvReal> LocalTile<'_, T> {
         let (columns, rows) = self.part.size;
         let rows = if self.table.role.divides() { rows } else { 0 };
         Array2::zeros((rows, columns))
+    }
+}
+
+/// Light times a coefficient.
+#[derive(Clone, Copy)]
+struct Weighted<'a, T> {
+    light: StoredPlane<'a, T>,
+    function: &'a FunctionRows<T>,
+}
+
+impl<T: ConvReal> Plane<T> for Weighted<'_, T> {
+    #[inline(always)]
+    fn vector<S: Lanes<T>>(self, simd: S, row: usize, index: usize) -> S::V {
+        let light = self.light.vector(simd, row, index);
+        self.function.times(simd, row, index, light)
     }
 }
 
@@ -228,35 +258,30 @@ impl<T: ConvReal> TileEngine<'_, T> {
     ) {
         let (columns, rows) = local.part.size;
         let (pitch, length) = (self.fft.pitch(), self.fft.spectrum_len());
-        let padded = columns.next_multiple_of(X_STEP);
         let (sx, sy) = self.geometry.stamp;
         let w = workspace;
+        w.function.place(local.table, local.columns(), local.rows());
         if local.transforms_kernels {
             w.kernels.at_least(self.fft.along_y_len(sx));
         }
         for (kernel, stamp) in local.stamps.chunks_exact(sx * sy).enumerate() {
             let factor = if local.transforms_kernels {
                 self.load_stamp(stamp, w.weighted.get_mut());
-                let (plane, spectrum) = (w.weighted.get(), w.kernels.get_mut());
+                let (plane, spectrum) = (self.fft.plane(w.weighted.get()), w.kernels.get_mut());
                 self.fft
                     .forward_along_y(simd, plane, (sy, sx), spectrum, sx, w.column.get_mut());
                 (&*spectrum, Some(sx))
             } else {
                 (&w.kernels.get()[kernel * length..(kernel + 1) * length], None)
             };
-            local.divide_light(kernel, w.light.get_mut(), pitch, &mut w.coefficients);
-            let light = w.light.get().chunks_exact(pitch);
-            let weighted = w.weighted.get_mut().chunks_exact_mut(pitch);
-            let mut coefficients = local.table.rows_of(kernel, local.columns(), &mut w.coefficients);
-            for (y, (light, weighted)) in light.zip(weighted).take(rows).enumerate() {
-                let weighted = &mut weighted[..padded];
-                weighted[columns..].fill(T::zero());
-                let row = local.part.corner.1 + y;
-                coefficients.multiply(row, &light[..columns], &mut weighted[..columns]);
-            }
+            local.choose(kernel, w.light.get_mut(), pitch, &mut w.function);
+            let light = Weighted {
+                light: self.fft.plane(w.light.get()),
+                function: &w.function,
+            };
             self.fft.forward_multiply_swapped(
                 simd,
-                w.weighted.get(),
+                light,
                 (rows, columns),
                 factor,
                 w.sum.get_mut(),
@@ -290,6 +315,7 @@ impl<T: ConvReal> TileEngine<'_, T> {
         let (width, height) = self.geometry.around(local.part.size);
         let (pitch, length) = (self.fft.pitch(), self.fft.spectrum_len());
         let w = workspace;
+        w.function.place(local.table, local.columns(), local.rows());
         let mut divided = local.zeros();
         let column = w.column.get_mut();
         self.fft
@@ -305,14 +331,14 @@ impl<T: ConvReal> TileEngine<'_, T> {
                 .chunks_exact(pitch)
                 .skip(self.geometry.stamp.1 - 1)
                 .take(rows);
-            let mut coefficients = local.table.rows_of(kernel, local.columns(), &mut w.coefficients);
+            w.function.set(local.table, local.table.role.function_of(kernel));
             for (y, values) in whole.enumerate() {
                 let values = &values[self.geometry.stamp.0 - 1..width];
-                let kernel = (kernel, &mut coefficients);
+                let kernel = (kernel, &w.function);
                 local.weigh_and_add(kernel, y, values, output, &mut divided, &mut w.row);
             }
         }
-        local.divide_and_add(divided, output, &mut w.coefficients);
+        local.divide_and_add(divided, output, &mut w.function);
     }
 
     #[inline(always)]
@@ -333,17 +359,17 @@ impl<T: ConvReal> TileEngine<'_, T> {
         let (sx, sy) = self.geometry.stamp;
         let pitch = self.fft.pitch();
         let w = workspace;
+        w.function.place(local.table, local.columns(), local.rows());
         let result = w.weighted.get_mut();
         for into in result.chunks_exact_mut(pitch).take(rows + sy - 1) {
             into[..columns + sx - 1].fill(T::zero());
         }
         for (kernel, stamp) in local.stamps.chunks_exact(sx * sy).enumerate() {
-            local.divide_light(kernel, w.light.get_mut(), pitch, &mut w.coefficients);
-            let mut coefficients = local.table.rows_of(kernel, local.columns(), &mut w.coefficients);
+            local.choose(kernel, w.light.get_mut(), pitch, &mut w.function);
             for y in 0..rows {
                 let light = &w.light.get()[y * pitch..y * pitch + columns];
                 let row = &mut w.row[..columns];
-                coefficients.multiply(local.part.corner.1 + y, light, row);
+                w.function.multiply(y, light, row);
                 for j in 0..sy {
                     let into = &mut result[(y + j) * pitch..(y + j + 1) * pitch];
                     for i in 0..sx {
@@ -370,9 +396,10 @@ impl<T: ConvReal> TileEngine<'_, T> {
         let pitch = self.fft.pitch();
         let w = workspace;
         let mut values = vec![T::zero(); columns];
+        w.function.place(local.table, local.columns(), local.rows());
         let mut divided = local.zeros();
         for (kernel, stamp) in local.stamps.chunks_exact(sx * sy).enumerate() {
-            let mut coefficients = local.table.rows_of(kernel, local.columns(), &mut w.coefficients);
+            w.function.set(local.table, local.table.role.function_of(kernel));
             for y in 0..rows {
                 values.fill(T::zero());
                 for j in 0..sy {
@@ -384,11 +411,11 @@ impl<T: ConvReal> TileEngine<'_, T> {
                         }
                     }
                 }
-                let kernel = (kernel, &mut coefficients);
+                let kernel = (kernel, &w.function);
                 local.weigh_and_add(kernel, y, &values, output, &mut divided, &mut w.row);
             }
         }
-        local.divide_and_add(divided, output, &mut w.coefficients);
+        local.divide_and_add(divided, output, &mut w.function);
     }
 }
 

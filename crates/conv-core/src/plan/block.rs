@@ -13,6 +13,7 @@ use super::coefficient_table::{CoefficientTable, FluxRole};
 use super::local_modes::LocalModes;
 use super::psf_space::PsfSpace;
 use crate::ConvReal;
+use crate::image_memory::zeros;
 
 /// The local basis of a block, with coefficients and stamps if the plan has memory for them. The
 /// kernels of a block are its reference, if it has one, and its modes.
@@ -142,16 +143,16 @@ pub(crate) fn stamps_of<T: ConvReal>(
         rows.push(first..end);
     }
     let held = blocks.iter().map(|block| block.modes.direction_count()).max();
-    let held = ..held.unwrap_or(0);
+    let held = held.unwrap_or(0);
     let of_exact = all.select(Axis(0), &exact);
-    let of_modes = all.slice(s![.., held]).mapv(T::nearest);
-    let mut shared = Array2::zeros((all.nrows(), space.pixel_count()));
+    let of_modes = all.slice(s![.., ..held]).mapv(T::nearest);
+    let mut shared = zeros((all.nrows(), space.pixel_count()));
     let product = |(i, mut part): (usize, ArrayViewMut2<'_, T>)| {
         let first = i * PIXELS_PER_PRODUCT;
-        let stamps = space.pixels_of_stamps(first..first + part.ncols());
-        let of_held = stamps.slice(s![held, ..]).mapv(T::nearest);
+        let pixels = first..first + part.ncols();
+        let of_held = space.first_stamps(held, pixels.clone());
         general_mat_mul(T::one(), &of_modes, &of_held, T::zero(), &mut part);
-        for (&kernel, stamp) in exact.iter().zip(of_exact.dot(&stamps).outer_iter()) {
+        for (&kernel, stamp) in exact.iter().zip(space.stamps_of(&of_exact, pixels).outer_iter()) {
             part.row_mut(kernel).assign(&stamp.mapv(T::nearest));
         }
     };

@@ -12,6 +12,7 @@ use psf_types::{
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
+use super::function_rows::FunctionRows;
 use super::norm::norm;
 use super::{Block, Plan, PlanOptions};
 use crate::ConvReal;
@@ -224,18 +225,19 @@ fn errors_of_block<T: ConvReal>(
     let table = block.table_or_new(space);
     let kernels = block.directions();
     let (nx, ny) = (region.shape().nx(), region.shape().ny());
-    let mut buffer = Vec::new();
+    let mut function = FunctionRows::default();
     let (ones, mut weighted) = (vec![T::one(); nx], Array2::zeros((kernels.nrows(), nx)));
     let mut coefficients = vec![0.0; model.stamp_count()];
     let mut found = Vec::with_capacity(nx * ny);
     for row in 0..ny {
+        function.place(&table, 0..nx, row..row + 1);
         for (kernel, mut weighted) in weighted.outer_iter_mut().enumerate() {
             let weighted = weighted.as_slice_mut().unwrap();
-            table
-                .rows_of(kernel, 0..nx, &mut buffer)
-                .multiply(row, &ones, weighted);
+            function.set(&table, table.role.function_of(kernel));
+            function.multiply(0, &ones, weighted);
             if table.role.is_divided(kernel) {
-                table.fluxes(0..nx, &mut buffer).divide(row, weighted);
+                function.set(&table, Some(0));
+                function.divide(0, weighted);
             }
         }
         weighted

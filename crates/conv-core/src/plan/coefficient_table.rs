@@ -8,6 +8,7 @@ use psf_types::{FieldError, PixelRegion, PsfModel};
 use super::local_modes::LocalModes;
 use super::region_cells::{CORNERS, Cell, RegionCells};
 use crate::ConvReal;
+use crate::simd::vectorized;
 
 /// The role of a PSF's flux in the convolution. The reference is the mean PSF of a region, scaled to
 /// unit flux, and the modes hold the differences from it (`LocalModes`).
@@ -41,29 +42,29 @@ pub struct CoefficientTable<T> {
     /// The number of functions. The first is the flux, if its role needs it at every pixel. The
     /// others are the coefficients of the modes.
     pub(crate) functions: usize,
-    bands: Vec<TableBand>,
+    pub(super) bands: Vec<TableBand>,
     /// First column and length of each cell.
-    cells: Vec<(u32, u32)>,
+    pub(super) cells: Vec<(u32, u32)>,
     /// The values at the corners of each cell, `[corner, function]`: first and last column of the
     /// first row, then of the last row. A band of a single row has only the first two corners.
-    values: Vec<T>,
+    pub(super) values: Vec<T>,
     /// `(row, column)` of the pixels without a PSF.
     undefined: Vec<(u32, u32)>,
 }
 
 /// Neighbouring rows that are divided into cells at the same columns.
 #[derive(Debug)]
-struct TableBand {
-    rows: Range<usize>,
-    cells: Range<usize>,
+pub(super) struct TableBand {
+    pub(super) rows: Range<usize>,
+    pub(super) cells: Range<usize>,
     /// The index of the first cell's first value.
-    value: usize,
+    pub(super) value: usize,
 }
 
 impl TableBand {
     /// The number of corners of a cell with values of their own.
     #[inline(always)]
-    fn corners(&self) -> usize {
+    pub(super) fn corners(&self) -> usize {
         if self.rows.len() == 1 { 2 } else { CORNERS }
     }
 }
@@ -101,73 +102,6 @@ impl<T: ConvReal> PixelCoefficients<'_, T> {
     }
 }
 
-/// A function in some columns of a region, row by row.
-///
-/// From the first to the last row of a band, it is linear along each column. So its values in these
-/// two rows are enough for all rows of the band.
-#[derive(Debug)]
-pub struct FunctionRows<'a, T> {
-    table: &'a CoefficientTable<T>,
-    /// `None` for the constant 1.
-    function: Option<usize>,
-    columns: Range<usize>,
-    /// The rows of the present band.
-    rows: Range<usize>,
-    /// The function in the first and in the last row of the band, with room for [`CHUNK`] values
-    /// after each.
-    ends: &'a mut Vec<T>,
-}
-
-impl<T: ConvReal> FunctionRows<'_, T> {
-    /// Multiplies the values of a row's pixels by the function, and writes the products to
-    /// `products`. `row` counts from the region's first pixel.
-    #[inline(always)]
-    pub fn multiply(&mut self, row: usize, values: &[T], products: &mut [T]) {
-        if self.function.is_none() {
-            products.copy_from_slice(values);
-            return;
-        }
-        for ((product, &value), function) in products.iter_mut().zip(values).zip(self.along(row)) {
-            *product = value * function;
-        }
-    }
-
-    /// Divides the values of a row's pixels by the function.
-    #[inline(always)]
-    pub(crate) fn divide(&mut self, row: usize, values: &mut [T]) {
-        for (value, function) in values.iter_mut().zip(self.along(row)) {
-            *value /= function;
-        }
-    }
-
-    /// The function along a row.
-    #[inline(always)]
-    fn along(&mut self, row: usize) -> impl Iterator<Item = T> + '_ {
-        let (table, width) = (self.table, self.columns.len());
-        let (first, last) = self.ends.split_at_mut(width + CHUNK);
-        if !self.rows.contains(&row) {
-            let band = table.band(row);
-            self.rows = band.rows.clone();
-            let function = self.function.unwrap_or(0);
-            table.along_row(band, 0, function, &self.columns, first);
-            if band.corners() == CORNERS {
-                table.along_row(band, 2, function, &self.columns, last);
-            }
-        }
-        let steps = T::nearest((self.rows.len() - 1).max(1) as f64);
-        let after = T::nearest((row - self.rows.start) as f64);
-        let weights = [(steps - after) / steps, after / steps];
-        // The only row of a band is its first and its last row.
-        let last = if self.rows.len() == 1 { &*first } else { &*last };
-        first[..width].iter().zip(&last[..width]).map(
-            #[inline(always)]
-            move |(&first, &last)| weights[0] * first + weights[1] * last,
-        )
-    }
-}
-
-/// The number of neighbouring coefficients that are written together.
-const CHUNK: usize = 16;
 /// Fluxes count as equal if they differ by at most this fraction: the rounding of their sums. The
 /// error of their mean is then half of it.
 const SAME_FLUX: f64 = 4e-15;
@@ -200,7 +134,7 @@ impl FluxRole {
 
     /// The index of the function that multiplies a kernel's light. `None` if the light is left
     /// unchanged.
-    pub(crate) fn function_of(self, kernel: usize) -> Option<usize> {
+    pub fn function_of(self, kernel: usize) -> Option<usize> {
         match self {
             Self::Constant => kernel.checked_sub(1),
             Self::Divisor => (kernel > 0).then_some(kernel),
@@ -364,7 +298,13 @@ impl<T: ConvReal> CoefficientTable<T> {
     }
 
     fn band(&self, row: usize) -> &TableBand {
-        &self.bands[self.bands.partition_point(|band| band.rows.end <= row)]
+        &self.bands[self.bands_of(&(row..row + 1)).start]
+    }
+
+    /// The bands of some rows.
+    pub(super) fn bands_of(&self, rows: &Range<usize>) -> Range<usize> {
+        let before = |row: usize| self.bands.partition_point(|band| band.rows.end <= row);
+        before(rows.start)..before(rows.end - 1) + 1
     }
 
     /// The coefficients at a pixel. Row and column count from the region's first pixel.
@@ -383,80 +323,6 @@ impl<T: ConvReal> CoefficientTable<T> {
             values: &self.values[band.value + cell * size..][..size],
             weights: [first * left, first * right, last * left, last * right],
             table: self,
-        }
-    }
-
-    /// The function that multiplies a kernel's light, in some columns. If
-    /// [`FluxRole::is_divided`], the products are to be divided by [`Self::fluxes`]. `buffer` is
-    /// overwritten.
-    #[inline(always)]
-    pub fn rows_of<'a>(
-        &'a self,
-        kernel: usize,
-        columns: Range<usize>,
-        buffer: &'a mut Vec<T>,
-    ) -> FunctionRows<'a, T> {
-        self.rows(self.role.function_of(kernel), columns, buffer)
-    }
-
-    /// The flux in some columns, if there are kernels whose light is divided by it.
-    #[inline(always)]
-    pub(crate) fn fluxes<'a>(&'a self, columns: Range<usize>, buffer: &'a mut Vec<T>) -> FunctionRows<'a, T> {
-        self.rows(Some(0), columns, buffer)
-    }
-
-    #[inline(always)]
-    fn rows<'a>(
-        &'a self,
-        function: Option<usize>,
-        columns: Range<usize>,
-        ends: &'a mut Vec<T>,
-    ) -> FunctionRows<'a, T> {
-        ends.resize(2 * (columns.len() + CHUNK), T::zero());
-        FunctionRows {
-            table: self,
-            function,
-            columns,
-            rows: 0..0,
-            ends,
-        }
-    }
-
-    /// Writes a function in some columns of a row to `values`, which has room for [`CHUNK`] values
-    /// more. `corner` is 0 for the first row of a band, 2 for its last row.
-    #[inline(always)]
-    fn along_row(
-        &self,
-        band: &TableBand,
-        corner: usize,
-        function: usize,
-        columns: &Range<usize>,
-        values: &mut [T],
-    ) {
-        let cells = &self.cells[band.cells.clone()];
-        let skip = cells.partition_point(|&(column, length)| (column + length) as usize <= columns.start);
-        for (cell, &(column, length)) in cells.iter().enumerate().skip(skip) {
-            let (column, length) = (column as usize, length as usize);
-            if column >= columns.end {
-                break;
-            }
-            let (from, to) = (column.max(columns.start), (column + length).min(columns.end));
-            let steps = T::nearest((length - 1).max(1) as f64);
-            let at = |right: usize| {
-                let place = (cell * band.corners() + corner + right) * self.functions + function;
-                self.values[band.value + place] / steps
-            };
-            let (a, b) = (at(0), at(1));
-            // Writes whole chunks, because cells are often short. What is beyond a cell is written
-            // again with the next cell.
-            for start in (from..to).step_by(CHUNK) {
-                let first = T::nearest((start - column) as f64);
-                let chunk = &mut values[start - columns.start..][..CHUNK];
-                for (i, value) in chunk.iter_mut().enumerate() {
-                    let i = first + T::nearest(i as f64);
-                    *value = (steps - i) * a + i * b;
-                }
-            }
         }
     }
 
@@ -494,7 +360,7 @@ fn values_in_rows(at_corners: &[f64], count: usize, cells: &[Cell], rows: &[usiz
     };
     let mut values = vec![0.0; cells.len() * rows.len() * 2 * count];
     let mut into = values.chunks_exact_mut(count);
-    for cell in cells {
+    vectorized!(for cell in cells {
         for &row in rows {
             for column in [cell.columns.start, cell.columns.end - 1] {
                 let values = into.next().expect("two ends per cell and row");
@@ -512,7 +378,7 @@ fn values_in_rows(at_corners: &[f64], count: usize, cells: &[Cell], rows: &[usiz
                 }
             }
         }
-    }
+    });
     values
 }
 

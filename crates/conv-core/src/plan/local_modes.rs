@@ -7,7 +7,7 @@ use psf_types::PixelRegion;
 use super::allowed_errors::{CellError, CountModes};
 use super::growth_curves::TailGrowth;
 use super::node_functions::NodeFunctions;
-use super::norm::norm;
+use super::norm::{add_scaled, dot, norm, values};
 use super::psf_space::PsfSpace;
 use super::region_cells::RegionCells;
 use super::span::{leave_out, span};
@@ -115,13 +115,12 @@ impl LocalModes {
         let flux = centre.dot(&space.fluxes);
         let possible = norm(centre.view()) * norm(space.fluxes.view());
         let reference = (flux.abs() > MIN_REFERENCE_FLUX * possible).then(|| &centre / flux);
-        let scale = rows.outer_iter().map(norm).fold(0.0, f64::max);
-        let (betas, fluxes) = (rows.dot(&along), rows.dot(&space.fluxes));
-        if let Some(reference) = &reference {
-            for (mut row, &flux) in rows.outer_iter_mut().zip(&fluxes) {
-                row.scaled_add(-flux, reference);
-            }
-        }
+        let (betas, fluxes, scale) = vectorized!(split(
+            &mut rows,
+            values(&along),
+            values(&space.fluxes),
+            reference.as_ref().map(values),
+        ));
         let of_cells = CellError {
             size: cells.error,
             flux_weight,
@@ -134,7 +133,11 @@ impl LocalModes {
             // Directions left out would hold flux.
             None => 0.0,
         };
-        let left_out = leave_out(&mut rows, space.fluxes.view(), LAST_DIRECTIONS * least);
+        let left_out = vectorized!(leave_out(
+            &mut rows,
+            values(&space.fluxes),
+            LAST_DIRECTIONS * least
+        ));
         let used = ..left_out.directions;
         let rows = rows.slice(s![.., used]);
         let (span, outside) = span(rows, (OUTSIDE_SPAN * least).max(ROUNDING * scale));
@@ -253,6 +256,28 @@ impl LocalModes {
     }
 }
 
+/// The products of each row with `along` and with `fluxes`, and the largest norm of a row. Removes from
+/// each row its flux times the reference, if there is one.
+#[inline(always)]
+fn split(
+    rows: &mut Array2<f64>,
+    along: &[f64],
+    fluxes: &[f64],
+    reference: Option<&[f64]>,
+) -> (Array1<f64>, Array1<f64>, f64) {
+    let (mut betas, mut of_rows) = (Vec::with_capacity(rows.nrows()), Vec::with_capacity(rows.nrows()));
+    let mut largest = 0.0_f64;
+    for mut row in rows.outer_iter_mut() {
+        let row = row.as_slice_mut().expect("row-major");
+        let flux = dot(row, fluxes);
+        largest = largest.max(dot(row, row));
+        betas.push(dot(row, along));
+        of_rows.push(flux);
+        add_scaled(row, -flux, reference.unwrap_or_default());
+    }
+    (Array1::from(betas), Array1::from(of_rows), largest.sqrt())
+}
+
 /// Vectors `[vector, direction]` among `count` directions, from those in the first directions.
 fn in_all_directions(vectors: &Array2<f64>, count: usize) -> Array2<f64> {
     let mut all = Array2::zeros((vectors.nrows(), count));
@@ -316,12 +341,18 @@ impl<'a> Support<'a> {
 
     /// The mean PSF. `rows` are those of [`PsfSpace::rows`].
     fn mean(&self, rows: &Array2<f64>) -> Array1<f64> {
-        let mut weights = Array1::zeros(rows.nrows());
+        let mut weights = vec![0.0; rows.nrows()];
         for &(node, weight) in self.0.iter().copied().flatten() {
             weights[node] += weight / self.0.len() as f64;
         }
         weights[rows.nrows() - 1] = 1.0;
-        weights.dot(rows)
+        let mut mean = vec![0.0; rows.ncols()];
+        vectorized!(for (&weight, row) in weights.iter().zip(rows.outer_iter()) {
+            if weight != 0.0 {
+                add_scaled(&mut mean, weight, row.to_slice().expect("row-major"));
+            }
+        });
+        Array1::from(mean)
     }
 
     fn covariance(&self, rows: ArrayView2<'_, f64>) -> Array2<f64> {

@@ -16,6 +16,7 @@ pub(crate) mod block;
 mod certificate;
 pub(crate) mod coefficient_table;
 pub(crate) mod cost_model;
+pub(crate) mod function_rows;
 pub(crate) mod geometry;
 mod growth_curves;
 pub(crate) mod local_modes;

@@ -1,6 +1,6 @@
-//! Norms of vectors.
+//! Norms, products and sums of vectors.
 
-use ndarray::ArrayView1;
+use ndarray::{Array1, ArrayView1};
 
 pub(crate) fn norm(v: ArrayView1<'_, f64>) -> f64 {
     v.dot(&v).sqrt()
@@ -19,4 +19,17 @@ pub(crate) fn dot(a: &[f64], b: &[f64]) -> f64 {
         }
     }
     sums.iter().sum::<f64>() + rest
+}
+
+/// Adds a multiple of a vector to another.
+#[inline(always)]
+pub(crate) fn add_scaled(to: &mut [f64], factor: f64, vector: &[f64]) {
+    for (value, of_vector) in to.iter_mut().zip(vector) {
+        *value += factor * of_vector;
+    }
+}
+
+/// The values of a vector, for loops inside `vectorized!`.
+pub(crate) fn values(vector: &Array1<f64>) -> &[f64] {
+    vector.as_slice().expect("vectors are contiguous")
 }

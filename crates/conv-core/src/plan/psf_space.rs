@@ -2,13 +2,14 @@
 
 use std::ops::Range;
 
-use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis, NewAxis, s};
-use psf_types::{ErrorLimit, FieldError, PixelRegion, Position, PsfModel, ToleranceOn};
+use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis, s};
+use psf_types::{ErrorLimit, FieldError, MeanParts, PixelRegion, Position, PsfModel, ToleranceOn};
 
 use super::allowed_errors::{AllowedErrors, CellError, ROUNDING_NORM};
 use super::growth_curves::GrowthCurves;
 use super::norm::norm;
 use super::region_cells::RegionCells;
+use crate::ConvReal;
 
 /// Coordinates in which the norm of a vector is the L2 norm of its PSF.
 ///
@@ -19,8 +20,6 @@ use super::region_cells::RegionCells;
 #[derive(Debug)]
 pub struct PsfSpace {
     model: PsfModel,
-    /// The direction that the components do not span, if there is one, `[stamp pixel]`.
-    rest_of_mean: Option<Array1<f64>>,
     pub(crate) mean: Array1<f64>,
     /// The flux of each direction.
     pub(crate) fluxes: Array1<f64>,
@@ -28,12 +27,6 @@ pub struct PsfSpace {
     pub(crate) growth: Option<GrowthCurves>,
 }
 
-/// The part of the mean outside the components' span is ignored if its norm is below this fraction
-/// of the mean's norm.
-const NEGLIGIBLE_REMAINDER: f64 = 1e-14;
-/// A second pass makes the rest of the mean orthogonal to the components if the rest is below this
-/// fraction of the mean.
-const NO_SECOND_PASS: f64 = 0.5;
 /// The fraction of the tolerance that is left to the cells. More of it makes cells larger and needs
 /// more modes.
 const SHARE_OF_CELLS: f64 = 0.3;
@@ -41,35 +34,16 @@ const SHARE_OF_CELLS: f64 = 0.3;
 impl PsfSpace {
     /// The space of a model's PSFs. Plans that use this space bound the errors that `on` names.
     pub fn new(model: &PsfModel, on: ToleranceOn) -> Self {
-        let (mean, components) = mean_and_components(model);
-        let rank = components.nrows();
-        // Divides the mean into its part along the components and the rest. If the rest is much smaller
-        // than the mean, it is orthogonal to the components only after a second pass (Kahan, in Parlett
-        // 1980, section 6-9).
-        let mut rest = mean.map_or_else(|| Array1::zeros(components.ncols()), |mean| mean.to_owned());
-        let (whole, mut along) = (norm(rest.view()), Array1::<f64>::zeros(rank));
-        for _ in 0..2 {
-            for (along, component) in along.iter_mut().zip(components.outer_iter()) {
-                let part = component.dot(&rest);
-                *along += part;
-                rest.scaled_add(-part, &component);
-            }
-            if norm(rest.view()) >= NO_SECOND_PASS * whole {
-                break;
-            }
-        }
-        let left = norm(rest.view());
-        let rest_of_mean = (left > NEGLIGIBLE_REMAINDER * whole).then(|| rest / left);
+        let MeanParts { along, rest } = model.mean_parts();
         let (mut mean, mut fluxes) = (Vec::new(), Vec::new());
-        if let Some(rest) = &rest_of_mean {
-            mean.push(left);
+        if let Some((norm, rest)) = rest {
+            mean.push(*norm);
             fluxes.push(model.grid().flux_of_sum(rest.sum()));
         }
         mean.extend(along);
-        fluxes.extend_from_slice(&model.stamp_fluxes()[model.stamp_count() - rank..]);
+        fluxes.extend_from_slice(&model.stamp_fluxes()[model.stamp_count() - along.len()..]);
         let mut space = Self {
             model: model.clone(),
-            rest_of_mean,
             mean: Array1::from(mean),
             fluxes: Array1::from(fluxes),
             growth: None,
@@ -98,28 +72,47 @@ impl PsfSpace {
 
     /// The stamps of the directions, `[direction, stamp pixel]`.
     pub(crate) fn stamps(&self) -> Array2<f64> {
-        self.pixels_of_stamps(0..self.pixel_count())
+        self.first_stamps(self.mean.len(), 0..self.pixel_count())
     }
 
-    /// Some pixels of the directions' stamps, `[direction, stamp pixel]`.
-    pub(crate) fn pixels_of_stamps(&self, pixels: Range<usize>) -> Array2<f64> {
-        let (_, components) = mean_and_components(&self.model);
-        let rest = self.rest_of_mean.iter();
-        let mut parts: Vec<_> = rest.map(|rest| rest.slice(s![NewAxis, pixels.clone()])).collect();
-        parts.push(components.slice(s![.., pixels.clone()]));
-        ndarray::concatenate(Axis(0), &parts).expect("equally many pixels")
+    /// Some pixels of the first directions' stamps, `[direction, stamp pixel]`.
+    pub(crate) fn first_stamps<T: ConvReal>(&self, count: usize, pixels: Range<usize>) -> Array2<T> {
+        let directions = self
+            .rest_of_mean()
+            .into_iter()
+            .chain(self.components().into_outer_iter());
+        let mut stamps = Array2::zeros((count, pixels.len()));
+        for (mut stamp, direction) in stamps.outer_iter_mut().zip(directions) {
+            stamp.zip_mut_with(&direction.slice(s![pixels.clone()]), |to, &v| *to = T::nearest(v));
+        }
+        stamps
     }
 
-    /// The stamps of vectors `[vector, direction]`, `[vector, stamp pixel]`.
-    pub(crate) fn stamps_of(&self, vectors: &Array2<f64>) -> Array2<f64> {
-        let (_, components) = mean_and_components(&self.model);
-        let mut stamps = vectors.slice(s![.., self.first_component()..]).dot(&components);
-        if let Some(rest) = &self.rest_of_mean {
+    /// Some pixels of the stamps of vectors `[vector, direction]`, `[vector, stamp pixel]`.
+    pub(crate) fn stamps_of(&self, vectors: &Array2<f64>, pixels: Range<usize>) -> Array2<f64> {
+        let along_components = vectors.slice(s![.., self.first_component()..]);
+        let mut stamps = along_components.dot(&self.components().slice(s![.., pixels.clone()]));
+        if let Some(rest) = self.rest_of_mean() {
+            let rest = rest.slice(s![pixels]);
             for (mut stamp, vector) in stamps.outer_iter_mut().zip(vectors.outer_iter()) {
-                stamp.scaled_add(vector[0], rest);
+                stamp.scaled_add(vector[0], &rest);
             }
         }
         stamps
+    }
+
+    /// The direction that the components do not span, if there is one, `[stamp pixel]`.
+    fn rest_of_mean(&self) -> Option<ArrayView1<'_, f64>> {
+        let rest = self.model.mean_parts().rest.as_ref();
+        rest.map(|(_, rest)| rest.view())
+    }
+
+    /// The components, `[component, stamp pixel]`.
+    fn components(&self) -> ArrayView2<'_, f64> {
+        let stamps = self.model.stamps();
+        let shape = (stamps.dim().0, self.pixel_count());
+        let stamps = stamps.into_shape_with_order(shape).expect("stamps are row-major");
+        stamps.slice_move(s![usize::from(self.model.is_mean_centred()).., ..])
     }
 
     /// Sets `psf` to the vector of the PSF at a position, not scaled to unit flux. `coefficients` is
@@ -139,7 +132,7 @@ impl PsfSpace {
 
     /// The index of the first direction that is a component.
     fn first_component(&self) -> usize {
-        usize::from(self.rest_of_mean.is_some())
+        usize::from(self.rest_of_mean().is_some())
     }
 
     /// A first guess of the error of cells that leaves most of the tolerance to the modes of a
@@ -257,15 +250,4 @@ impl PsfSpace {
         }
         rows
     }
-}
-
-/// The mean stamp, if there is one, and the components, `[component, stamp pixel]`.
-fn mean_and_components(model: &PsfModel) -> (Option<ArrayView1<'_, f64>>, ArrayView2<'_, f64>) {
-    let stamps = model.stamps();
-    let (count, ny, nx) = stamps.dim();
-    let flat = stamps
-        .into_shape_with_order((count, ny * nx))
-        .expect("stamps are row-major");
-    let (mean, components) = flat.split_at(Axis(0), usize::from(model.is_mean_centred()));
-    (mean.into_outer_iter().next(), components)
 }

@@ -6,7 +6,7 @@
 use std::{iter, ops::Range};
 
 use psf_types::{BilinearCells, CoefficientField, ErrorLimit, FrameShape, PixelRegion, Position};
-use rustc_hash::FxHashMap;
+use rustc_hash::{FxBuildHasher, FxHashMap};
 
 use super::axis_cuts::parts;
 
@@ -244,7 +244,7 @@ impl RegionCells {
         let is_flat = |side: (f64, f64)| side.0 >= side.1;
         rectangles.retain(|&[x, y]| (nx == 1 || !is_flat(x)) && (rows.len() == 1 || !is_flat(y)));
         rectangles.sort_by(|[a, _], [b, _]| a.0.total_cmp(&b.0));
-        let mut numbers = FxHashMap::default();
+        let mut numbers = FxHashMap::with_capacity_and_hasher(2 * rectangles.len(), FxBuildHasher);
         let mut corner = |all: &mut Self, at: [f64; 2]| {
             *numbers
                 .entry(at.map(f64::to_bits))

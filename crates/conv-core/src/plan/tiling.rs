@@ -194,10 +194,18 @@ fn between((low, few): (f64, Contents), (high, many): (f64, Contents), area: f64
 /// The first pixels of the field's cells, counted from the first pixel of the weighted side
 /// ([`Geometry`]). `None` if the field has no cells, or if they are too small for tiles of their own.
 fn cuts(model: &PsfModel, geometry: &Geometry) -> Option<[Vec<usize>; 2]> {
-    let BilinearCells::Lines { x, y, .. } = model.field().bilinear_cells(geometry.weighted, ErrorLimit::ZERO)
-    else {
-        return None;
+    let lines = |region| match model.field().bilinear_cells(region, ErrorLimit::ZERO) {
+        BilinearCells::Lines { x, y, .. } => Some([x, y]),
+        _ => None,
     };
+    // All cells of a large tree are slow to list, so a single pixel tells first that it has no lines.
+    let pixel = FrameShape::new(1, 1).expect("a pixel");
+    lines(PixelRegion::new(
+        geometry.weighted.x0(),
+        geometry.weighted.y0(),
+        pixel,
+    ))?;
+    let [x, y] = lines(geometry.weighted)?;
     let cuts = |lines: Vec<f64>, first: i64, length: usize| {
         let pixels = lines.iter().map(|line| line.ceil() - first as f64);
         let inside = pixels.filter(|&p| p >= 1.0 && p < length as f64);

@@ -111,7 +111,7 @@ impl<T: ConvReal> StarBlock<T> {
         let mean = LocalModes::mean(space, &cells);
         let of_modes = MARGIN * tolerance * norms.share(mean.view());
         let modes = LocalModes::of_exact_cells(space, &cells, of_modes.max(ROUNDING));
-        let stamps = space.stamps_of(&modes.kernels());
+        let stamps = space.stamps_of(&modes.kernels(), 0..space.pixel_count());
         let stamps = stamps.outer_iter().map(|stamp| {
             let stamp = stamp.into_shape_with_order(model.grid().dim());
             columns.kernel.coefficients(stamp.expect("the size of a stamp"))

@@ -117,6 +117,27 @@ pub(crate) fn butterfly<T: ConvReal, S: Lanes<T>, const R: usize>(
     y
 }
 
+/// The same sums if only the first two values are not zero.
+#[inline(always)]
+pub(crate) fn butterfly_of_two<T: ConvReal, S: Lanes<T>, const R: usize>(
+    simd: S,
+    [a, b]: [Pair<S::V>; 2],
+) -> [Pair<S::V>; R] {
+    let mut y = [add(simd, a, b); R];
+    for (s, y) in y.iter_mut().enumerate().skip(1) {
+        let angle = std::f64::consts::TAU * s as f64 / R as f64;
+        let (cosine, sine) = (
+            simd.splat(T::nearest(angle.cos())),
+            simd.splat(T::nearest(angle.sin())),
+        );
+        *y = [
+            simd.mul_add(b[1], sine, simd.mul_add(b[0], cosine, a[0])),
+            simd.neg_mul_add(b[0], sine, simd.mul_add(b[1], cosine, a[1])),
+        ];
+    }
+    y
+}
+
 #[inline(always)]
 fn butterfly4<T: ConvReal, S: Lanes<T>>(simd: S, x: [Pair<S::V>; 4]) -> [Pair<S::V>; 4] {
     let (a, b) = (add(simd, x[0], x[2]), sub(simd, x[0], x[2]));

@@ -4,7 +4,7 @@
 //! scrambled. Inverse transforms decimate in time: their input is scrambled, their output in
 //! natural order. A product of spectra does not depend on the order, so nothing is ever sorted.
 
-use super::butterfly::{butterfly, times};
+use super::butterfly::{butterfly, butterfly_of_two, times};
 use crate::ConvReal;
 use crate::simd::{Lanes, Pair};
 
@@ -49,19 +49,62 @@ impl<T: ConvReal> Stages<T> {
         Self { len, stages }
     }
 
-    /// `sum_n x_n exp(-2 pi i n k / len)`, in scrambled order. Values from index `filled` on must
-    /// be zero.
+    /// `sum_n x_n exp(-2 pi i n k / len)`, in scrambled order. Values from index `filled` on count as
+    /// zero and are not read.
     #[inline(always)]
     pub(crate) fn forward<S: Lanes<T>>(&self, simd: S, values: &mut [Pair<S::V>], filled: usize) {
         let values = &mut values[..self.len];
-        for (index, stage) in self.stages.iter().enumerate() {
-            let filled = if index == 0 { filled } else { self.len };
+        self.forward_stages(simd, values, filled, self.stages.len());
+    }
+
+    /// Transforms `values` like [`forward`](Self::forward), and multiplies the result by `factor`, as
+    /// `multiply_swapped` does. `values` are then undefined.
+    #[inline(always)]
+    pub(crate) fn forward_multiply_swapped<S: Lanes<T>>(
+        &self,
+        simd: S,
+        values: &mut [Pair<S::V>],
+        filled: usize,
+        factor: &[Pair<S::V>],
+        sum: &mut [Pair<S::V>],
+        add: bool,
+    ) {
+        let (values, factor, sum) = (&mut values[..self.len], &factor[..self.len], &mut sum[..self.len]);
+        let Some((last, first)) = self.stages.split_last() else {
+            return multiply_swapped(simd, values, factor, sum, add);
+        };
+        if first.is_empty() {
+            values[filled..].fill([simd.splat(T::zero()); 2]);
+        }
+        self.forward_stages(simd, values, filled, first.len());
+        match last.radix {
+            2 => multiply_last::<T, S, 2>(simd, values, factor, sum, add),
+            3 => multiply_last::<T, S, 3>(simd, values, factor, sum, add),
+            4 => multiply_last::<T, S, 4>(simd, values, factor, sum, add),
+            5 => multiply_last::<T, S, 5>(simd, values, factor, sum, add),
+            _ => multiply_last::<T, S, 8>(simd, values, factor, sum, add),
+        }
+    }
+
+    /// The first stages of [`forward`](Self::forward).
+    #[inline(always)]
+    fn forward_stages<S: Lanes<T>>(&self, simd: S, values: &mut [Pair<S::V>], filled: usize, count: usize) {
+        for (index, stage) in self.stages[..count].iter().enumerate() {
+            let mut legs = stage.radix;
+            if index == 0 {
+                let step = stage.block / stage.radix;
+                legs = filled.div_ceil(step);
+                if legs > 2 || step == 1 {
+                    legs = stage.radix;
+                }
+                values[filled..legs * step].fill([simd.splat(T::zero()); 2]);
+            }
             match stage.radix {
-                2 => stage.forward2(simd, values, filled),
-                3 => stage.forward3(simd, values, filled),
-                4 => stage.forward4(simd, values, filled),
-                5 => stage.forward5(simd, values, filled),
-                _ => stage.forward8(simd, values, filled),
+                2 => stage.forward2(simd, values, legs),
+                3 => stage.forward3(simd, values, legs),
+                4 => stage.forward4(simd, values, legs),
+                5 => stage.forward5(simd, values, legs),
+                _ => stage.forward8(simd, values, legs),
             }
         }
     }
@@ -97,27 +140,34 @@ macro_rules! cut {
 /// The forward and the inverse transform of a stage with one radix. The loops name each leg,
 /// because closures may not be inlined, and calls would be slow here.
 macro_rules! radix {
-    ($forward:ident, $inverse:ident, $radix:literal, $first:ident, $($leg:ident = $s:literal),+) => {
+    ($forward:ident, $inverse:ident, $radix:literal, $first:ident, $second:ident $(, $leg:ident = $s:literal)*) => {
+        /// Only the first `legs` legs are read: 1 or 2, and the others count as zero, or all.
         #[inline(always)]
-        fn $forward<S: Lanes<T>>(&self, simd: S, values: &mut [Pair<S::V>], filled: usize) {
+        fn $forward<S: Lanes<T>>(&self, simd: S, values: &mut [Pair<S::V>], legs: usize) {
             let step = self.block / $radix;
             for block in values.chunks_exact_mut(self.block) {
-                cut!(block, step, $first, $($leg),+);
+                cut!(block, step, $first, $second $(, $leg)*);
                 if step == 1 {
-                    let y = butterfly::<T, S, $radix>(simd, [$first[0], $($leg[0]),+]);
+                    let y = butterfly::<T, S, $radix>(simd, [$first[0], $second[0] $(, $leg[0])*]);
                     $first[0] = y[0];
-                    $($leg[0] = y[$s];)+
-                } else if filled <= step {
-                    // Only the first leg is not zero.
+                    $second[0] = y[1];
+                    $($leg[0] = y[$s];)*
+                } else if legs == 1 {
                     for (j, w) in self.twiddles.chunks_exact($radix - 1).enumerate().take(step) {
                         let x = $first[j];
-                        $($leg[j] = times(simd, x, splat(simd, w[$s - 1]));)+
+                        $second[j] = times(simd, x, splat(simd, w[0]));
+                        $($leg[j] = times(simd, x, splat(simd, w[$s - 1]));)*
                     }
                 } else {
                     for (j, w) in self.twiddles.chunks_exact($radix - 1).enumerate().take(step) {
-                        let y = butterfly::<T, S, $radix>(simd, [$first[j], $($leg[j]),+]);
+                        let y = if legs == 2 && $radix > 2 {
+                            butterfly_of_two::<T, S, $radix>(simd, [$first[j], $second[j]])
+                        } else {
+                            butterfly::<T, S, $radix>(simd, [$first[j], $second[j] $(, $leg[j])*])
+                        };
                         $first[j] = y[0];
-                        $($leg[j] = times(simd, y[$s], splat(simd, w[$s - 1]));)+
+                        $second[j] = times(simd, y[1], splat(simd, w[0]));
+                        $($leg[j] = times(simd, y[$s], splat(simd, w[$s - 1]));)*
                     }
                 }
             }
@@ -127,17 +177,20 @@ macro_rules! radix {
         fn $inverse<S: Lanes<T>>(&self, simd: S, values: &mut [Pair<S::V>]) {
             let step = self.block / $radix;
             for block in values.chunks_exact_mut(self.block) {
-                cut!(block, step, $first, $($leg),+);
+                cut!(block, step, $first, $second $(, $leg)*);
                 if step == 1 {
-                    let y = butterfly::<T, S, $radix>(simd, [$first[0], $($leg[0]),+]);
+                    let y = butterfly::<T, S, $radix>(simd, [$first[0], $second[0] $(, $leg[0])*]);
                     $first[0] = y[0];
-                    $($leg[0] = y[$s];)+
+                    $second[0] = y[1];
+                    $($leg[0] = y[$s];)*
                 } else {
                     for (j, w) in self.twiddles.chunks_exact($radix - 1).enumerate().take(step) {
-                        let x = [$first[j], $(times(simd, $leg[j], splat(simd, w[$s - 1]))),+];
+                        let second = times(simd, $second[j], splat(simd, w[0]));
+                        let x = [$first[j], second $(, times(simd, $leg[j], splat(simd, w[$s - 1])))*];
                         let y = butterfly::<T, S, $radix>(simd, x);
                         $first[j] = y[0];
-                        $($leg[j] = y[$s];)+
+                        $second[j] = y[1];
+                        $($leg[j] = y[$s];)*
                     }
                 }
             }
@@ -146,16 +199,16 @@ macro_rules! radix {
 }
 
 impl<T: ConvReal> Stage<T> {
-    radix!(forward2, inverse2, 2, a, b = 1);
-    radix!(forward3, inverse3, 3, a, b = 1, c = 2);
-    radix!(forward4, inverse4, 4, a, b = 1, c = 2, d = 3);
-    radix!(forward5, inverse5, 5, a, b = 1, c = 2, d = 3, e = 4);
+    radix!(forward2, inverse2, 2, a, b);
+    radix!(forward3, inverse3, 3, a, b, c = 2);
+    radix!(forward4, inverse4, 4, a, b, c = 2, d = 3);
+    radix!(forward5, inverse5, 5, a, b, c = 2, d = 3, e = 4);
     radix!(
         forward8,
         inverse8,
         8,
         a,
-        b = 1,
+        b,
         c = 2,
         d = 3,
         e = 4,
@@ -165,6 +218,50 @@ impl<T: ConvReal> Stage<T> {
     );
 }
 
+/// The last stage of a forward transform, whose values are not stored but multiplied by `factor`.
+#[inline(always)]
+fn multiply_last<T: ConvReal, S: Lanes<T>, const R: usize>(
+    simd: S,
+    values: &[Pair<S::V>],
+    factor: &[Pair<S::V>],
+    sum: &mut [Pair<S::V>],
+    add: bool,
+) {
+    let blocks = values.chunks_exact(R).zip(factor.chunks_exact(R));
+    for ((block, factor), sum) in blocks.zip(sum.chunks_exact_mut(R)) {
+        let block: &[Pair<S::V>; R] = block.try_into().expect("a block");
+        multiply_swapped(simd, &butterfly::<T, S, R>(simd, *block), factor, sum, add);
+    }
+}
+
+/// The product of two spectra, with real and imaginary parts swapped. The product is added to `sum`
+/// if `add` is true, otherwise it replaces `sum`.
+#[inline(always)]
+pub(super) fn multiply_swapped<T: ConvReal, S: Lanes<T>>(
+    simd: S,
+    a: &[Pair<S::V>],
+    b: &[Pair<S::V>],
+    sum: &mut [Pair<S::V>],
+    add: bool,
+) {
+    if add {
+        for ((sum, a), b) in sum.iter_mut().zip(a).zip(b) {
+            let imaginary = simd.mul_add(a[0], b[1], sum[0]);
+            let real = simd.mul_add(a[0], b[0], sum[1]);
+            *sum = [
+                simd.mul_add(a[1], b[0], imaginary),
+                simd.neg_mul_add(a[1], b[1], real),
+            ];
+        }
+    } else {
+        for ((sum, a), b) in sum.iter_mut().zip(a).zip(b) {
+            let [real, imaginary] = times(simd, *a, *b);
+            *sum = [imaginary, real];
+        }
+    }
+}
+
+/// Loads one vector of a row.
 #[inline(always)]
 fn splat<T: ConvReal, S: Lanes<T>>(simd: S, w: Pair<T>) -> Pair<S::V> {
     [simd.splat(w[0]), simd.splat(w[1])]

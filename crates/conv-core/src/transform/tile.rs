@@ -1,7 +1,7 @@
 //! Two-dimensional real transforms of a tile.
 
 use super::butterfly::times;
-use super::stages::{Stages, root};
+use super::stages::{Stages, multiply_swapped, root};
 use crate::ConvReal;
 use crate::simd::{Lanes, Pair};
 use pulp::bytemuck::{cast_slice, cast_slice_mut};
@@ -28,6 +28,27 @@ pub struct TileTransform<T> {
     twist: Vec<Pair<T>>,
     /// `exp(-i pi y / ny) / (nx ny / 2)`.
     untwist: Vec<Pair<T>>,
+}
+
+/// Real values `[y, x]`, as a transform reads them.
+pub(crate) trait Plane<T: ConvReal>: Copy {
+    /// A vector of a row. `index` counts vectors from the first column.
+    fn vector<S: Lanes<T>>(self, simd: S, row: usize, index: usize) -> S::V;
+}
+
+/// A plane in memory.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct StoredPlane<'a, T> {
+    values: &'a [T],
+    pitch: usize,
+}
+
+impl<T: ConvReal> Plane<T> for StoredPlane<'_, T> {
+    #[inline(always)]
+    fn vector<S: Lanes<T>>(self, _: S, row: usize, index: usize) -> S::V {
+        let first = row * self.pitch + index * S::LANES;
+        cast_slice::<T, S::V>(&self.values[first..first + S::LANES])[0]
+    }
 }
 
 /// The columns and rows of planes are multiples of these numbers, so that planes hold whole vectors
@@ -60,6 +81,12 @@ impl<T: ConvReal> TileTransform<T> {
     /// a power of two, the rows would otherwise share few sets of the cache.
     pub(crate) fn pitch(&self) -> usize {
         self.nx + X_STEP
+    }
+
+    /// Values as a plane.
+    pub(crate) fn plane<'a>(&self, values: &'a [T]) -> StoredPlane<'a, T> {
+        let pitch = self.pitch();
+        StoredPlane { values, pitch }
     }
 
     /// The number of values in a plane.
@@ -96,10 +123,12 @@ impl<T: ConvReal> TileTransform<T> {
         spectrum: &mut [T],
         column: &mut [T],
     ) {
+        let plane = self.plane(plane);
         self.forward_along_y(simd, plane, (rows, columns), spectrum, self.nx, column);
         let spectrum: &mut [Pair<S::V>] = cast_slice_mut(&mut spectrum[..self.spectrum_len()]);
         for group in spectrum.chunks_exact_mut(group(self.nx)) {
-            self.across(simd, group, columns);
+            self.across
+                .forward(simd, group, columns.next_multiple_of(S::LANES));
         }
     }
 
@@ -115,7 +144,7 @@ impl<T: ConvReal> TileTransform<T> {
     pub(crate) fn forward_multiply_swapped<S: Lanes<T>>(
         &self,
         simd: S,
-        plane: &[T],
+        plane: impl Plane<T>,
         (rows, columns): (usize, usize),
         (factor, only_y): (&[T], Option<usize>),
         sum: &mut [T],
@@ -131,17 +160,18 @@ impl<T: ConvReal> TileTransform<T> {
         let other: &mut [Pair<S::V>] = &mut cast_slice_mut(column)[..n];
         let groups = spectrum.chunks_exact_mut(group(self.nx)).zip(others);
         for ((group, factor), sum) in groups.zip(sum.chunks_exact_mut(group(self.nx))) {
-            self.across(simd, group, columns);
             let factor: &[Pair<S::V>] = match only_y {
-                None => &factor[..n],
+                None => factor,
                 Some(columns) => {
                     let filled = columns.next_multiple_of(S::LANES);
                     other[..filled].copy_from_slice(&factor[..filled]);
-                    self.across(simd, other, columns);
+                    self.across.forward(simd, other, filled);
                     other
                 }
             };
-            multiply_swapped(simd, &group[..n], factor, &mut sum[..n], add);
+            let filled = columns.next_multiple_of(S::LANES);
+            self.across
+                .forward_multiply_swapped(simd, group, filled, factor, sum, add);
         }
     }
 
@@ -152,7 +182,7 @@ impl<T: ConvReal> TileTransform<T> {
     pub(crate) fn forward_along_y<S: Lanes<T>>(
         &self,
         simd: S,
-        plane: &[T],
+        plane: impl Plane<T>,
         (rows, columns): (usize, usize),
         spectrum: &mut [T],
         width: usize,
@@ -161,25 +191,19 @@ impl<T: ConvReal> TileTransform<T> {
         let half = self.ny / 2;
         let spectrum: &mut [Pair<S::V>] = cast_slice_mut(&mut spectrum[..self.along_y_len(width)]);
         let column: &mut [Pair<S::V>] = &mut cast_slice_mut(column)[..half];
-        let zero = simd.splat(T::zero());
         for block in 0..columns.div_ceil(S::LANES) {
             let both = rows.saturating_sub(half);
-            for (y, (value, w)) in column.iter_mut().zip(&self.twist).enumerate() {
+            for (y, (value, w)) in column.iter_mut().zip(&self.twist).enumerate().take(rows) {
                 let w = [simd.splat(w[0]), simd.splat(w[1])];
                 *value = if y < both {
                     times(
                         simd,
-                        [
-                            load(simd, plane, self.pitch(), y, block),
-                            load(simd, plane, self.pitch(), y + half, block),
-                        ],
+                        [plane.vector(simd, y, block), plane.vector(simd, y + half, block)],
                         w,
                     )
-                } else if y < rows {
-                    let real = load(simd, plane, self.pitch(), y, block);
-                    [simd.mul(real, w[0]), simd.mul(real, w[1])]
                 } else {
-                    [zero; 2]
+                    let real = plane.vector(simd, y, block);
+                    [simd.mul(real, w[0]), simd.mul(real, w[1])]
                 };
             }
             self.down.forward(simd, column, rows.min(half));
@@ -188,15 +212,6 @@ impl<T: ConvReal> TileTransform<T> {
                 simd.transpose(from, &mut group[block * S::LANES..(block + 1) * S::LANES]);
             }
         }
-    }
-
-    /// The transforms along x of a group. Only the group's first `columns` values are set, and the
-    /// others count as zero.
-    #[inline(always)]
-    fn across<S: Lanes<T>>(&self, simd: S, group: &mut [Pair<S::V>], columns: usize) {
-        let filled = columns.next_multiple_of(S::LANES);
-        group[filled..self.nx].fill([simd.splat(T::zero()); 2]);
-        self.across.forward(simd, &mut group[..self.nx], filled);
     }
 
     /// Computes the first `rows` rows and `columns` columns of a plane from its spectrum, whose
@@ -255,38 +270,6 @@ fn group(columns: usize) -> usize {
     columns.next_multiple_of(X_STEP) + 1
 }
 
-#[inline(always)]
-fn multiply_swapped<T: ConvReal, S: Lanes<T>>(
-    simd: S,
-    a: &[Pair<S::V>],
-    b: &[Pair<S::V>],
-    sum: &mut [Pair<S::V>],
-    add: bool,
-) {
-    if add {
-        for ((sum, a), b) in sum.iter_mut().zip(a).zip(b) {
-            let imaginary = simd.mul_add(a[0], b[1], sum[0]);
-            let real = simd.mul_add(a[0], b[0], sum[1]);
-            *sum = [
-                simd.mul_add(a[1], b[0], imaginary),
-                simd.neg_mul_add(a[1], b[1], real),
-            ];
-        }
-    } else {
-        for ((sum, a), b) in sum.iter_mut().zip(a).zip(b) {
-            let [real, imaginary] = times(simd, *a, *b);
-            *sum = [imaginary, real];
-        }
-    }
-}
-
-/// Loads one vector of a row.
-#[inline(always)]
-fn load<T: ConvReal, S: Lanes<T>>(_: S, plane: &[T], pitch: usize, row: usize, block: usize) -> S::V {
-    let first = row * pitch + block * S::LANES;
-    cast_slice::<T, S::V>(&plane[first..first + S::LANES])[0]
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -329,11 +312,12 @@ mod tests {
                         fft.multiply_swapped(simd, &a, &b, &mut sum, false);
                         let mut along_y = vec![T::nan(); fft.along_y_len(width)];
                         let size = (height, width);
-                        fft.forward_along_y(simd, &stamp_plane, size, &mut along_y, width, &mut column);
+                        let stamp_plane = fft.plane(&stamp_plane);
+                        fft.forward_along_y(simd, stamp_plane, size, &mut along_y, width, &mut column);
                         for factor in [(&b[..], None), (&along_y[..], Some(width))] {
                             fft.forward_multiply_swapped(
                                 simd,
-                                &light_plane,
+                                fft.plane(&light_plane),
                                 (rows, columns),
                                 factor,
                                 &mut sum,
