@@ -31,21 +31,24 @@ pub(crate) fn with_rows_in_memory<T: ConvReal, R>(
     Ok(result)
 }
 
-/// The number of values that a thread writes together.
-const PART: usize = 1024;
+/// The assumed size of a memory page in bytes. It must not be larger than the system's pages,
+/// because [`zeros`] would then skip some of them.
+const PAGE: usize = 4096;
 
-/// Returns an array of zeros, which all threads have written.
+/// Returns an image `[y, x]` of zeros. Its memory pages are already allocated, because threads have
+/// written to each page.
 ///
-/// Zeros of the operating system are memory that does not exist before its first use. An addition reads
-/// it before it writes to it. The system then works twice: for the read it lends a page of zeros that all
+/// The operating system allocates a page when it is first used. An addition reads a page before it
+/// writes to it. The system then works twice: for the read it lends a page of zeros that all
 /// programs share, and for the write it allocates a new page. It also interrupts every processor
 /// core, so that the core forgets the shared page. For a large image, these interrupts take several
 /// times as long as the convolution.
 pub fn zeros<T: ConvReal>((rows, columns): (usize, usize)) -> Array2<T> {
-    let count = rows * columns;
-    let parts = (0..count.div_ceil(PART)).into_par_iter().with_min_len(64);
-    let parts: Vec<[T; PART]> = parts.map(|_| [T::zero(); PART]).collect();
-    let mut values = parts.into_flattened();
-    values.truncate(count);
-    Array2::from_shape_vec((rows, columns), values).expect("a value for each place")
+    let mut image = Array2::zeros((rows, columns));
+    let pixels: &mut [T] = image.as_slice_mut().expect("new arrays are row-major");
+    pixels
+        .par_chunks_mut(PAGE / size_of::<T>())
+        .with_min_len(256)
+        .for_each(|page| page[0] = T::zero());
+    image
 }

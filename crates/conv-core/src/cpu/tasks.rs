@@ -48,14 +48,8 @@ pub(super) fn together<T: ConvReal>(
     }
     // Each thread takes the next block when it is free. Those with most kernels come first, so that all
     // threads end at about the same time.
-    tasks.sort_by_key(|task| {
-        Reverse(
-            pass.processor
-                .plan
-                .block(task.block.0, task.block.1)
-                .kernel_count(),
-        )
-    });
+    let kernels = |(column, row)| pass.processor.plan.block(column, row).kernel_count();
+    tasks.sort_by_key(|task| Reverse(kernels(task.block)));
     let mut done: Vec<_> = tasks
         .into_iter()
         .par_bridge()

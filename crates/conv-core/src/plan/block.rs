@@ -13,7 +13,6 @@ use super::coefficient_table::{CoefficientTable, FluxRole};
 use super::local_modes::LocalModes;
 use super::psf_space::PsfSpace;
 use crate::ConvReal;
-use crate::image_memory::zeros;
 
 /// The local basis of a block, with coefficients and stamps if the plan has memory for them. The
 /// kernels of a block are its reference, if it has one, and its modes.
@@ -146,7 +145,7 @@ pub(crate) fn stamps_of<T: ConvReal>(
     let held = held.unwrap_or(0);
     let of_exact = all.select(Axis(0), &exact);
     let of_modes = all.slice(s![.., ..held]).mapv(T::nearest);
-    let mut shared = zeros((all.nrows(), space.pixel_count()));
+    let mut shared = Array2::zeros((all.nrows(), space.pixel_count()));
     let product = |(i, mut part): (usize, ArrayViewMut2<'_, T>)| {
         let first = i * PIXELS_PER_PRODUCT;
         let pixels = first..first + part.ncols();

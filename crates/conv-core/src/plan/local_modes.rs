@@ -257,7 +257,8 @@ impl LocalModes {
 }
 
 /// The products of each row with `along` and with `fluxes`, and the largest norm of a row. Removes from
-/// each row its flux times the reference, if there is one.
+/// each row its flux times the reference, if there is one. A second pass removes the flux that rounding
+/// leaves. Otherwise it could become a direction of the modes.
 #[inline(always)]
 fn split(
     rows: &mut Array2<f64>,
@@ -269,11 +270,16 @@ fn split(
     let mut largest = 0.0_f64;
     for mut row in rows.outer_iter_mut() {
         let row = row.as_slice_mut().expect("row-major");
-        let flux = dot(row, fluxes);
         largest = largest.max(dot(row, row));
         betas.push(dot(row, along));
+        let mut flux = dot(row, fluxes);
+        if let Some(reference) = reference {
+            add_scaled(row, -flux, reference);
+            let left = dot(row, fluxes);
+            add_scaled(row, -left, reference);
+            flux += left;
+        }
         of_rows.push(flux);
-        add_scaled(row, -flux, reference.unwrap_or_default());
     }
     (Array1::from(betas), Array1::from(of_rows), largest.sqrt())
 }

@@ -223,6 +223,7 @@ impl<T: ConvReal> Plan<T> {
         for first in (0..count).step_by(BLOCKS_AT_ONCE) {
             let made: Vec<Block<T>> = (first..(first + BLOCKS_AT_ONCE).min(count))
                 .into_par_iter()
+                .with_max_len(1)
                 .map(|i| {
                     progress.check_cancelled()?;
                     let whole = &self.whole;

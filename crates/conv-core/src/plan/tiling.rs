@@ -268,6 +268,7 @@ impl Tiling {
         let tolerance = options.tolerance_in::<T>();
         let (kernels, cells): (Vec<usize>, Vec<usize>) = (0..samples)
             .into_par_iter()
+            .with_max_len(1)
             .map(|i| {
                 let row = (2 * i + 1) * up / (2 * samples);
                 let column = ((3 * i + 1) % samples * 2 + 1) * across / (2 * samples);

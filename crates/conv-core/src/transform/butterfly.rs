@@ -117,7 +117,7 @@ pub(crate) fn butterfly<T: ConvReal, S: Lanes<T>, const R: usize>(
     y
 }
 
-/// The same sums if only the first two values are not zero.
+/// The sums of [`butterfly`] if only the first two values are not zero.
 #[inline(always)]
 pub(crate) fn butterfly_of_two<T: ConvReal, S: Lanes<T>, const R: usize>(
     simd: S,
@@ -126,10 +126,9 @@ pub(crate) fn butterfly_of_two<T: ConvReal, S: Lanes<T>, const R: usize>(
     let mut y = [add(simd, a, b); R];
     for (s, y) in y.iter_mut().enumerate().skip(1) {
         let angle = std::f64::consts::TAU * s as f64 / R as f64;
-        let (cosine, sine) = (
-            simd.splat(T::nearest(angle.cos())),
-            simd.splat(T::nearest(angle.sin())),
-        );
+        // The cosine of the rounded angle would differ from -1/2.
+        let cosine = if R == 3 { -0.5 } else { angle.cos() };
+        let [cosine, sine] = [cosine, angle.sin()].map(|v| simd.splat(T::nearest(v)));
         *y = [
             simd.mul_add(b[1], sine, simd.mul_add(b[0], cosine, a[0])),
             simd.neg_mul_add(b[0], sine, simd.mul_add(b[1], cosine, a[1])),

@@ -57,8 +57,9 @@ impl<T: ConvReal> Stages<T> {
         self.forward_stages(simd, values, filled, self.stages.len());
     }
 
-    /// Transforms `values` like [`forward`](Self::forward), and multiplies the result by `factor`, as
-    /// `multiply_swapped` does. `values` are then undefined.
+    /// Transforms `values` like [`forward`](Self::forward), and multiplies the result by `factor` like
+    /// [`multiply_swapped`]. The content of `values` is undefined afterwards. There must be at least two
+    /// stages.
     #[inline(always)]
     pub(crate) fn forward_multiply_swapped<S: Lanes<T>>(
         &self,
@@ -70,12 +71,7 @@ impl<T: ConvReal> Stages<T> {
         add: bool,
     ) {
         let (values, factor, sum) = (&mut values[..self.len], &factor[..self.len], &mut sum[..self.len]);
-        let Some((last, first)) = self.stages.split_last() else {
-            return multiply_swapped(simd, values, factor, sum, add);
-        };
-        if first.is_empty() {
-            values[filled..].fill([simd.splat(T::zero()); 2]);
-        }
+        let (last, first) = self.stages.split_last().expect("at least two stages");
         self.forward_stages(simd, values, filled, first.len());
         match last.radix {
             2 => multiply_last::<T, S, 2>(simd, values, factor, sum, add),
@@ -86,7 +82,7 @@ impl<T: ConvReal> Stages<T> {
         }
     }
 
-    /// The first stages of [`forward`](Self::forward).
+    /// The first stages of [`forward`](Self::forward), `count` of them.
     #[inline(always)]
     fn forward_stages<S: Lanes<T>>(&self, simd: S, values: &mut [Pair<S::V>], filled: usize, count: usize) {
         for (index, stage) in self.stages[..count].iter().enumerate() {
@@ -261,7 +257,6 @@ pub(super) fn multiply_swapped<T: ConvReal, S: Lanes<T>>(
     }
 }
 
-/// Loads one vector of a row.
 #[inline(always)]
 fn splat<T: ConvReal, S: Lanes<T>>(simd: S, w: Pair<T>) -> Pair<S::V> {
     [simd.splat(w[0]), simd.splat(w[1])]
@@ -324,6 +319,8 @@ mod tests {
                         .map(|i| T::nearest(value(i / lanes / 2, (i / lanes) % 2, i % lanes)))
                         .collect();
                     let mut buffer: Vec<Pair<S::V>> = bytemuck::cast_slice(&flat).to_vec();
+                    // Values that must not be read.
+                    buffer[filled..].fill([simd.splat(T::nan()); 2]);
                     vectorized!(simd, stages.forward(simd, &mut buffer, filled));
                     // The order is scrambled, so each frequency is searched for in the whole
                     // spectrum.
