@@ -54,9 +54,8 @@ pub(super) fn together<T: ConvReal>(
         .into_iter()
         .par_bridge()
         .map(|task| {
-            let (column, row) = task.block;
-            let work = |workspace: &mut Workspace<T>| execute(task, workspace);
-            ((row, column), pass.processor.with_workspace(work))
+            let place = (task.block.1, task.block.0);
+            (place, pass.processor.with_workspace(|w| execute(task, w)))
         })
         .collect();
     done.sort_by_key(|&(place, _)| place);

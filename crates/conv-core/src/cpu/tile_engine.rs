@@ -10,7 +10,7 @@ use crate::plan::coefficient_table::CoefficientTable;
 use crate::plan::function_rows::FunctionRows;
 use crate::plan::geometry::{Geometry, TilePart};
 use crate::simd::{Aligned, Lanes};
-use crate::transform::{Plane, StoredPlane, TileTransform, X_STEP};
+use crate::transform::{TileTransform, X_STEP};
 
 /// Planes (padded arrays of pixels) and spectra of one transform size. From one tile to the next,
 /// only `kernels` keeps its content.
@@ -140,21 +140,6 @@ impl<T: ConvReal> LocalTile<'_, T> {
     }
 }
 
-/// Light times a coefficient.
-#[derive(Clone, Copy)]
-struct Weighted<'a, T> {
-    light: StoredPlane<'a, T>,
-    function: &'a FunctionRows<T>,
-}
-
-impl<T: ConvReal> Plane<T> for Weighted<'_, T> {
-    #[inline(always)]
-    fn vector<S: Lanes<T>>(self, simd: S, row: usize, index: usize) -> S::V {
-        let light = self.light.vector(simd, row, index);
-        self.function.times(simd, row, index, light)
-    }
-}
-
 impl<T: ConvReal> TileEngine<'_, T> {
     /// Copies a rectangle of `source` that begins at (`column`, `row`) to `plane`. Pixels outside
     /// `source`, and the padding of rows, become zeros.
@@ -275,13 +260,9 @@ impl<T: ConvReal> TileEngine<'_, T> {
                 (&w.kernels.get()[kernel * length..(kernel + 1) * length], None)
             };
             local.choose(kernel, w.light.get_mut(), pitch, &mut w.function);
-            let light = Weighted {
-                light: self.fft.plane(w.light.get()),
-                function: &w.function,
-            };
             self.fft.forward_multiply_swapped(
                 simd,
-                light,
+                (self.fft.plane(w.light.get()), &w.function),
                 (rows, columns),
                 factor,
                 w.sum.get_mut(),

@@ -7,12 +7,13 @@ use pulp::bytemuck::cast_slice;
 use super::coefficient_table::{CoefficientTable, TableBand};
 use crate::ConvReal;
 use crate::simd::{Aligned, Lanes};
+use crate::transform::{Plane, StoredPlane};
 
 /// A function of a [`CoefficientTable`] in some columns and rows of its region.
 ///
 /// From the first to the last row of a band, it is linear along each column. So its values in these
 /// two rows are enough for all rows of the band.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub struct FunctionRows<T> {
     columns: Range<usize>,
     bands: Range<usize>,
@@ -33,18 +34,6 @@ struct RowInBand<T> {
 
 /// The number of neighbouring values that are written together.
 const CHUNK: usize = 16;
-
-impl<T: ConvReal> Default for FunctionRows<T> {
-    fn default() -> Self {
-        Self {
-            columns: 0..0,
-            bands: 0..0,
-            rows: Vec::new(),
-            is_one: true,
-            ends: Aligned::zeros(0),
-        }
-    }
-}
 
 impl<T: ConvReal> FunctionRows<T> {
     /// Chooses columns and rows of a table's region. [`set`](Self::set) then chooses the function.
@@ -105,20 +94,6 @@ impl<T: ConvReal> FunctionRows<T> {
         }
     }
 
-    /// The product of the function and a vector of a row's values. This is vector number `index` of the
-    /// row.
-    #[inline(always)]
-    pub(crate) fn times<S: Lanes<T>>(&self, simd: S, row: usize, index: usize, values: S::V) -> S::V {
-        if self.is_one {
-            return values;
-        }
-        let RowInBand { ends, weights } = &self.rows[row];
-        let at =
-            |end: usize| cast_slice::<T, S::V>(&self.ends.get()[end + index * S::LANES..][..S::LANES])[0];
-        let first = simd.mul(simd.splat(weights[0]), at(ends[0]));
-        simd.mul(values, simd.mul_add(simd.splat(weights[1]), at(ends[1]), first))
-    }
-
     /// The function along a row.
     #[inline(always)]
     fn along(&self, row: usize) -> impl Iterator<Item = T> + '_ {
@@ -134,6 +109,24 @@ impl<T: ConvReal> FunctionRows<T> {
     /// more.
     fn pitch(&self) -> usize {
         (self.columns.len() + CHUNK).next_multiple_of(CHUNK)
+    }
+}
+
+/// Light times a function.
+impl<T: ConvReal> Plane<T> for (StoredPlane<'_, T>, &FunctionRows<T>) {
+    #[inline(always)]
+    fn vector<S: Lanes<T>>(self, simd: S, row: usize, index: usize) -> S::V {
+        let (light, function) = (self.0.vector(simd, row, index), self.1);
+        if function.is_one {
+            return light;
+        }
+        let RowInBand { ends, weights } = &function.rows[row];
+        let [first, last] = ends.map(|end| {
+            let values = &function.ends.get()[end + index * S::LANES..][..S::LANES];
+            cast_slice::<T, S::V>(values)[0]
+        });
+        let [before, after] = weights.map(|weight| simd.splat(weight));
+        simd.mul(light, simd.mul_add(after, last, simd.mul(before, first)))
     }
 }
 

@@ -272,11 +272,10 @@ fn split(
         let row = row.as_slice_mut().expect("row-major");
         largest = largest.max(dot(row, row));
         betas.push(dot(row, along));
-        let mut flux = dot(row, fluxes);
-        if let Some(reference) = reference {
-            add_scaled(row, -flux, reference);
+        let mut flux = 0.0;
+        for _ in 0..if reference.is_some() { 2 } else { 1 } {
             let left = dot(row, fluxes);
-            add_scaled(row, -left, reference);
+            add_scaled(row, -left, reference.unwrap_or_default());
             flux += left;
         }
         of_rows.push(flux);
@@ -354,9 +353,7 @@ impl<'a> Support<'a> {
         weights[rows.nrows() - 1] = 1.0;
         let mut mean = vec![0.0; rows.ncols()];
         vectorized!(for (&weight, row) in weights.iter().zip(rows.outer_iter()) {
-            if weight != 0.0 {
-                add_scaled(&mut mean, weight, row.to_slice().expect("row-major"));
-            }
+            add_scaled(&mut mean, weight, row.to_slice().expect("row-major"));
         });
         Array1::from(mean)
     }

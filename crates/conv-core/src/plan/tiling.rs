@@ -198,7 +198,7 @@ fn cuts(model: &PsfModel, geometry: &Geometry) -> Option<[Vec<usize>; 2]> {
         BilinearCells::Lines { x, y, .. } => Some([x, y]),
         _ => None,
     };
-    // All cells of a large tree are slow to list, so a single pixel tells first that it has no lines.
+    // All cells of a large tree take long to list, so a single pixel tells first that it has no lines.
     let pixel = FrameShape::new(1, 1).expect("a pixel");
     lines(PixelRegion::new(
         geometry.weighted.x0(),

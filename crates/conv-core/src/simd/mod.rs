@@ -212,7 +212,7 @@ simd_real!(f32);
 simd_real!(f64);
 
 /// A list of values that begins at a cache line.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub struct Aligned<T> {
     values: Vec<T>,
     start: usize,

@@ -48,10 +48,6 @@ pub(crate) fn butterfly<T: ConvReal, S: Lanes<T>, const R: usize>(
 ) -> [Pair<S::V>; R] {
     let mut y = x;
     match R {
-        2 => {
-            y[0] = add(simd, x[0], x[1]);
-            y[1] = sub(simd, x[0], x[1]);
-        }
         3 => {
             let (sum, difference) = (add(simd, x[1], x[2]), sub(simd, x[1], x[2]));
             let half = simd.splat(T::nearest(-0.5));
@@ -112,27 +108,7 @@ pub(crate) fn butterfly<T: ConvReal, S: Lanes<T>, const R: usize>(
             y[3] = [simd.add(even[3][0], three[0]), simd.sub(even[3][1], three[1])];
             y[7] = [simd.sub(even[3][0], three[0]), simd.add(even[3][1], three[1])];
         }
-        _ => unreachable!("a radix of 2, 3, 4, 5 or 8"),
-    }
-    y
-}
-
-/// The sums of [`butterfly`] if only the first two values are not zero.
-#[inline(always)]
-pub(crate) fn butterfly_of_two<T: ConvReal, S: Lanes<T>, const R: usize>(
-    simd: S,
-    [a, b]: [Pair<S::V>; 2],
-) -> [Pair<S::V>; R] {
-    let mut y = [add(simd, a, b); R];
-    for (s, y) in y.iter_mut().enumerate().skip(1) {
-        let angle = std::f64::consts::TAU * s as f64 / R as f64;
-        // The cosine of the rounded angle would differ from -1/2.
-        let cosine = if R == 3 { -0.5 } else { angle.cos() };
-        let [cosine, sine] = [cosine, angle.sin()].map(|v| simd.splat(T::nearest(v)));
-        *y = [
-            simd.mul_add(b[1], sine, simd.mul_add(b[0], cosine, a[0])),
-            simd.neg_mul_add(b[0], sine, simd.mul_add(b[1], cosine, a[1])),
-        ];
+        _ => unreachable!("a radix of 3, 4, 5 or 8"),
     }
     y
 }

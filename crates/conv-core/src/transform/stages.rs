@@ -4,7 +4,7 @@
 //! scrambled. Inverse transforms decimate in time: their input is scrambled, their output in
 //! natural order. A product of spectra does not depend on the order, so nothing is ever sorted.
 
-use super::butterfly::{butterfly, butterfly_of_two, times};
+use super::butterfly::{butterfly, times};
 use crate::ConvReal;
 use crate::simd::{Lanes, Pair};
 
@@ -26,7 +26,7 @@ struct Stage<T> {
 }
 
 impl<T: ConvReal> Stages<T> {
-    /// Transforms of `len` values, a product of powers of 2, 3 and 5.
+    /// Transforms of `len` values: a multiple of 16 without prime factors above 5.
     pub(crate) fn new(len: usize) -> Self {
         let mut block = len;
         let stages = radices(len)
@@ -58,8 +58,7 @@ impl<T: ConvReal> Stages<T> {
     }
 
     /// Transforms `values` like [`forward`](Self::forward), and multiplies the result by `factor` like
-    /// [`multiply_swapped`]. The content of `values` is undefined afterwards. There must be at least two
-    /// stages.
+    /// [`multiply_swapped`]. The content of `values` is undefined afterwards.
     #[inline(always)]
     pub(crate) fn forward_multiply_swapped<S: Lanes<T>>(
         &self,
@@ -74,7 +73,6 @@ impl<T: ConvReal> Stages<T> {
         let (last, first) = self.stages.split_last().expect("at least two stages");
         self.forward_stages(simd, values, filled, first.len());
         match last.radix {
-            2 => multiply_last::<T, S, 2>(simd, values, factor, sum, add),
             3 => multiply_last::<T, S, 3>(simd, values, factor, sum, add),
             4 => multiply_last::<T, S, 4>(simd, values, factor, sum, add),
             5 => multiply_last::<T, S, 5>(simd, values, factor, sum, add),
@@ -85,22 +83,18 @@ impl<T: ConvReal> Stages<T> {
     /// The first stages of [`forward`](Self::forward), `count` of them.
     #[inline(always)]
     fn forward_stages<S: Lanes<T>>(&self, simd: S, values: &mut [Pair<S::V>], filled: usize, count: usize) {
+        let first = &self.stages[0];
+        let step = first.block / first.radix;
+        let only_first = filled <= step;
+        let read = if only_first { step } else { self.len };
+        values[filled..read].fill([simd.splat(T::zero()); 2]);
         for (index, stage) in self.stages[..count].iter().enumerate() {
-            let mut legs = stage.radix;
-            if index == 0 {
-                let step = stage.block / stage.radix;
-                legs = filled.div_ceil(step);
-                if legs > 2 || step == 1 {
-                    legs = stage.radix;
-                }
-                values[filled..legs * step].fill([simd.splat(T::zero()); 2]);
-            }
+            let only_first = index == 0 && only_first;
             match stage.radix {
-                2 => stage.forward2(simd, values, legs),
-                3 => stage.forward3(simd, values, legs),
-                4 => stage.forward4(simd, values, legs),
-                5 => stage.forward5(simd, values, legs),
-                _ => stage.forward8(simd, values, legs),
+                3 => stage.forward3(simd, values, only_first),
+                4 => stage.forward4(simd, values, only_first),
+                5 => stage.forward5(simd, values, only_first),
+                _ => stage.forward8(simd, values, only_first),
             }
         }
     }
@@ -113,7 +107,6 @@ impl<T: ConvReal> Stages<T> {
         let values = &mut values[..self.len];
         for stage in self.stages.iter().rev() {
             match stage.radix {
-                2 => stage.inverse2(simd, values),
                 3 => stage.inverse3(simd, values),
                 4 => stage.inverse4(simd, values),
                 5 => stage.inverse5(simd, values),
@@ -136,34 +129,27 @@ macro_rules! cut {
 /// The forward and the inverse transform of a stage with one radix. The loops name each leg,
 /// because closures may not be inlined, and calls would be slow here.
 macro_rules! radix {
-    ($forward:ident, $inverse:ident, $radix:literal, $first:ident, $second:ident $(, $leg:ident = $s:literal)*) => {
-        /// Only the first `legs` legs are read: 1 or 2, and the others count as zero, or all.
+    ($forward:ident, $inverse:ident, $radix:literal, $first:ident, $($leg:ident = $s:literal),+) => {
+        /// If `only_first` is true, the other legs are not read and count as zero.
         #[inline(always)]
-        fn $forward<S: Lanes<T>>(&self, simd: S, values: &mut [Pair<S::V>], legs: usize) {
+        fn $forward<S: Lanes<T>>(&self, simd: S, values: &mut [Pair<S::V>], only_first: bool) {
             let step = self.block / $radix;
             for block in values.chunks_exact_mut(self.block) {
-                cut!(block, step, $first, $second $(, $leg)*);
+                cut!(block, step, $first, $($leg),+);
                 if step == 1 {
-                    let y = butterfly::<T, S, $radix>(simd, [$first[0], $second[0] $(, $leg[0])*]);
+                    let y = butterfly::<T, S, $radix>(simd, [$first[0], $($leg[0]),+]);
                     $first[0] = y[0];
-                    $second[0] = y[1];
-                    $($leg[0] = y[$s];)*
-                } else if legs == 1 {
+                    $($leg[0] = y[$s];)+
+                } else if only_first {
                     for (j, w) in self.twiddles.chunks_exact($radix - 1).enumerate().take(step) {
                         let x = $first[j];
-                        $second[j] = times(simd, x, splat(simd, w[0]));
-                        $($leg[j] = times(simd, x, splat(simd, w[$s - 1]));)*
+                        $($leg[j] = times(simd, x, splat(simd, w[$s - 1]));)+
                     }
                 } else {
                     for (j, w) in self.twiddles.chunks_exact($radix - 1).enumerate().take(step) {
-                        let y = if legs == 2 && $radix > 2 {
-                            butterfly_of_two::<T, S, $radix>(simd, [$first[j], $second[j]])
-                        } else {
-                            butterfly::<T, S, $radix>(simd, [$first[j], $second[j] $(, $leg[j])*])
-                        };
+                        let y = butterfly::<T, S, $radix>(simd, [$first[j], $($leg[j]),+]);
                         $first[j] = y[0];
-                        $second[j] = times(simd, y[1], splat(simd, w[0]));
-                        $($leg[j] = times(simd, y[$s], splat(simd, w[$s - 1]));)*
+                        $($leg[j] = times(simd, y[$s], splat(simd, w[$s - 1]));)+
                     }
                 }
             }
@@ -173,20 +159,17 @@ macro_rules! radix {
         fn $inverse<S: Lanes<T>>(&self, simd: S, values: &mut [Pair<S::V>]) {
             let step = self.block / $radix;
             for block in values.chunks_exact_mut(self.block) {
-                cut!(block, step, $first, $second $(, $leg)*);
+                cut!(block, step, $first, $($leg),+);
                 if step == 1 {
-                    let y = butterfly::<T, S, $radix>(simd, [$first[0], $second[0] $(, $leg[0])*]);
+                    let y = butterfly::<T, S, $radix>(simd, [$first[0], $($leg[0]),+]);
                     $first[0] = y[0];
-                    $second[0] = y[1];
-                    $($leg[0] = y[$s];)*
+                    $($leg[0] = y[$s];)+
                 } else {
                     for (j, w) in self.twiddles.chunks_exact($radix - 1).enumerate().take(step) {
-                        let second = times(simd, $second[j], splat(simd, w[0]));
-                        let x = [$first[j], second $(, times(simd, $leg[j], splat(simd, w[$s - 1])))*];
+                        let x = [$first[j], $(times(simd, $leg[j], splat(simd, w[$s - 1]))),+];
                         let y = butterfly::<T, S, $radix>(simd, x);
                         $first[j] = y[0];
-                        $second[j] = y[1];
-                        $($leg[j] = y[$s];)*
+                        $($leg[j] = y[$s];)+
                     }
                 }
             }
@@ -195,16 +178,15 @@ macro_rules! radix {
 }
 
 impl<T: ConvReal> Stage<T> {
-    radix!(forward2, inverse2, 2, a, b);
-    radix!(forward3, inverse3, 3, a, b, c = 2);
-    radix!(forward4, inverse4, 4, a, b, c = 2, d = 3);
-    radix!(forward5, inverse5, 5, a, b, c = 2, d = 3, e = 4);
+    radix!(forward3, inverse3, 3, a, b = 1, c = 2);
+    radix!(forward4, inverse4, 4, a, b = 1, c = 2, d = 3);
+    radix!(forward5, inverse5, 5, a, b = 1, c = 2, d = 3, e = 4);
     radix!(
         forward8,
         inverse8,
         8,
         a,
-        b,
+        b = 1,
         c = 2,
         d = 3,
         e = 4,
@@ -278,87 +260,16 @@ fn radices(len: usize) -> Vec<usize> {
             rest /= odd;
         }
     }
-    assert!(rest.is_power_of_two(), "a length has a prime factor above 5");
-    // Uses few stages, because each passes over all values. Most are of radix 8. If the powers of 2
-    // also need a stage of 2 or 4, it comes before the stages of 8: the first stage can skip zeros,
-    // and with a smaller radix it can do so more often.
-    match rest.trailing_zeros() % 3 {
-        1 if rest > 8 => radices.extend([4, 4]),
-        1 => radices.push(2),
-        2 => radices.push(4),
-        _ => {}
-    }
+    assert!(
+        rest.is_power_of_two() && rest >= 16,
+        "{len} is no length of a transform"
+    );
+    // Uses few stages, because each passes over all values. Most are of radix 8. Stages of 4 come before
+    // them: the first stage can skip zeros, and with a smaller radix it can do so more often.
+    let fours = [0, 2, 1][rest.trailing_zeros() as usize % 3];
+    radices.resize(radices.len() + fours, 4);
     while radices.iter().product::<usize>() < len {
         radices.push(8);
     }
     radices
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::simd::{SimdReal, WithIsa, vectorized};
-    use pulp::bytemuck;
-
-    /// A transform and its inverse, with the largest rounding error allowed.
-    #[derive(Clone, Copy)]
-    struct RoundTrip(f64);
-    impl<T: ConvReal> WithIsa<T> for RoundTrip {
-        type Output = ();
-        fn run<S: Lanes<T>>(self, simd: S) {
-            let Self(rounding) = self;
-            for len in [1_usize, 2, 3, 4, 5, 6, 8, 10, 15, 16, 48, 80, 128, 192, 256, 512] {
-                for filled in [1, len.div_ceil(8), len.div_ceil(4), len.div_ceil(2), len] {
-                    let stages = Stages::<T>::new(len);
-                    let lanes = S::LANES;
-                    let value = |n: usize, part: usize, lane: usize| {
-                        let v = ((n * 37 + part * 11 + lane * 5) % 23) as f64 - 11.0;
-                        if n < filled { v } else { 0.0 }
-                    };
-                    let flat: Vec<T> = (0..len * 2 * lanes)
-                        .map(|i| T::nearest(value(i / lanes / 2, (i / lanes) % 2, i % lanes)))
-                        .collect();
-                    let mut buffer: Vec<Pair<S::V>> = bytemuck::cast_slice(&flat).to_vec();
-                    // Values that must not be read.
-                    buffer[filled..].fill([simd.splat(T::nan()); 2]);
-                    vectorized!(simd, stages.forward(simd, &mut buffer, filled));
-                    // The order is scrambled, so each frequency is searched for in the whole
-                    // spectrum.
-                    let spectrum: Vec<T> = bytemuck::cast_slice(&buffer).to_vec();
-                    let lane = lanes - 1;
-                    for k in 0..len {
-                        let (mut re, mut im) = (0.0, 0.0);
-                        for n in 0..len {
-                            let angle = -std::f64::consts::TAU * ((n * k) % len) as f64 / len as f64;
-                            let (a, b) = (value(n, 0, lane), value(n, 1, lane));
-                            re += a * angle.cos() - b * angle.sin();
-                            im += a * angle.sin() + b * angle.cos();
-                        }
-                        let found = (0..len).any(|i| {
-                            let at = |part: usize| spectrum[(2 * i + part) * lanes + lane].as_f64();
-                            (at(0) - re).abs() + (at(1) - im).abs() < rounding * 20.0 * len as f64
-                        });
-                        assert!(found, "{len}, {filled}: frequency {k}");
-                    }
-                    for pair in &mut buffer {
-                        pair.swap(0, 1);
-                    }
-                    vectorized!(simd, stages.inverse_of_swapped(simd, &mut buffer));
-                    for pair in &mut buffer {
-                        pair.swap(0, 1);
-                    }
-                    let back: Vec<T> = bytemuck::cast_slice(&buffer).to_vec();
-                    for (a, b) in back.iter().zip(&flat) {
-                        assert!((a.as_f64() / len as f64 - b.as_f64()).abs() < rounding * 20.0);
-                    }
-                }
-            }
-        }
-    }
-
-    #[test]
-    fn transforms_are_the_sums_they_stand_for() {
-        f32::dispatch_to_all(RoundTrip(1e-6));
-        f64::dispatch_to_all(RoundTrip(1e-14));
-    }
 }

@@ -280,7 +280,8 @@ mod tests {
     impl<T: ConvReal> WithIsa<T> for Convolves {
         type Output = ();
         fn run<S: Lanes<T>>(self, simd: S) {
-            for (nx, ny) in [(16, 32), (48, 32), (80, 96), (64, 128)] {
+            // Stages of all radices, in several orders.
+            for (nx, ny) in [(16, 32), (48, 32), (80, 96), (64, 128), (96, 320)] {
                 let fft = TileTransform::<T>::new(nx, ny);
                 // Several sizes of light, for which the result fits into the plane.
                 for (rows, columns) in [(1, 1), (ny / 4, 7), (ny / 2 + 3, nx / 2 + 1)] {
