@@ -54,8 +54,7 @@ impl<T: ConvReal> TileEngine<'_, T> {
                     combine(simd, line, local.stamps, (sx * sy, j * sx + from), all);
                 }
                 let start = (column + from as i64) as usize;
-                let mut part = output.slice_mut(s![.., start..start + line.len()]);
-                add_row(line, &mut part, row as usize);
+                add_row(line, output, (start, row as usize));
             }
         }
     }
@@ -101,7 +100,7 @@ impl<T: ConvReal> TileEngine<'_, T> {
                     if local.table.role.is_divided(kernel) {
                         fluxes.divide(i, weighted);
                     }
-                    add_row(weighted, &mut sums, i);
+                    add_row(weighted, &mut sums, (0, i));
                 }
             }
             output

@@ -39,7 +39,7 @@ impl<T: ConvReal> Workspace<T> {
             spectrum: Aligned::zeros(fft.spectrum_len()),
             sum: Aligned::zeros(fft.spectrum_len()),
             column: Aligned::zeros(fft.column_len()),
-            kernels: Aligned::zeros(0),
+            kernels: Aligned::default(),
             row: vec![T::zero(); fft.nx],
             function: FunctionRows::default(),
         }
@@ -107,9 +107,9 @@ impl<T: ConvReal> LocalTile<'_, T> {
         let row = &mut row[..values.len()];
         function.multiply(y, values, row);
         if self.table.role.is_divided(kernel) {
-            add_row(row, &mut divided.view_mut(), y);
+            add_row(row, &mut divided.view_mut(), (0, y));
         } else {
-            add_row(row, output, y);
+            add_row(row, output, (0, y));
         }
     }
 
@@ -127,7 +127,7 @@ impl<T: ConvReal> LocalTile<'_, T> {
         for (y, mut row) in divided.outer_iter_mut().enumerate() {
             let row = row.as_slice_mut().expect("row-major");
             function.divide(y, row);
-            add_row(row, output, y);
+            add_row(row, output, (0, y));
         }
     }
 
@@ -400,12 +400,16 @@ impl<T: ConvReal> TileEngine<'_, T> {
     }
 }
 
-/// Adds values to a row of an image, from its first pixel on.
+/// Adds values to a row of an image, from a column on.
 #[inline(always)]
-pub(crate) fn add_row<T: ConvReal>(values: &[T], output: &mut ArrayViewMut2<'_, T>, row: usize) {
+pub(crate) fn add_row<T: ConvReal>(
+    values: &[T],
+    output: &mut ArrayViewMut2<'_, T>,
+    (column, row): (usize, usize),
+) {
     let mut target = output.row_mut(row);
     let target = target.as_slice_mut().expect("images are row-major");
-    for (t, v) in target.iter_mut().zip(values) {
+    for (t, v) in target[column..].iter_mut().zip(values) {
         *t += *v;
     }
 }

@@ -2,12 +2,10 @@
 
 use std::ops::Range;
 
-use pulp::bytemuck::cast_slice;
-
 use super::coefficient_table::{CoefficientTable, TableBand};
 use crate::ConvReal;
 use crate::simd::{Aligned, Lanes};
-use crate::transform::{Plane, StoredPlane};
+use crate::transform::{Plane, StoredPlane, load};
 
 /// A function of a [`CoefficientTable`] in some columns and rows of its region.
 ///
@@ -121,12 +119,10 @@ impl<T: ConvReal> Plane<T> for (StoredPlane<'_, T>, &FunctionRows<T>) {
             return light;
         }
         let RowInBand { ends, weights } = &function.rows[row];
-        let [first, last] = ends.map(|end| {
-            let values = &function.ends.get()[end + index * S::LANES..][..S::LANES];
-            cast_slice::<T, S::V>(values)[0]
-        });
-        let [before, after] = weights.map(|weight| simd.splat(weight));
-        simd.mul(light, simd.mul_add(after, last, simd.mul(before, first)))
+        let (values, start) = (function.ends.get(), index * S::LANES);
+        let first = simd.mul(simd.splat(weights[0]), load(simd, values, ends[0] + start));
+        let last = load(simd, values, ends[1] + start);
+        simd.mul(light, simd.mul_add(simd.splat(weights[1]), last, first))
     }
 }
 

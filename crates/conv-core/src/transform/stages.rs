@@ -83,8 +83,7 @@ impl<T: ConvReal> Stages<T> {
     /// The first stages of [`forward`](Self::forward), `count` of them.
     #[inline(always)]
     fn forward_stages<S: Lanes<T>>(&self, simd: S, values: &mut [Pair<S::V>], filled: usize, count: usize) {
-        let first = &self.stages[0];
-        let step = first.block / first.radix;
+        let step = self.len / self.stages[0].radix;
         let only_first = filled <= step;
         let read = if only_first { step } else { self.len };
         values[filled..read].fill([simd.splat(T::zero()); 2]);

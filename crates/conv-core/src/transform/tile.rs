@@ -45,10 +45,15 @@ pub(crate) struct StoredPlane<'a, T> {
 
 impl<T: ConvReal> Plane<T> for StoredPlane<'_, T> {
     #[inline(always)]
-    fn vector<S: Lanes<T>>(self, _: S, row: usize, index: usize) -> S::V {
-        let first = row * self.pitch + index * S::LANES;
-        cast_slice::<T, S::V>(&self.values[first..first + S::LANES])[0]
+    fn vector<S: Lanes<T>>(self, simd: S, row: usize, index: usize) -> S::V {
+        load(simd, self.values, row * self.pitch + index * S::LANES)
     }
+}
+
+/// The vector that begins at an index.
+#[inline(always)]
+pub(crate) fn load<T: ConvReal, S: Lanes<T>>(_: S, values: &[T], start: usize) -> S::V {
+    cast_slice::<T, S::V>(&values[start..start + S::LANES])[0]
 }
 
 /// The columns and rows of planes are multiples of these numbers, so that planes hold whole vectors
@@ -153,11 +158,10 @@ impl<T: ConvReal> TileTransform<T> {
         column: &mut [T],
     ) {
         self.forward_along_y(simd, plane, (rows, columns), spectrum, self.nx, column);
-        let n = self.nx;
         let spectrum: &mut [Pair<S::V>] = cast_slice_mut(&mut spectrum[..self.spectrum_len()]);
         let sum: &mut [Pair<S::V>] = cast_slice_mut(&mut sum[..self.spectrum_len()]);
         let others = cast_slice(factor).chunks_exact(group(only_y.unwrap_or(self.nx)));
-        let other: &mut [Pair<S::V>] = &mut cast_slice_mut(column)[..n];
+        let other: &mut [Pair<S::V>] = &mut cast_slice_mut(column)[..self.nx];
         let groups = spectrum.chunks_exact_mut(group(self.nx)).zip(others);
         for ((group, factor), sum) in groups.zip(sum.chunks_exact_mut(group(self.nx))) {
             let factor: &[Pair<S::V>] = match only_y {
