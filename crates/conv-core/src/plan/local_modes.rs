@@ -7,7 +7,7 @@ use psf_types::PixelRegion;
 use super::allowed_errors::{CellError, CountModes};
 use super::growth_curves::TailGrowth;
 use super::node_functions::NodeFunctions;
-use super::norm::{add_scaled, dot, norm, values};
+use super::norm::{add_scaled, norm, values};
 use super::psf_space::PsfSpace;
 use super::region_cells::RegionCells;
 use super::span::{leave_out, span};
@@ -115,12 +115,13 @@ impl LocalModes {
         let flux = centre.dot(&space.fluxes);
         let possible = norm(centre.view()) * norm(space.fluxes.view());
         let reference = (flux.abs() > MIN_REFERENCE_FLUX * possible).then(|| &centre / flux);
-        let (betas, fluxes, scale) = vectorized!(split(
-            &mut rows,
-            values(&along),
-            values(&space.fluxes),
-            reference.as_ref().map(values),
-        ));
+        let scale = rows.outer_iter().map(norm).fold(0.0, f64::max);
+        let (betas, fluxes) = (rows.dot(&along), rows.dot(&space.fluxes));
+        if let Some(reference) = &reference {
+            vectorized!(for (mut row, &flux) in rows.outer_iter_mut().zip(&fluxes) {
+                add_scaled(row.as_slice_mut().expect("row-major"), -flux, values(reference));
+            });
+        }
         let of_cells = CellError {
             size: cells.error,
             flux_weight,
@@ -254,33 +255,6 @@ impl LocalModes {
         );
         values
     }
-}
-
-/// The products of each row with `along` and with `fluxes`, and the largest norm of a row. Removes from
-/// each row its flux times the reference, if there is one. A second pass removes the flux that rounding
-/// leaves. Otherwise it could become a direction of the modes.
-#[inline(always)]
-fn split(
-    rows: &mut Array2<f64>,
-    along: &[f64],
-    fluxes: &[f64],
-    reference: Option<&[f64]>,
-) -> (Array1<f64>, Array1<f64>, f64) {
-    let (mut betas, mut of_rows) = (Vec::with_capacity(rows.nrows()), Vec::with_capacity(rows.nrows()));
-    let mut largest = 0.0_f64;
-    for mut row in rows.outer_iter_mut() {
-        let row = row.as_slice_mut().expect("row-major");
-        largest = largest.max(dot(row, row));
-        betas.push(dot(row, along));
-        let mut flux = 0.0;
-        for _ in 0..if reference.is_some() { 2 } else { 1 } {
-            let left = dot(row, fluxes);
-            add_scaled(row, -left, reference.unwrap_or_default());
-            flux += left;
-        }
-        of_rows.push(flux);
-    }
-    (Array1::from(betas), Array1::from(of_rows), largest.sqrt())
 }
 
 /// Vectors `[vector, direction]` among `count` directions, from those in the first directions.
