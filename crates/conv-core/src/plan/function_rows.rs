@@ -127,7 +127,7 @@ impl<T: ConvReal> Plane<T> for (StoredPlane<'_, T>, &FunctionRows<T>) {
 }
 
 /// Writes a function in some columns of a row to `values`, which has room for [`CHUNK`] values
-/// more. `corner` is 0 for the first row of a band, 2 for its last row.
+/// more. These become zeros. `corner` is 0 for the first row of a band, 2 for its last row.
 #[inline(always)]
 fn along_row<T: ConvReal>(
     table: &CoefficientTable<T>,
@@ -162,4 +162,6 @@ fn along_row<T: ConvReal>(
             }
         }
     }
+    // Transforms read whole vectors, in which dark padding must stay dark.
+    values[columns.len()..].fill(T::zero());
 }
