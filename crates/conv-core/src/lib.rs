@@ -79,6 +79,7 @@ mod stars;
 mod transform;
 mod view;
 mod working_range;
+mod workspaces;
 
 /// Parts that the benchmarks time separately. They do not belong to this crate's interface.
 #[doc(hidden)]

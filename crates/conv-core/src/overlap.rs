@@ -3,7 +3,7 @@
 
 use std::ops::Range;
 
-use ndarray::{Array2, ArrayViewMut2, Axis, s};
+use ndarray::{Array2, ArrayView2, ArrayViewMut2, Axis, s};
 use psf_types::{FrameShape, PixelRegion, Progress};
 use rayon::prelude::*;
 
@@ -19,21 +19,31 @@ pub(crate) struct Piece<T> {
 impl<T: ConvReal> Piece<T> {
     /// Adds the part of the piece that lies on the output. The output's first pixel is at
     /// `(first_column, first_row)`.
-    fn add_to(&self, output: &mut ArrayViewMut2<'_, T>, (first_column, first_row): (i64, i64)) {
-        let (ny, nx) = output.dim();
-        let (rows, columns) = self.values.dim();
-        let (Some((from_rows, to_rows)), Some((from_columns, to_columns))) = (
-            overlap(self.first_row - first_row, rows, ny),
-            overlap(self.first_column - first_column, columns, nx),
-        ) else {
-            return;
-        };
-        let mut target = output.slice_mut(s![to_rows, to_columns]);
-        let values = self.values.slice(s![from_rows, from_columns]);
-        // Row by row, because the values of a row lie side by side in memory.
-        for (mut target, values) in target.outer_iter_mut().zip(values.outer_iter()) {
-            target += &values;
-        }
+    pub(crate) fn add_to(&self, output: &mut ArrayViewMut2<'_, T>, (first_column, first_row): (i64, i64)) {
+        let at = (self.first_column - first_column, self.first_row - first_row);
+        add_values(self.values.view(), at, output);
+    }
+}
+
+/// Adds values to an output, from pixel `(column, row)` of the output on. Values beyond the output
+/// are ignored.
+pub(crate) fn add_values<T: ConvReal>(
+    values: ArrayView2<'_, T>,
+    (column, row): (i64, i64),
+    output: &mut ArrayViewMut2<'_, T>,
+) {
+    let (ny, nx) = output.dim();
+    let (rows, columns) = values.dim();
+    let (Some((from_rows, to_rows)), Some((from_columns, to_columns))) =
+        (overlap(row, rows, ny), overlap(column, columns, nx))
+    else {
+        return;
+    };
+    let mut target = output.slice_mut(s![to_rows, to_columns]);
+    let values = values.slice(s![from_rows, from_columns]);
+    // Row by row, because the values of a row lie side by side in memory.
+    for (mut target, values) in target.outer_iter_mut().zip(values.outer_iter()) {
+        target += &values;
     }
 }
 

@@ -4,6 +4,25 @@ use ndarray::{Array2, ArrayView2, CowArray, Ix2};
 
 use crate::ConvReal;
 
+/// A source that exceeds the mean of the other light by more than this factor is left out of
+/// transforms. The transform would spread the rounding noise of the source over the whole tile, and
+/// this noise would hide faint light.
+pub(crate) fn contrast<T: ConvReal>() -> f64 {
+    // About 250 in f32 and 1e11 in f64. The noise stays below a few 1e-6 of the faint light in f32,
+    // and below 1e-5 in f64.
+    3e-5 / T::epsilon().as_f64()
+}
+
+/// A source may exceed the mean of the other *sources* by this fraction of [`contrast`]. The noise is
+/// then below a few 1e-6 of a faint star's PSF.
+const OF_SOURCES: f64 = 0.1;
+
+/// The brightest source that a tile of `pixels` may contain when it is transformed, if the tile's
+/// other `sources` (lit pixels or stars) have this total flux.
+pub(crate) fn brightest_allowed<T: ConvReal>(total: f64, sources: usize, pixels: usize) -> f64 {
+    contrast::<T>() * (total / pixels as f64).max(OF_SOURCES * total / sources as f64)
+}
+
 /// A power of two that scales light to values near 1, and its inverse for the result. Multiplying
 /// by these powers is exact. There are two exceptions: values that are negligible next to the
 /// largest, and results that the precision cannot represent.

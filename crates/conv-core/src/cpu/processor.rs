@@ -2,7 +2,7 @@
 
 use std::cell::OnceCell;
 use std::ops::Range;
-use std::sync::{Arc, Mutex};
+use std::sync::Arc;
 
 use ndarray::ArrayView2;
 use psf_types::{FieldError, Progress};
@@ -15,6 +15,7 @@ use crate::plan::coefficient_table::CoefficientTable;
 use crate::plan::geometry::{Direction, TilePart};
 use crate::simd::{Lanes, vectorized};
 use crate::transform::TileTransform;
+use crate::workspaces::Workspaces;
 
 /// A plan and the data with which threads of the processor execute it. A plan on a GPU needs these
 /// data too, because threads of the processor inspect the light.
@@ -22,9 +23,7 @@ use crate::transform::TileTransform;
 pub(crate) struct Processor<T: ConvReal> {
     pub(crate) plan: Plan<T>,
     pub(crate) fft: TileTransform<T>,
-    /// Workspaces that threads take and give back, so that there are never more of them than
-    /// threads.
-    workspaces: Mutex<Vec<Workspace<T>>>,
+    workspaces: Workspaces<Workspace<T>>,
 }
 
 impl<T: ConvReal> Processor<T> {
@@ -32,20 +31,14 @@ impl<T: ConvReal> Processor<T> {
         let (nx, ny) = plan.tiling.size;
         Self {
             fft: TileTransform::new(nx, ny),
-            workspaces: Mutex::new(Vec::new()),
+            workspaces: Workspaces::default(),
             plan,
         }
     }
 
     /// Lends a workspace to `work`.
     pub(crate) fn with_workspace<R>(&self, work: impl FnOnce(&mut Workspace<T>) -> R) -> R {
-        let taken = self.workspaces.lock().ok().and_then(|mut free| free.pop());
-        let mut workspace = taken.unwrap_or_else(|| Workspace::new(&self.fft));
-        let result = work(&mut workspace);
-        if let Ok(mut free) = self.workspaces.lock() {
-            free.push(workspace);
-        }
-        result
+        self.workspaces.lend(|| Workspace::new(&self.fft), work)
     }
 }
 

@@ -8,7 +8,7 @@ use super::tile_engine::{LocalTile, Workspace};
 use crate::plan::Paths;
 use crate::plan::geometry::{Direction, PlacedTile, TilePart};
 use crate::simd::{Lanes, vectorized};
-use crate::working_range::Rescaling;
+use crate::working_range::{Rescaling, brightest_allowed, contrast};
 use crate::{ConvError, ConvReal};
 
 /// Statistics of the light of a tile.
@@ -20,15 +20,6 @@ struct Light {
     largest: f64,
     /// The sum of the absolute values.
     total: f64,
-}
-
-/// A pixel that exceeds the mean of the tile's other light by more than this factor is taken out of
-/// the transform. The transform would spread the rounding noise of the pixel over the whole tile,
-/// and this noise would hide faint light.
-fn brightest_allowed<T: ConvReal>() -> f64 {
-    // About 250 in f32 and 1e11 in f64. The noise stays below a few 1e-6 of the faint light in f32,
-    // and below 1e-5 in f64.
-    3e-5 / T::epsilon().as_f64()
 }
 
 /// The number of independent sums, enough to fill a vector of any instruction set.
@@ -78,10 +69,6 @@ fn lit_pixels<T: ConvReal>(plane: &[T], pitch: usize, (rows, columns): (usize, u
     pixels
 }
 
-/// A pixel stays in the transform if it exceeds the mean of the other *lit* pixels by less than this
-/// fraction of [`brightest_allowed`]. The noise is then below a few 1e-6 of a faint star's PSF.
-const OF_LIT: f64 = 0.1;
-
 /// Removes very bright pixels from a tile's light and returns them. The rounding noise of their
 /// transform would hide faint light. At most `most` pixels are removed, the brightest first.
 ///
@@ -94,10 +81,10 @@ fn take_bright<T: ConvReal>(
     light: Light,
     most: usize,
 ) -> Vec<LitPixel<T>> {
-    let pixels = (rows * columns) as f64;
-    let contrast = brightest_allowed::<T>();
+    let pixels = rows * columns;
     // In most fully lit tiles no pixel is too bright, and this quick test is enough.
-    if light.largest <= contrast * (light.total - most as f64 * light.largest) / pixels {
+    let rest = light.total - most as f64 * light.largest;
+    if light.largest <= contrast::<T>() * rest / pixels as f64 {
         return Vec::new();
     }
     let (rest, lit) = match faint_light(plane, pitch, (rows, columns), most) {
@@ -105,7 +92,7 @@ fn take_bright<T: ConvReal>(
         // No other pixels are lit. The bright pixels are compared with their own mean.
         _ => (light.total, light.lit),
     };
-    let limit = contrast * (rest / pixels).max(OF_LIT * rest / lit as f64);
+    let limit = brightest_allowed::<T>(rest, lit, pixels);
     let mut taken: Vec<LitPixel<T>> = Vec::new();
     if light.lit <= 1 || light.largest <= limit {
         return taken;

@@ -35,6 +35,10 @@ const ADD: f64 = 0.20e-9;
 const DRAW: f64 = 0.08e-9;
 /// Factor on [`DRAW`] if every pixel that receives light has its own coefficients.
 const DRAW_GATHERED: f64 = 6.0;
+/// One product and sum of a star that is drawn between pixels.
+const DRAW_STAR: f64 = 0.03e-9;
+/// Adding one tap of a star to a plane.
+const SPREAD_STAR: f64 = 1e-9;
 /// Computing a local stamp, per stamp pixel and per stamp of the model.
 const MAKE_STAMP: f64 = 0.012e-9;
 /// Planning a block, without its stamps and cells.
@@ -111,6 +115,16 @@ impl CostModel {
             Direction::Scatter => scattered,
             Direction::Gather => DRAW_GATHERED * scattered,
         }
+    }
+
+    /// Drawing a star between pixels, by a number of products.
+    pub(crate) fn draw_star(self, products: usize) -> f64 {
+        self.width * DRAW_STAR * products as f64
+    }
+
+    /// Spreading a star over a number of taps.
+    pub(crate) fn spread_star(self, taps: usize) -> f64 {
+        self.width * SPREAD_STAR * taps as f64
     }
 
     /// Convolving a tile by the direct sum.

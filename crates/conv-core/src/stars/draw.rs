@@ -1,95 +1,51 @@
-//! Draws the stars of each block together, row by row, into a tile: an array of the pixels that
-//! these stars may light. Then adds the tiles to bands of image rows.
+//! Draws the stars of a block together, row by row, into a tile: an array of the pixels that these
+//! stars may light.
 
 use std::ops::Range;
-use std::sync::Arc;
 
-use ndarray::{Array2, ArrayViewMut2};
-use psf_types::Progress;
+use ndarray::Array2;
+use psf_types::{PixelRegion, Progress};
 use pulp::bytemuck::{cast_slice, cast_slice_mut};
-use rayon::prelude::*;
 
 use super::phases::{PhasedAxis, PhasedStar};
-use super::star_block::{BlockKey, CHUNK, RowLayout, StarBlock};
-use crate::overlap::{Piece, add_pieces};
-use crate::simd::{Aligned, Lanes, WithIsa, vectorized};
+use super::star_block::{CHUNK, RowLayout, StarBlock};
+use crate::overlap::Piece;
+use crate::simd::{Aligned, Lanes, vectorized};
 use crate::stamp_interpolator::MOST_TAPS;
 use crate::{ConvError, ConvReal};
 
-/// Rows of the image to which one task adds.
-const BAND: usize = 32;
-
-/// Stars are drawn in the order of these keys. Rounding depends on this order, so the order depends
-/// only on the stars.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub(super) struct StarKey {
-    pub(super) block: BlockKey,
-    /// The index of the star's part of the catalogue. Parts limit the number of stars prepared at a
-    /// time.
-    pub(super) part: usize,
-    /// The star's phase numbers. Stars with equal numbers use the same interpolation coefficients.
-    pub(super) phases: (i64, i64),
-    pub(super) index: usize,
-}
-
 /// Stars of one block.
 pub(super) struct Group<T> {
-    block: Arc<StarBlock<T>>,
-    stars: Vec<PhasedStar<T>>,
-    weights: Vec<T>,
-    /// The columns and rows that the stars may light.
-    columns: Range<i64>,
-    rows: Range<i64>,
+    pub(super) stars: Vec<PhasedStar<T>>,
+    /// `[star, row tap, kernel]`.
+    pub(super) weights: Vec<T>,
 }
 
-impl<T> Group<T> {
-    pub(super) fn new(block: Arc<StarBlock<T>>, stars: Vec<PhasedStar<T>>, weights: Vec<T>) -> Self {
-        Self {
-            block,
-            columns: hull(stars.iter().map(|star| &star.columns)),
-            rows: hull(stars.iter().map(|star| &star.rows)),
-            stars,
-            weights,
-        }
-    }
-}
-
-/// Draws each group into a tile of its own. Then adds the tiles, in order, to bands of rows of an
-/// image.
-pub(super) struct DrawGroups<'a, T> {
+/// Draws groups of stars.
+pub(super) struct DrawGroup<'a, T> {
     pub(super) axes: &'a [PhasedAxis; 2],
     pub(super) layout: RowLayout,
-    pub(super) groups: &'a [Group<T>],
-    /// The part of the frame from pixel `first` on.
-    pub(super) image: ArrayViewMut2<'a, T>,
-    pub(super) first: (i64, i64),
+    pub(super) block: &'a StarBlock<T>,
+    /// Only rows of this region of the frame are drawn.
+    pub(super) region: PixelRegion,
     pub(super) progress: &'a dyn Progress,
-}
-
-impl<T: ConvReal> WithIsa<T> for DrawGroups<'_, T> {
-    type Output = Result<(), ConvError>;
-    fn run<S: Lanes<T>>(self, simd: S) -> Self::Output {
-        let tiles = self.groups.par_iter().map(|group| self.tile(simd, group));
-        let tiles: Vec<Piece<T>> = tiles.collect::<Result<_, ConvError>>()?;
-        add_pieces(tiles.iter(), self.image, self.first, BAND);
-        Ok(())
-    }
 }
 
 /// Groups of at least this many stars poll the progress object at every row.
 const STARS_PER_POLL: usize = 1 << 10;
 
-impl<T: ConvReal> DrawGroups<'_, T> {
-    /// A tile with the stars of a group.
-    fn tile<S: Lanes<T>>(&self, simd: S, group: &Group<T>) -> Result<Piece<T>, ConvError> {
-        self.progress.check_cancelled()?;
-        let (first, height) = (self.first.1, self.image.nrows() as i64);
-        let rows = group.rows.start.max(first)..group.rows.end.min(first + height);
+impl<T: ConvReal> DrawGroup<'_, T> {
+    /// Returns a tile with the stars of a group.
+    pub(super) fn tile<S: Lanes<T>>(&self, simd: S, group: &Group<T>) -> Result<Piece<T>, ConvError> {
+        let columns = hull(group.stars.iter().map(|star| &star.columns));
+        let rows = hull(group.stars.iter().map(|star| &star.rows));
+        let (first, height) = (self.region.y0(), self.region.shape().ny() as i64);
+        let rows = rows.start.max(first)..rows.end.min(first + height);
         let length = |range: &Range<i64>| (range.end - range.start).max(0) as usize;
         let mut tile = Piece {
-            first_column: group.columns.start,
+            first_column: columns.start,
             first_row: rows.start,
-            values: Array2::zeros((length(&rows), length(&group.columns))),
+            values: Array2::zeros((length(&rows), length(&columns))),
         };
         vectorized!(
             simd,
@@ -113,17 +69,12 @@ impl<T: ConvReal> DrawGroups<'_, T> {
         group: &Group<T>,
         tile: &mut Piece<T>,
     ) -> Result<(), ConvError> {
-        let Group {
-            block,
-            stars,
-            weights,
-            ..
-        } = group;
+        let Group { stars, weights } = group;
         let longest = stars.iter().map(|star| star.rows.end - star.rows.start).max();
         let (height, width) = tile.values.dim();
         let rows = tile.first_row..tile.first_row + height as i64;
         let values = tile.values.as_slice_mut().expect("new arrays are row-major");
-        let row_of_kernels = block.modes.kernel_count() * self.layout.kernel;
+        let row_of_kernels = self.block.modes.kernel_count() * self.layout.kernel;
         let mut sums = Aligned::zeros(self.layout.kernel + S::LANES);
         for j in 0..longest.unwrap_or(0) {
             if stars.len() >= STARS_PER_POLL {
@@ -139,7 +90,7 @@ impl<T: ConvReal> DrawGroups<'_, T> {
                 let length = (star.columns.end - star.columns.start) as usize;
                 let first = (row - rows.start) as usize * width + column;
                 StarRow {
-                    values: &block.values()[kept * row_of_kernels..],
+                    values: &self.block.values()[kept * row_of_kernels..],
                     weights: &weights[star.weights.clone()],
                     layout: self.layout,
                     first: star.first_column,

@@ -9,17 +9,20 @@
 //! coefficients apart and have equal weights. So coefficients are stored by their *residue*, which
 //! is their index modulo `s`. A row of a star is then a linear combination of contiguous values.
 //! The sum runs over the block's kernels, the rows of coefficients that contribute to the row of
-//! the star, and the taps along the row.
+//! the star, and the taps along the row. Where stars are many, [`spread`] is faster.
 
 mod draw;
+mod draw_blocks;
 mod painter;
 mod phase_norms;
 mod phases;
+mod spread;
 mod star_block;
 mod star_plan;
+mod star_vectors;
 
 pub use painter::StarPainter;
 pub(crate) use painter::check_stamps;
-pub(crate) use star_block::BlockKey;
+pub(crate) use star_block::{BlockKey, block_of, region_of};
 pub use star_plan::StarPlan;
-pub(crate) use star_plan::{StarVectors, block_of, region_of};
+pub(crate) use star_vectors::StarVectors;

@@ -1,7 +1,7 @@
 //! The sub-pixel phases of stars: the positions of a star's pixels relative to the pixels of its
 //! stamp. The oversampling of the stamp is a whole number, so all pixels of a star have one phase.
 
-use std::ops::Range;
+use std::ops::{Range, RangeInclusive};
 
 use psf_types::{PixelRegion, PointSource, StampGrid};
 
@@ -94,6 +94,16 @@ impl PhasedAxis {
 
     fn first_of(&self, at: f64) -> i64 {
         at.floor() as i64 + self.kernel.first_tap() - self.first
+    }
+
+    /// The range of `q` over all stars and taps: the first tap of a star's own pixel is coefficient
+    /// `s q + r`, with a residue `r` from 0 to `s - 1`.
+    pub(super) fn steps(&self) -> RangeInclusive<i64> {
+        let half = self.oversampling as f64 / 2.0;
+        let first = |at: f64| (self.first_of(at) as f64 / self.oversampling as f64).floor() as i64;
+        let more = (self.kernel.tap_count() - 1).div_ceil(self.oversampling) as i64;
+        // The ends are rounded outwards, because positions are rounded.
+        first(self.centre - half - ON_PIXEL)..=first(self.centre + half + ON_PIXEL) + more
     }
 
     /// The phase of a star `shift` frame pixels from the centre of its pixel. `None` if the stamp

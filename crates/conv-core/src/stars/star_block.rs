@@ -6,6 +6,7 @@ use psf_types::{PixelRegion, PsfModel};
 use super::phase_norms::{AlongMean, PhaseNorms};
 use super::phases::PhasedAxis;
 use crate::ConvReal;
+use crate::overlap::region;
 use crate::plan::local_modes::LocalModes;
 use crate::plan::psf_space::PsfSpace;
 use crate::simd::Aligned;
@@ -131,6 +132,21 @@ impl<T: ConvReal> StarBlock<T> {
     pub(super) fn values(&self) -> &[T] {
         self.values.get()
     }
+
+    /// Copies the coefficients of one residue in a row of a kernel, from pixel 0 on.
+    pub(super) fn copy_residue(
+        &self,
+        layout: RowLayout,
+        (row, kernel): (usize, usize),
+        residue: usize,
+        into: &mut [T],
+    ) {
+        let values = &self.values()[(row * self.modes.kernel_count() + kernel) * layout.kernel..];
+        for (chunk, into) in into.chunks_mut(layout.chunk).enumerate() {
+            let first = (chunk * layout.residues + residue) * layout.chunk;
+            into.copy_from_slice(&values[first..first + into.len()]);
+        }
+    }
 }
 
 /// Stores coefficients of kernels in the order in which stars use them.
@@ -153,3 +169,13 @@ fn by_phases<T: ConvReal>(kernels: &[Array2<f64>], columns: &PhasedAxis, rows: &
 
 /// Row and column of a block of the field. The row is first, so that blocks are sorted by rows.
 pub(crate) type BlockKey = (i64, i64);
+
+/// The block that holds a pixel, if blocks have `side` pixels along each side.
+pub(crate) fn block_of((column, row): (i64, i64), side: i64) -> BlockKey {
+    (row.div_euclid(side), column.div_euclid(side))
+}
+
+/// The pixels of such a block.
+pub(crate) fn region_of((row, column): BlockKey, side: i64) -> PixelRegion {
+    region(column * side, row * side, (side as usize, side as usize))
+}

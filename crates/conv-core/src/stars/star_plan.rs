@@ -2,20 +2,18 @@
 
 use std::sync::Arc;
 
-use ndarray::{Array1, ArrayViewMut2};
-use psf_types::{Anchor, FieldError, PixelRegion, PointSource, Position, Progress, PsfModel};
-use rayon::prelude::*;
+use ndarray::ArrayViewMut2;
+use psf_types::{Anchor, PixelRegion, PointSource, Progress, PsfModel};
 
-use super::draw::{DrawGroups, Group, StarKey};
+use super::draw_blocks::{BlockDrawer, Catalogue, DrawBlocks, Phased};
 use super::painter::{StarPainter, StarStamps};
 use super::phase_norms::PhaseNorms;
-use super::phases::{PhasedAxis, PhasedStar, Star};
-use super::star_block::{BlockKey, RowLayout, StarBlock};
+use super::phases::PhasedAxis;
+use super::spread::Spreader;
+use super::star_block::RowLayout;
 use crate::image_memory::{check_shape, with_rows_in_memory};
 use crate::kept::Kept;
-use crate::overlap::region;
 use crate::plan::PlanOptions;
-use crate::plan::local_modes::LocalModes;
 use crate::plan::psf_space::PsfSpace;
 use crate::{ConvError, ConvReal};
 
@@ -27,9 +25,13 @@ use crate::{ConvError, ConvReal};
 /// frame that the star lights, is at most the tolerance. With
 /// [`ToleranceOn::Aperture`](psf_types::ToleranceOn::Aperture), so is the error of its flux in every
 /// circle. Every star is tested at its own sub-pixel position. A star that would exceed the tolerance
-/// is drawn from all components in f64. This choice depends only on the star's position, so the
-/// image is linear in the fluxes. Other plans draw all stars from all components in f64. The image
-/// is the same, bit by bit, for any number of threads.
+/// is drawn from all components in f64. This choice depends only on the star's position. Other plans
+/// draw all stars from all components in f64.
+///
+/// Where stars are many, transforms draw them together, at their own sub-pixel positions. Very bright
+/// stars are drawn one by one even there, because the rounding noise of their transforms would hide
+/// faint stars. So the image is linear in the fluxes up to rounding. It is the same, bit by bit, for
+/// any number of threads. Another order of the catalogue changes only rounding.
 ///
 /// Blocks of the field are prepared when the first star falls on them. They are kept for the next
 /// catalogue, as far as the memory limit in the options allows.
@@ -80,35 +82,10 @@ pub struct StarPlan<T> {
     phased: Option<Phased<T>>,
 }
 
-#[derive(Debug)]
-struct Phased<T> {
-    axes: [PhasedAxis; 2],
-    layout: RowLayout,
-    space: PsfSpace,
-    norms: PhaseNorms,
-    tolerance: f64,
-    /// Errors of PSFs up to this fraction count as rounding.
-    rounding: f64,
-    blocks: Kept<BlockKey, StarBlock<T>>,
-}
-
-/// Stars, with positions in pixels of a scene, and the frame, which is a region of the scene.
-#[derive(Clone, Copy)]
-struct Catalogue<'a> {
-    stars: &'a [PointSource],
-    frame: PixelRegion,
-    progress: &'a dyn Progress,
-}
-
-/// Columns and rows of a block of the field. A smaller block needs fewer kernels. But drawing a
-/// catalogue reads the kernels of all blocks, and smaller blocks have more kernels in total.
-const BLOCK: i64 = 256;
-/// Groups of stars are prepared together up to about this many stars.
-const MOST_AT_ONCE: usize = 1 << 15;
-/// The most groups of stars drawn at a time. A group belongs to one block of the field.
-const TILES_AT_ONCE: usize = 64;
-/// The least number of stars for a task.
-const MIN_STARS_PER_TASK: usize = 1 << 10;
+/// Spread stars keep the light beyond the reach of their stamps, up to 5e-7 of their flux
+/// ([`edge_reach_of`](crate::edge_reach_of)). Drawn stars do not. So stars are drawn if the tolerance
+/// is smaller than this.
+const LEAST_SPREAD_TOLERANCE: f64 = 1e-5;
 
 impl<T: ConvReal> StarPlan<T> {
     /// Plans the drawing of stars with the PSFs of a model. If `size` is given, a star is drawn on
@@ -127,13 +104,18 @@ impl<T: ConvReal> StarPlan<T> {
             phased: axes
                 .map(|axes| -> Result<_, ConvError> {
                     let space = PsfSpace::new(model, options.tolerance_on());
+                    let layout = RowLayout::new(&axes[0]);
+                    let tolerance = options.tolerance_in::<T>();
                     Ok(Phased {
-                        layout: RowLayout::new(&axes[0]),
+                        spreader: Spreader::new(&axes, layout),
+                        // Transforms do not truncate stars.
+                        may_spread: size.is_none() && tolerance >= LEAST_SPREAD_TOLERANCE,
+                        layout,
                         axes,
                         norms: PhaseNorms::new(&space, model.grid(), stamps.kernel, stamps.target)
                             .map_err(ConvError::Result)?,
                         space,
-                        tolerance: options.tolerance_in::<T>(),
+                        tolerance,
                         rounding: PlanOptions::rounding_in::<T>(),
                         blocks: Kept::new(options.memory_bytes()),
                     })
@@ -199,145 +181,21 @@ impl<T: ConvReal> StarPlan<T> {
         let Some(phased) = &self.phased else {
             return self.draw_exactly(catalogue, region, image);
         };
-        let window = self.stamps.window();
-        let mut stars: Vec<StarKey> = catalogue
-            .stars
-            .par_iter()
-            .enumerate()
-            .with_min_len(MIN_STARS_PER_TASK)
-            .filter_map(|(index, source)| {
-                let star = Star::new(source, catalogue.frame);
-                let lights = star.reaches(window, region);
-                lights.then(|| StarKey {
-                    block: block_of(star.pixel, BLOCK),
-                    part: index / MOST_AT_ONCE,
-                    phases: star.phase_numbers(&phased.axes),
-                    index,
-                })
-            })
-            .collect();
-        stars.par_sort_unstable();
-        let groups: Vec<&[StarKey]> = stars
-            .chunk_by(|a, b| (a.block, a.part) == (b.block, b.part))
-            .collect();
-        let mut missed = Vec::new();
-        let mut rest = &groups[..];
-        while !rest.is_empty() {
-            let mut stars = 0;
-            let count = rest
-                .iter()
-                .take(TILES_AT_ONCE)
-                .take_while(|group| {
-                    let fits = stars < MOST_AT_ONCE;
-                    stars += group.len();
-                    fits
-                })
-                .count();
-            let (now, later) = rest.split_at(count);
-            catalogue.progress.check_cancelled()?;
-            let first = (region.x0(), region.y0());
-            missed.extend(self.draw(phased, catalogue, now, (first, image.view_mut()))?);
-            rest = later;
-        }
+        let drawer = BlockDrawer {
+            model: &self.model,
+            phased,
+            catalogue,
+            window: self.stamps.window(),
+            region,
+        };
+        let mut missed = T::dispatch(DrawBlocks {
+            drawer,
+            image: image.view_mut(),
+        })?;
         missed.sort_unstable();
         let missed: Vec<_> = missed.into_iter().map(|index| catalogue.stars[index]).collect();
         let stars = &missed[..];
         self.draw_exactly(Catalogue { stars, ..catalogue }, region, image)
-    }
-
-    /// Draws groups of stars. Does not draw stars that would exceed the tolerance, but returns
-    /// their indices.
-    fn draw(
-        &self,
-        phased: &Phased<T>,
-        catalogue: Catalogue<'_>,
-        groups: &[&[StarKey]],
-        (first, image): ((i64, i64), ArrayViewMut2<'_, T>),
-    ) -> Result<Vec<usize>, ConvError> {
-        let prepared: Vec<(Group<T>, Vec<usize>)> = groups
-            .par_iter()
-            .map(|stars| self.prepare(phased, catalogue, stars))
-            .collect::<Result<_, _>>()?;
-        let (groups, missed): (Vec<Group<T>>, Vec<Vec<usize>>) = prepared.into_iter().unzip();
-        T::dispatch(DrawGroups {
-            axes: &phased.axes,
-            layout: phased.layout,
-            groups: &groups,
-            image,
-            first,
-            progress: catalogue.progress,
-        })?;
-        Ok(missed.into_iter().flatten().collect())
-    }
-
-    /// Returns the block of some stars with the sub-pixel phases and weights of each star. Leaves
-    /// out stars that would exceed the tolerance, and returns their indices.
-    fn prepare(
-        &self,
-        phased: &Phased<T>,
-        catalogue: Catalogue<'_>,
-        stars: &[StarKey],
-    ) -> Result<(Group<T>, Vec<usize>), ConvError> {
-        catalogue.progress.check_cancelled()?;
-        let key = stars[0].block;
-        let (region, space, axes) = (region_of(key, BLOCK), &phased.space, &phased.axes);
-        let (norms, tolerance) = (&phased.norms, phased.tolerance);
-        let make = || StarBlock::new(&self.model, space, region, axes, norms, tolerance);
-        let block = phased.blocks.get(key, make, StarBlock::bytes);
-        let mut vectors = StarVectors::new(&self.model, &phased.space);
-        let mut coefficients = Vec::with_capacity(block.modes.kernel_count());
-        let taps = phased.axes[1].kernel.tap_count();
-        let mut weights = Vec::with_capacity(stars.len() * taps * block.modes.kernel_count());
-        let (mut prepared, mut missed) = (Vec::with_capacity(stars.len()), Vec::new());
-        for (number, &StarKey { index, .. }) in stars.iter().enumerate() {
-            if number.is_multiple_of(MIN_STARS_PER_TASK) {
-                catalogue.progress.check_cancelled()?;
-            }
-            let star = Star::new(&catalogue.stars[index], catalogue.frame);
-            let Some([columns, rows]) = star.phases(&phased.axes) else {
-                continue;
-            };
-            let (x, y) = star.position;
-            let position = Position::new(x, y).map_err(ConvError::Result)?;
-            let scale = vectors.set(position)?;
-            let whole = vectors.norm();
-            vectors.project(&block.modes, &mut coefficients);
-            let on_circles = vectors.is_within(tolerance, whole);
-            let error = vectors.norm();
-            let within = on_circles
-                && (error <= phased.rounding * whole
-                    || norms.is_surely_within(
-                        tolerance,
-                        star.shift,
-                        error,
-                        &coefficients,
-                        &block.along_mean,
-                    )
-                    || {
-                        let error = vectors.psf.clone();
-                        vectors.set(position)?;
-                        norms.is_within(tolerance, star.shift, error.view(), vectors.psf.view())
-                    });
-            if !within {
-                missed.push(index);
-                continue;
-            }
-            let scale = scale * star.flux;
-            let first = weights.len();
-            for tap in &rows.weights[..taps] {
-                weights.extend(coefficients.iter().map(|c| T::nearest(tap * c * scale)));
-            }
-            let ((column, row), oversampling) = (star.pixel, phased.axes[0].oversampling);
-            prepared.push(PhasedStar {
-                columns: column + columns.from..column + columns.to,
-                rows: row + rows.from..row + rows.to,
-                first_row: rows.first_of(rows.from, oversampling),
-                first_column: columns.first_of(columns.from, oversampling),
-                weights: first..weights.len(),
-                taps: columns.weights.map(T::nearest),
-            });
-        }
-        Ok((Group::new(block, prepared, weights), missed))
     }
 
     fn draw_exactly(
@@ -352,81 +210,5 @@ impl<T: ConvReal> StarPlan<T> {
             stamps: Arc::clone(&self.stamps),
         };
         painter.draw_into(catalogue.stars, region, image, catalogue.progress)
-    }
-}
-
-/// The block that holds a pixel, if blocks have `side` pixels along each side.
-pub(crate) fn block_of((column, row): (i64, i64), side: i64) -> BlockKey {
-    (row.div_euclid(side), column.div_euclid(side))
-}
-
-/// The pixels of such a block.
-pub(crate) fn region_of((row, column): BlockKey, side: i64) -> PixelRegion {
-    region(column * side, row * side, (side as usize, side as usize))
-}
-
-/// Computes the vectors of stars' PSFs in [`PsfSpace`], one star at a time. All stars use the same
-/// memory.
-#[derive(Debug)]
-pub(crate) struct StarVectors<'a> {
-    model: &'a PsfModel,
-    space: &'a PsfSpace,
-    coefficients: Vec<f64>,
-    pub(crate) psf: Array1<f64>,
-    flux: f64,
-}
-
-impl<'a> StarVectors<'a> {
-    pub(crate) fn new(model: &'a PsfModel, space: &'a PsfSpace) -> Self {
-        Self {
-            model,
-            space,
-            coefficients: vec![0.0; model.stamp_count()],
-            psf: space.mean.clone(),
-            flux: 0.0,
-        }
-    }
-
-    /// Computes the PSF at a position, not scaled to unit flux. Returns the factor that scales it
-    /// to unit flux, or 1 if the model needs no scaling.
-    pub(crate) fn set(&mut self, position: Position) -> Result<f64, FieldError> {
-        self.space
-            .psf_into(position, &mut self.coefficients, &mut self.psf)?;
-        self.flux = self.psf.dot(&self.space.fluxes);
-        if !self.model.needs_flux_scaling() {
-            Ok(1.0)
-        } else if self.flux > 0.0 && self.flux.is_finite() {
-            Ok(1.0 / self.flux)
-        } else {
-            Err(FieldError::NonPositiveFlux {
-                position,
-                flux: self.flux,
-            })
-        }
-    }
-
-    pub(crate) fn norm(&self) -> f64 {
-        self.psf.dot(&self.psf).sqrt()
-    }
-
-    /// Returns whether the remainder of [`project`](Self::project) is within the tolerance. `whole`
-    /// is the norm of the PSF before.
-    pub(crate) fn is_within(&self, tolerance: f64, whole: f64) -> bool {
-        self.space.is_within(tolerance, self.psf.view(), whole, self.flux)
-    }
-
-    /// Computes the coefficients of a block's kernels for this PSF. Replaces the PSF by the
-    /// remainder that the kernels do not represent.
-    pub(crate) fn project(&mut self, modes: &LocalModes, coefficients: &mut Vec<f64>) {
-        coefficients.clear();
-        if let Some(reference) = modes.reference() {
-            self.psf.scaled_add(-self.flux, &reference);
-            coefficients.push(self.flux);
-        }
-        for (mode, dual) in modes.modes.outer_iter().zip(modes.duals().outer_iter()) {
-            let c = dual.dot(&self.psf);
-            self.psf.scaled_add(-c, &mode);
-            coefficients.push(c);
-        }
     }
 }

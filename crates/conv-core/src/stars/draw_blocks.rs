@@ -1,0 +1,325 @@
+//! Draws a catalogue block by block. Threads draw blocks at the same time if their stars light
+//! different pixels.
+
+use ndarray::ArrayViewMut2;
+use psf_types::{PixelRegion, PointSource, Position, Progress, PsfModel};
+use rayon::prelude::*;
+
+use super::draw::{DrawGroup, Group};
+use super::phase_norms::PhaseNorms;
+use super::phases::{PhasedAxis, PhasedStar, Star};
+use super::spread::Spreader;
+use super::star_block::{BlockKey, RowLayout, StarBlock, block_of, region_of};
+use super::star_vectors::StarVectors;
+use crate::kept::Kept;
+use crate::overlap::split;
+use crate::plan::psf_space::PsfSpace;
+use crate::simd::{Lanes, WithIsa};
+use crate::working_range::{Rescaling, brightest_allowed};
+use crate::{ConvError, ConvReal};
+
+/// The parts of a plan that draws stars from local bases.
+#[derive(Debug)]
+pub(super) struct Phased<T> {
+    pub(super) axes: [PhasedAxis; 2],
+    pub(super) layout: RowLayout,
+    pub(super) spreader: Spreader<T>,
+    /// Whether crowded stars may be spread.
+    pub(super) may_spread: bool,
+    pub(super) space: PsfSpace,
+    pub(super) norms: PhaseNorms,
+    pub(super) tolerance: f64,
+    /// Errors of PSFs up to this fraction count as rounding.
+    pub(super) rounding: f64,
+    pub(super) blocks: Kept<BlockKey, StarBlock<T>>,
+}
+
+/// Stars, with positions in pixels of a scene, and the frame, which is a region of the scene.
+#[derive(Clone, Copy)]
+pub(super) struct Catalogue<'a> {
+    pub(super) stars: &'a [PointSource],
+    pub(super) frame: PixelRegion,
+    pub(super) progress: &'a dyn Progress,
+}
+
+/// A star's block (row and column), and the star's index in the catalogue.
+type StarKey = ((i32, i32), usize);
+
+/// Stars of a block that are prepared together.
+const AT_ONCE: usize = 1 << 12;
+/// The least number of stars for a task.
+const MIN_STARS_PER_TASK: usize = 1 << 10;
+/// Only the brighter tenth of a crowded block's stars may be too bright for transforms.
+const FAINT: f64 = 0.9;
+
+/// Draws a catalogue on a region of the frame. Returns the indices of stars that would exceed the
+/// tolerance. They are not drawn.
+///
+/// Blocks whose stars may light the same pixels never run at the same time. Blocks at every n-th row
+/// and every m-th column have one colour and run together. The colours run one after the other. So
+/// the order of additions to a pixel is always the same, whatever the region is.
+pub(super) struct DrawBlocks<'a, T> {
+    pub(super) drawer: BlockDrawer<'a, T>,
+    /// The pixels of the drawer's region.
+    pub(super) image: ArrayViewMut2<'a, T>,
+}
+
+/// Draws the stars of one block.
+pub(super) struct BlockDrawer<'a, T> {
+    pub(super) model: &'a PsfModel,
+    pub(super) phased: &'a Phased<T>,
+    pub(super) catalogue: Catalogue<'a>,
+    /// The pixels that a star may light, relative to its own pixel.
+    pub(super) window: PixelRegion,
+    /// The pixels of the frame that are drawn.
+    pub(super) region: PixelRegion,
+}
+
+/// The stars of a block, and the part of the image that they may light.
+struct Task<'a, T> {
+    stars: &'a [StarKey],
+    image: ArrayViewMut2<'a, T>,
+    /// The image's first pixel, in pixels of the frame.
+    origin: (i64, i64),
+}
+
+impl<T: ConvReal> WithIsa<T> for DrawBlocks<'_, T> {
+    type Output = Result<Vec<usize>, ConvError>;
+
+    fn run<S: Lanes<T>>(mut self, simd: S) -> Self::Output {
+        let drawer = &self.drawer;
+        let stars = drawer.sorted();
+        let blocks: Vec<&[StarKey]> = stars.chunk_by(|a, b| a.0 == b.0).collect();
+        let [columns, rows] = drawer.phased.spreader.colours();
+        let mut missed = Vec::new();
+        for colour in (0..rows).flat_map(|row| (0..columns).map(move |column| (row, column))) {
+            let tasks = drawer.tasks(&blocks, self.image.view_mut(), colour);
+            let drawn: Vec<_> = tasks
+                .into_par_iter()
+                .map(|task| drawer.draw(simd, task))
+                .collect();
+            for of_block in drawn {
+                missed.extend(of_block?);
+            }
+        }
+        Ok(missed)
+    }
+}
+
+impl<T: ConvReal> BlockDrawer<'_, T> {
+    /// The stars whose light may reach the region, and all other stars of their blocks that reach the
+    /// frame, sorted by block. So the stars of a block do not depend on the region.
+    fn sorted(&self) -> Vec<StarKey> {
+        let Catalogue { stars, frame, .. } = self.catalogue;
+        let (side, whole) = (self.phased.spreader.side, frame.shape().region());
+        let mut keys: Vec<StarKey> = stars
+            .par_iter()
+            .enumerate()
+            .with_min_len(MIN_STARS_PER_TASK)
+            .filter_map(|(index, source)| {
+                let star = Star::new(source, frame);
+                let (row, column) = block_of(star.pixel, side as i64);
+                let block = (i32::try_from(row).ok()?, i32::try_from(column).ok()?);
+                let is_near = self.range(0, block).is_some() && self.range(1, block).is_some();
+                (is_near && star.reaches(self.window, whole)).then_some((block, index))
+            })
+            .collect();
+        keys.par_sort_unstable();
+        keys
+    }
+
+    /// The columns (`axis` 0) or rows (1) of the region that the stars of a block may light. `None` if
+    /// there are none.
+    fn range(&self, axis: usize, (row, column): (i32, i32)) -> Option<(usize, usize)> {
+        let (block, first, length) = if axis == 0 {
+            (column, self.region.x0(), self.region.shape().nx())
+        } else {
+            (row, self.region.y0(), self.region.shape().ny())
+        };
+        let (start, lit) = self.phased.spreader.lit(axis, i64::from(block));
+        let within = |pixel: i64| (pixel - first).clamp(0, length as i64) as usize;
+        let (start, end) = (within(start), within(start + lit as i64));
+        (start < end).then_some((start, end))
+    }
+
+    /// The blocks of one colour, each with its part of the image.
+    fn tasks<'t>(
+        &self,
+        blocks: &[&'t [StarKey]],
+        image: ArrayViewMut2<'t, T>,
+        (row_colour, column_colour): (usize, usize),
+    ) -> Vec<Task<'t, T>> {
+        let [columns, rows] = self.phased.spreader.colours();
+        let has =
+            |block: i32, colours: usize, colour: usize| block.rem_euclid(colours as i32) == colour as i32;
+        let range = |axis, stars: &[StarKey]| self.range(axis, stars[0].0).expect("sorted() tested it");
+        let of_rows: Vec<_> = blocks
+            .chunk_by(|a, b| a[0].0.0 == b[0].0.0)
+            .filter(|row| has(row[0][0].0.0, rows, row_colour))
+            .collect();
+        let ranges: Vec<_> = of_rows.iter().map(|row| range(1, row[0])).collect();
+        let mut tasks = Vec::new();
+        for ((row, part), (top, _)) in of_rows.iter().zip(split(image, 0, &ranges)).zip(&ranges) {
+            let columns_of = row
+                .iter()
+                .filter(|stars| has(stars[0].0.1, columns, column_colour));
+            let of_columns: Vec<&[StarKey]> = columns_of.copied().collect();
+            let ranges: Vec<_> = of_columns.iter().map(|stars| range(0, stars)).collect();
+            for ((stars, image), (left, _)) in of_columns.iter().zip(split(part, 1, &ranges)).zip(&ranges) {
+                let origin = (self.region.x0() + *left as i64, self.region.y0() + *top as i64);
+                tasks.push(Task { stars, image, origin });
+            }
+        }
+        tasks
+    }
+
+    /// Draws the stars of a block, one by one or, if they are many, by transforms. Returns the
+    /// indices of stars that would exceed the tolerance.
+    fn draw<S: Lanes<T>>(&self, simd: S, task: Task<'_, T>) -> Result<Vec<usize>, ConvError> {
+        self.catalogue.progress.check_cancelled()?;
+        let phased = self.phased;
+        let ((row, column), _) = task.stars[0];
+        let key = (i64::from(row), i64::from(column));
+        let region = region_of(key, phased.spreader.side as i64);
+        let (space, norms, tolerance) = (&phased.space, &phased.norms, phased.tolerance);
+        let make = || StarBlock::new(self.model, space, region, &phased.axes, norms, tolerance);
+        let block = &*phased.blocks.get(key, make, StarBlock::bytes);
+        let (mut image, origin) = (task.image, task.origin);
+        let mut stars: Vec<usize> = task.stars.iter().map(|&(_, index)| index).collect();
+        let mut missed = Vec::new();
+        if let Some(limit) = self.brightest_spread(block, region, &stars) {
+            let flux = |index: usize| self.catalogue.stars[index].flux().abs();
+            let (spread, bright): (Vec<usize>, Vec<usize>) =
+                stars.into_iter().partition(|&index| flux(index) <= limit);
+            stars = bright;
+            let groups = spread.chunks(AT_ONCE).flat_map(|some| {
+                let prepared: Vec<_> = some
+                    .par_chunks(MIN_STARS_PER_TASK)
+                    .map(|some| self.prepare(block, some))
+                    .collect();
+                prepared
+            });
+            let groups = groups.map(|prepared| {
+                let (group, of_group) = prepared?;
+                missed.extend(of_group);
+                Ok(group)
+            });
+            let place = (block, region);
+            phased
+                .spreader
+                .add_stars(simd, place, groups, &mut image, origin)?;
+        }
+        let phases = |&index: &usize| {
+            let star = Star::new(&self.catalogue.stars[index], self.catalogue.frame);
+            (star.phase_numbers(&phased.axes), index)
+        };
+        stars.sort_by_cached_key(phases);
+        let draw = DrawGroup {
+            axes: &phased.axes,
+            layout: phased.layout,
+            block,
+            region: self.region,
+            progress: self.catalogue.progress,
+        };
+        for some in stars.chunks(AT_ONCE) {
+            let tiles: Vec<Result<_, ConvError>> = some
+                .par_chunks(MIN_STARS_PER_TASK)
+                .map(|some| {
+                    let (group, missed) = self.prepare(block, some)?;
+                    Ok((draw.tile(simd, &group)?, missed))
+                })
+                .collect();
+            for tile in tiles {
+                let (tile, of_tile) = tile?;
+                tile.add_to(&mut image, origin);
+                missed.extend(of_tile);
+            }
+        }
+        Ok(missed)
+    }
+
+    /// The largest flux of stars that are spread. `None` if it is faster to draw all stars one by
+    /// one, or if their fluxes are extreme.
+    fn brightest_spread(&self, block: &StarBlock<T>, region: PixelRegion, stars: &[usize]) -> Option<f64> {
+        let kernels = block.modes.kernel_count();
+        if !(self.phased.may_spread && self.phased.spreader.pays(stars.len(), kernels)) {
+            return None;
+        }
+        let flux = |&index: &usize| self.catalogue.stars[index].flux().abs();
+        let mut fluxes: Vec<f64> = stars.iter().map(flux).collect();
+        let faint = (FAINT * fluxes.len() as f64) as usize;
+        let (fainter, ..) = fluxes.select_nth_unstable_by(faint, f64::total_cmp);
+        let total: f64 = fainter.iter().sum();
+        let limit = brightest_allowed::<T>(total, faint, region.shape().pixel_count());
+        let is_safe = limit.is_finite() && limit > 0.0 && Rescaling::<T>::for_largest(limit).is_none();
+        is_safe.then_some(limit)
+    }
+
+    /// Computes the sub-pixel phases and the weights of some stars of a block. Leaves out stars that
+    /// would exceed the tolerance, and returns the indices of those that reach the region.
+    fn prepare(&self, block: &StarBlock<T>, stars: &[usize]) -> Result<(Group<T>, Vec<usize>), ConvError> {
+        self.catalogue.progress.check_cancelled()?;
+        let (phased, axes) = (self.phased, &self.phased.axes);
+        let (norms, tolerance) = (&phased.norms, phased.tolerance);
+        let mut vectors = StarVectors::new(self.model, &phased.space);
+        let mut coefficients = Vec::with_capacity(block.modes.kernel_count());
+        let taps = axes[1].kernel.tap_count();
+        let mut weights = Vec::with_capacity(stars.len() * taps * block.modes.kernel_count());
+        let (mut prepared, mut missed) = (Vec::with_capacity(stars.len()), Vec::new());
+        for &index in stars {
+            let star = Star::new(&self.catalogue.stars[index], self.catalogue.frame);
+            let Some([columns, rows]) = star.phases(axes) else {
+                continue;
+            };
+            let (x, y) = star.position;
+            let position = Position::new(x, y).map_err(ConvError::Result)?;
+            // Only stars that reach the region need a PSF.
+            let is_needed = star.reaches(self.window, self.region);
+            let scale = match vectors.set(position) {
+                Err(_) if !is_needed => continue,
+                scale => scale?,
+            };
+            let whole = vectors.norm();
+            vectors.project(&block.modes, &mut coefficients);
+            let on_circles = vectors.is_within(tolerance, whole);
+            let error = vectors.norm();
+            let within = on_circles
+                && (error <= phased.rounding * whole
+                    || norms.is_surely_within(
+                        tolerance,
+                        star.shift,
+                        error,
+                        &coefficients,
+                        &block.along_mean,
+                    )
+                    || {
+                        let error = vectors.psf.clone();
+                        vectors.set(position)?;
+                        norms.is_within(tolerance, star.shift, error.view(), vectors.psf.view())
+                    });
+            if !within {
+                missed.extend(is_needed.then_some(index));
+                continue;
+            }
+            let scale = scale * star.flux;
+            let first = weights.len();
+            for tap in &rows.weights[..taps] {
+                weights.extend(coefficients.iter().map(|c| T::nearest(tap * c * scale)));
+            }
+            let ((column, row), oversampling) = (star.pixel, axes[0].oversampling);
+            prepared.push(PhasedStar {
+                columns: column + columns.from..column + columns.to,
+                rows: row + rows.from..row + rows.to,
+                first_row: rows.first_of(rows.from, oversampling),
+                first_column: columns.first_of(columns.from, oversampling),
+                weights: first..weights.len(),
+                taps: columns.weights.map(T::nearest),
+            });
+        }
+        let group = Group {
+            stars: prepared,
+            weights,
+        };
+        Ok((group, missed))
+    }
+}

@@ -1,0 +1,73 @@
+//! The PSFs of single stars and galaxies, as vectors.
+
+use ndarray::Array1;
+use psf_types::{FieldError, Position, PsfModel};
+
+use crate::plan::local_modes::LocalModes;
+use crate::plan::psf_space::PsfSpace;
+
+/// Computes the vectors of stars' PSFs in [`PsfSpace`], one star at a time. All stars use the same
+/// memory.
+#[derive(Debug)]
+pub(crate) struct StarVectors<'a> {
+    model: &'a PsfModel,
+    space: &'a PsfSpace,
+    coefficients: Vec<f64>,
+    pub(crate) psf: Array1<f64>,
+    flux: f64,
+}
+
+impl<'a> StarVectors<'a> {
+    pub(crate) fn new(model: &'a PsfModel, space: &'a PsfSpace) -> Self {
+        Self {
+            model,
+            space,
+            coefficients: vec![0.0; model.stamp_count()],
+            psf: space.mean.clone(),
+            flux: 0.0,
+        }
+    }
+
+    /// Computes the PSF at a position, not scaled to unit flux. Returns the factor that scales it
+    /// to unit flux, or 1 if the model needs no scaling.
+    pub(crate) fn set(&mut self, position: Position) -> Result<f64, FieldError> {
+        self.space
+            .psf_into(position, &mut self.coefficients, &mut self.psf)?;
+        self.flux = self.psf.dot(&self.space.fluxes);
+        if !self.model.needs_flux_scaling() {
+            Ok(1.0)
+        } else if self.flux > 0.0 && self.flux.is_finite() {
+            Ok(1.0 / self.flux)
+        } else {
+            Err(FieldError::NonPositiveFlux {
+                position,
+                flux: self.flux,
+            })
+        }
+    }
+
+    pub(crate) fn norm(&self) -> f64 {
+        self.psf.dot(&self.psf).sqrt()
+    }
+
+    /// Returns whether the remainder of [`project`](Self::project) is within the tolerance. `whole`
+    /// is the norm of the PSF before.
+    pub(crate) fn is_within(&self, tolerance: f64, whole: f64) -> bool {
+        self.space.is_within(tolerance, self.psf.view(), whole, self.flux)
+    }
+
+    /// Computes the coefficients of a block's kernels for this PSF. Replaces the PSF by the
+    /// remainder that the kernels do not represent.
+    pub(crate) fn project(&mut self, modes: &LocalModes, coefficients: &mut Vec<f64>) {
+        coefficients.clear();
+        if let Some(reference) = modes.reference() {
+            self.psf.scaled_add(-self.flux, &reference);
+            coefficients.push(self.flux);
+        }
+        for (mode, dual) in modes.modes.outer_iter().zip(modes.duals().outer_iter()) {
+            let c = dual.dot(&self.psf);
+            self.psf.scaled_add(-c, &mode);
+            coefficients.push(c);
+        }
+    }
+}
