@@ -17,7 +17,7 @@ class Defaults(NamedTuple):
     device: Literal["auto", "cpu", "gpu"]
     anchor: Literal["source", "output"]
     method: Literal["auto", "lowrank"]
-    memory: int
+    memory: int | None
     oversample: int
     scene_pixels: Literal["point", "integrated"]
     interpolation: str

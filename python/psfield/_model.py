@@ -887,7 +887,7 @@ class PsfModel:
         tolerance_on: Literal["l2", "aperture"] = DEFAULTS.tolerance_on,
         anchor: Literal["source", "output"] = DEFAULTS.anchor,
         method: Literal["auto", "lowrank"] = DEFAULTS.method,
-        memory: int = DEFAULTS.memory,
+        memory: int | None = DEFAULTS.memory,
         oversample: int = DEFAULTS.oversample,
         scene_pixels: Literal["point", "integrated"] = DEFAULTS.scene_pixels,
         stamp_size: int | None = None,
@@ -928,8 +928,9 @@ class PsfModel:
             its own position. ``output``: each pixel gathers light with the PSF at its own position.
         method : {'auto', 'lowrank'}
             ``auto`` convolves each tile in the cheapest way, ``lowrank`` only by transforms.
-        memory : int
-            Largest number of bytes that the plan keeps.
+        memory : int, optional
+            Largest number of bytes that the plan keeps. Default: 256 MiB, and room for two images
+            of the frame and for the stamps of the PSF model.
         oversample : int
             Scene pixels along each side of a pixel of the image. Stars and galaxies of a catalogue
             do not depend on it.

@@ -569,7 +569,7 @@ _CHECKS: dict[str, Callable[[Any, str], Any]] = {
     "tolerance_on": partial(choice, known=("l2", "aperture")),
     "anchor": partial(choice, known=("source", "output")),
     "method": partial(choice, known=("auto", "lowrank")),
-    "memory": integer,
+    "memory": integer_or_none,
     "oversample": partial(integer, least=1),
     "scene_pixels": partial(choice, known=("point", "integrated")),
     "stamp_size": partial(integer_or_none, least=1),

@@ -61,7 +61,7 @@ pub(crate) struct PlanSettings {
     precision: String,
     anchor: String,
     method: String,
-    memory: usize,
+    memory: Option<usize>,
     oversample: usize,
     scene_pixels: String,
     stamp_size: Option<usize>,

@@ -34,9 +34,9 @@ pub struct SimulateOptions {
     /// Chooses whether the PSF is evaluated at the position of each source or of each pixel of the
     /// image.
     pub anchor: Anchor,
-    /// The largest number of bytes that a plan keeps in memory ([`PlanOptions::with_memory`]).
-    /// Applies to the methods with a plan.
-    pub memory: usize,
+    /// The largest number of bytes that a plan keeps in memory ([`PlanOptions::with_memory`]). None:
+    /// it follows from the work ([`PlanOptions::memory_for`]). Applies to the methods with a plan.
+    pub memory: Option<usize>,
     /// Pixels of the scene's image along each side of a pixel of the frame, 1 to
     /// [`MAX_OVERSAMPLE`](Self::MAX_OVERSAMPLE). Pixel `i` of the frame has its centre at
     /// the coordinate `oversample i + (oversample - 1) / 2` of the scene.
@@ -75,7 +75,7 @@ impl Default for SimulateOptions {
             tolerance: PlanOptions::DEFAULT_TOLERANCE,
             tolerance_on: ToleranceOn::default(),
             anchor: Anchor::default(),
-            memory: PlanOptions::DEFAULT_MEMORY_BYTES,
+            memory: None,
             oversample: 1,
             scene_pixels: ScenePixels::default(),
             stamp_size: None,
@@ -92,7 +92,8 @@ impl SimulateOptions {
     /// The largest `oversample`: pixels of the scene along each side of a frame pixel.
     pub const MAX_OVERSAMPLE: usize = 64;
 
-    /// The options of the plan. None for methods without a plan.
+    /// The options of the plan, with the smallest limit of memory if none is set. None for methods
+    /// without a plan.
     ///
     /// # Errors
     /// [`ErrorKind::Setting`](crate::ErrorKind::Setting) for a tolerance out of range, also for
@@ -101,7 +102,7 @@ impl SimulateOptions {
         let options = PlanOptions::new(self.tolerance)?
             .with_tolerance_on(self.tolerance_on)
             .with_anchor(self.anchor)
-            .with_memory(self.memory);
+            .with_memory(self.memory.unwrap_or(PlanOptions::DEFAULT_MEMORY_BYTES));
         Ok(match self.method {
             Method::Auto => Some(options.with_paths(Paths::Cheapest)),
             Method::LowRank => Some(options.with_paths(Paths::Transforms)),

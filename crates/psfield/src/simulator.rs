@@ -412,6 +412,14 @@ impl<T: ConvReal> Simulator<T> {
         Ok(options.filter(|_| self.shared.method.is_none()))
     }
 
+    /// The options of a model's plans, with the limit of memory for this model.
+    fn planned_for(&self, model: &PsfModel) -> Result<Option<PlanOptions>, PsfieldError> {
+        let frame = self.geometry.fine(self.geometry.frame)?.shape();
+        let memory = || PlanOptions::memory_for::<T>(frame, model);
+        let bytes = self.options.memory.unwrap_or_else(memory);
+        Ok(self.planned()?.map(|options| options.with_memory(bytes)))
+    }
+
     /// The model on the scene's pixels, and the seconds that its fit took.
     fn image_model(&self) -> Result<(&PsfModel, f64), PsfieldError> {
         let (psf, options) = (self.psf(), &self.options);
@@ -437,7 +445,7 @@ impl<T: ConvReal> Simulator<T> {
             let model = self.psf().with_pixel_response()?.model()?.clone();
             let fit_seconds = clock.elapsed().as_secs_f64();
             let size = self.options.stamp_size;
-            let planned = self.planned()?;
+            let planned = self.planned_for(&model)?;
             if let Some(options) = &planned {
                 check_flux(self.psf(), &model, options)?;
             }
@@ -463,7 +471,7 @@ impl<T: ConvReal> Simulator<T> {
         get_or_make(&self.convolver, || {
             let (model, _) = self.image_model()?;
             let clock = Instant::now();
-            let (engine, placement) = match self.planned()? {
+            let (engine, placement) = match self.planned_for(model)? {
                 Some(options) => {
                     check_flux(self.psf(), model, &options)?;
                     let (shape, frame) = (self.geometry.shape, self.geometry.fine(self.geometry.frame)?);

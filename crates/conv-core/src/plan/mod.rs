@@ -362,6 +362,17 @@ impl<T: ConvReal> Plan<T> {
         for block in &self.blocks {
             blocks_by_modes[block.kernel_count()] += 1;
         }
+        let kept_bytes = (
+            self.blocks.iter().map(Block::table_bytes).sum(),
+            self.blocks.iter().map(Block::stamp_bytes).sum(),
+        );
+        let made_anew = (
+            self.blocks.iter().filter(|block| block.table.is_none()).count(),
+            self.blocks.iter().filter(|block| block.stamps.is_none()).count(),
+        );
+        let kept_tables = self.blocks.len() - made_anew.0;
+        let kernels: usize = self.blocks.iter().map(Block::kernel_count).sum();
+        let stamp = self.geometry.stamp.0 * self.geometry.stamp.1 * size_of::<T>();
         let tiles = |stretches: &[Stretch]| stretches.iter().map(|s| s.tiles.len()).sum::<usize>();
         let tile = (longest(&self.tiling.columns), longest(&self.tiling.rows));
         let mut summary = PlanSummary {
@@ -380,14 +391,9 @@ impl<T: ConvReal> Plan<T> {
             drawn_up_to: 0,
             direct: false,
             predicted_seconds: 0.0,
-            kept_bytes: (
-                self.blocks.iter().map(Block::table_bytes).sum(),
-                self.blocks.iter().map(Block::stamp_bytes).sum(),
-            ),
-            made_anew: (
-                self.blocks.iter().filter(|block| block.table.is_none()).count(),
-                self.blocks.iter().filter(|block| block.stamps.is_none()).count(),
-            ),
+            kept_bytes,
+            made_anew,
+            all_bytes: kernels * stamp + kept_bytes.0 * self.blocks.len() / kept_tables.max(1),
         };
         let kernels = summary.mean_modes();
         let (whole, direct) = self.whole_tile(tile, kernels.ceil() as usize);

@@ -1,6 +1,6 @@
 //! Options of a plan.
 
-use psf_types::{Anchor, ToleranceOn};
+use psf_types::{Anchor, FrameShape, PsfModel, ToleranceOn};
 
 use crate::{ConvError, ConvReal};
 
@@ -39,7 +39,8 @@ pub struct PlanOptions {
 }
 
 impl PlanOptions {
-    /// The default limit of the memory that a plan keeps: 256 MiB.
+    /// The default limit of the memory that a plan keeps: 256 MiB. Large frames and stamps need more
+    /// ([`memory_for`](Self::memory_for)).
     pub const DEFAULT_MEMORY_BYTES: usize = 256 << 20;
     /// The default tolerance.
     pub const DEFAULT_TOLERANCE: f64 = 1e-4;
@@ -95,6 +96,15 @@ impl PlanOptions {
             memory_bytes: bytes,
             ..self
         }
+    }
+
+    /// A limit for [`with_memory`](Self::with_memory) that follows from the work, so that it is the
+    /// same on every machine: [`DEFAULT_MEMORY_BYTES`](Self::DEFAULT_MEMORY_BYTES), and room for two
+    /// images of the frame and for the model's stamps, in the working precision `T`.
+    pub fn memory_for<T: ConvReal>(frame: FrameShape, model: &PsfModel) -> usize {
+        let stamps = model.stamp_count().saturating_mul(model.grid().pixel_count());
+        let values = frame.pixel_count().saturating_mul(2).saturating_add(stamps);
+        Self::DEFAULT_MEMORY_BYTES.saturating_add(values.saturating_mul(size_of::<T>()))
     }
 
     /// The tolerance.

@@ -48,6 +48,9 @@ pub struct PlanSummary {
     /// The number of blocks whose coefficients are not kept, and the number of blocks whose stamps
     /// are not kept. Each execution computes these again.
     pub made_anew: (usize, usize),
+    /// Bytes for the coefficients and stamps of all blocks. Coefficients that are not kept count as
+    /// much as the kept ones on average.
+    pub all_bytes: usize,
 }
 
 impl PlanSummary {

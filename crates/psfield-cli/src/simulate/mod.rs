@@ -8,7 +8,7 @@ mod scene;
 
 use std::path::PathBuf;
 
-use conv_core::{ConvReal, PlanSummary};
+use conv_core::{ConvReal, PlanOptions, PlanSummary};
 use psf_io::Card;
 use psf_types::{Anchor, ToleranceOn};
 use psfield::{
@@ -154,7 +154,7 @@ pub(crate) struct SimulateArgs {
         hide_short_help = true,
         help = memory_help(),
         long_help = format!(
-            "{}\n\nThis is in addition to the memory of scene and image. Applies only to the methods auto and lowrank.",
+            "{}\n\nThe default has room for two images of the frame and for the stamps of the PSF model, so it is the same on every machine. Each execution makes again the parts of a plan that exceed the limit, which is slow. The memory of scene and image comes in addition. Applies only to the methods auto and lowrank.",
             memory_help()
         )
     )]
@@ -197,8 +197,8 @@ fn tolerance_on_help() -> String {
 
 fn memory_help() -> String {
     format!(
-        "Upper limit of the memory for the plan, the prepared PSF data (bytes, or with K, M or G) [default: {}]",
-        text_of_bytes(SimulateOptions::default().memory)
+        "Upper limit of the memory for the plan, the prepared PSF data (bytes, or with K, M or G) [default: {}, and more for large frames and stamps]",
+        text_of_bytes(PlanOptions::DEFAULT_MEMORY_BYTES)
     )
 }
 
@@ -281,7 +281,7 @@ impl SimulateArgs {
             tolerance: self.tolerance.unwrap_or(defaults.tolerance),
             tolerance_on: self.tolerance_on.unwrap_or(defaults.tolerance_on),
             anchor: self.anchor,
-            memory: self.memory.unwrap_or(defaults.memory),
+            memory: self.memory,
             oversample: self.scene.finer(),
             scene_pixels: self.scene.pixels(),
             stamp_size: self.stamp_size,

@@ -378,7 +378,8 @@ impl<T: ConvReal> Simulator<T> {
         Ok(range)
     }
 
-    /// Returns warnings about a scene's stars and galaxies, and about the PSF at them.
+    /// Returns warnings about a scene's stars and galaxies, about the PSF at them, and about the plan if
+    /// it is made.
     pub fn warnings(&self, scene: &Scene<'_, T>) -> Vec<SimulationWarning> {
         let shape = self.geometry.frame.shape();
         let last = Position::of_pixel(shape.nx() as i64 - 1, shape.ny() as i64 - 1);
@@ -406,12 +407,25 @@ impl<T: ConvReal> Simulator<T> {
             let Ok(&flux) = get_or_make(&self.shared.star_flux, flux);
             warnings.push(SimulationWarning::SourcesBetweenPixels { flux });
         }
+        let engine = self
+            .convolver
+            .get()
+            .and_then(|convolver| convolver.engine.as_ref());
+        let plan = engine.map(|engine| engine.plan().summary());
+        warnings.extend(plan.and_then(|plan| {
+            let made_anew = plan.made_anew.0.max(plan.made_anew.1);
+            (made_anew > 0).then_some(SimulationWarning::MadeAnew {
+                made_anew,
+                blocks: plan.blocks,
+                bytes: plan.all_bytes,
+            })
+        }));
         warnings
     }
 }
 
-/// Warns of an error that the spot check cannot detect. If the error can be avoided, the text says
-/// how.
+/// Warns of an error that the spot check cannot detect, or of a loss of time. If it can be avoided,
+/// the text says how.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub enum SimulationWarning {
@@ -430,14 +444,24 @@ pub enum SimulationWarning {
     },
     /// The frame reaches far beyond the range over which the polynomials of the PSF were fitted.
     BeyondPolynomial(Extrapolation),
+    /// Each execution of the plan makes parts of it again, because they exceed the limit of memory.
+    MadeAnew {
+        /// The number of blocks with such parts.
+        made_anew: usize,
+        /// The number of blocks.
+        blocks: usize,
+        /// Bytes of the whole plan.
+        bytes: usize,
+    },
 }
 
 impl SimulationWarning {
     /// The field of [`SimulateOptions`](crate::SimulateOptions), or of
-    /// [`FitChoices`](crate::FitChoices), that avoids the error, if one does.
+    /// [`FitChoices`](crate::FitChoices), that avoids the error or the loss of time, if one does.
     pub fn setting(&self) -> Option<&'static str> {
         match self {
             Self::BeyondPolynomial(_) => Some("outside"),
+            Self::MadeAnew { .. } => Some("memory"),
             _ => None,
         }
     }
@@ -470,6 +494,15 @@ impl fmt::Display for SimulationWarning {
                 )
             }
             Self::BeyondPolynomial(extrapolation) => extrapolation.fmt(f),
+            Self::MadeAnew {
+                made_anew,
+                blocks,
+                bytes,
+            } => write!(
+                f,
+                "each execution makes {made_anew} of {blocks} blocks of the plan again, which is slow: the whole plan needs about {} MiB",
+                bytes.div_ceil(1 << 20)
+            ),
         }
     }
 }

@@ -296,6 +296,35 @@ fn frames_beyond_the_polynomials_of_the_psf_are_warned_of() {
 }
 
 #[test]
+fn a_plan_beyond_its_memory_is_said_to_be_slow() {
+    let warnings = |memory| {
+        let options = SimulateOptions {
+            memory,
+            device: Device::Cpu,
+            ..SimulateOptions::default()
+        };
+        let builder = psfex(2.0, 1.0).simulator((90, 60)).options(options);
+        let simulator: Simulator<f64> = builder.build().unwrap();
+        let scene = Scene::new(Array2::from_elem((90, 60), 1.0)).unwrap();
+        simulator.prepare(&scene, false, &NoProgress).unwrap();
+        simulator.warnings(&scene)
+    };
+    let [
+        SimulationWarning::MadeAnew {
+            made_anew,
+            blocks,
+            bytes,
+        },
+    ] = warnings(Some(0))[..]
+    else {
+        panic!("no warning");
+    };
+    assert!(made_anew == blocks && bytes > 0);
+    assert_eq!(warnings(Some(1 << 24)), []);
+    assert_eq!(warnings(None), []);
+}
+
+#[test]
 fn the_flux_of_undersampled_stars_is_stated_over_their_phases() {
     /// Rounding of sums over a stamp.
     const ROUNDING: f64 = 1e-6;
