@@ -46,6 +46,7 @@ mod ellipse;
 mod error;
 mod gaussian_fit;
 mod gaussian_model;
+mod gaussian_rows;
 mod levenberg_marquardt;
 mod moments;
 mod window;

@@ -1,10 +1,12 @@
 //! Second moments: adaptive (with a matching Gaussian weight) and unweighted.
 
+use nalgebra::{SMatrix, SVector};
 use ndarray::ArrayView2;
 use psf_types::Real;
 use serde::Serialize;
 
 use crate::comparison::CompensatedSum;
+use crate::gaussian_rows::{GaussianRow, MONOMIALS, MonomialSums, UnitGaussian, reach};
 use crate::window::Cutout;
 use crate::{Covariance, MetricsError, Window};
 
@@ -270,6 +272,11 @@ const CONVERGED: f64 = 1e-11;
 /// Largest change of `M` in one step relative to its smaller eigenvalue, and of the centroid
 /// relative to sigma.
 const LARGEST_STEP: f64 = 0.25;
+/// Newton's method begins when the plain step changes the weight by less than this.
+const NEWTON_BELOW: f64 = 0.1;
+/// After a Newton step that failed, the next one is tried when the change has decreased by this
+/// factor.
+const NEWTON_RETRY: f64 = 0.1;
 const START_SIGMA_PX: f64 = 5.0;
 const START_SIDES: f64 = 1.0 / 6.0;
 /// A narrower weight covers only one pixel.
@@ -333,7 +340,7 @@ impl AdaptiveMomentFinder {
         let cutout = self.window.cut(stamp, SMALLEST_SIDE)?;
         let (rows, columns) = cutout.values.dim();
         let largest_px = LARGEST_SIDES * rows.min(columns) as f64;
-        let (mut x, mut y, sigma) = match self.start {
+        let (x, y, sigma) = match self.start {
             Some(start) => {
                 let origin = cutout.on_stamp(0.0, 0.0);
                 (start.x - origin.0, start.y - origin.1, start.sigma_px)
@@ -344,96 +351,216 @@ impl AdaptiveMomentFinder {
                 START_SIGMA_PX.min(START_SIDES * rows.min(columns) as f64),
             ),
         };
-        let mut m = Covariance::new(sigma * sigma, 0.0, sigma * sigma)?;
-        let mut change = f64::INFINITY;
-        for iteration in 0..MAX_ITERATIONS {
-            cutout.check_centre(x, y)?;
+        let pixels = WeightedPixels {
+            cutout: &cutout,
+            brightest: cutout.extreme().abs(),
+            largest_px,
             // The weight may be too wide during the iteration, but not at its end.
-            Self::check_width(
-                m,
-                largest_px.max(sigma) * MAX_WIDTH_RATIO / largest_px,
-                largest_px,
-            )?;
-            let [flux, wx, wy, wxx, wxy, wyy] = weighted_moments(&cutout, x, y, m);
-            // The amplitude is twice the weighted flux.
-            if [2.0 * flux, wx, wy, wxx, wxy, wyy].iter().any(|v| !v.is_finite()) {
-                return Err(MetricsError::Overflow {
-                    largest: cutout.extreme(),
-                });
-            }
-            if flux <= 0.0 {
-                return Err(MetricsError::NonPositiveFlux { flux });
-            }
-            if change <= CONVERGED {
-                Self::check_width(m, 1.0, largest_px)?;
+            slack: largest_px.max(sigma) * MAX_WIDTH_RATIO / largest_px,
+        };
+        let start = Weight {
+            x,
+            y,
+            m: Covariance::new(sigma * sigma, 0.0, sigma * sigma)?,
+        };
+        let mut now = pixels.measure(start, 0.0)?;
+        let mut newton_below = NEWTON_BELOW;
+        for iteration in 0..MAX_ITERATIONS {
+            if now.change <= CONVERGED {
+                check_width(now.weight.m, 1.0, largest_px)?;
                 return Ok(AdaptiveMoments {
-                    amplitude: 2.0 * flux,
-                    shape: Shape::new(cutout.on_stamp(x, y), m),
+                    amplitude: 2.0 * now.flux,
+                    shape: Shape::new(cutout.on_stamp(now.weight.x, now.weight.y), now.weight.m),
                     iterations: iteration,
-                    covariance: m,
+                    covariance: now.weight.m,
                 });
             }
-            // For a Gaussian near `M`, to first order: the weighted offset is half of the true
-            // offset (factor 2). The weighted covariance differs from `M / 2` by a quarter of the
-            // true covariance's difference from `M` (factor 4).
-            let sigma = m.sigma_minor_px();
-            let variance = sigma * sigma;
-            let limited = |step: f64| step.clamp(-LARGEST_STEP, LARGEST_STEP);
-            let dx = limited(2.0 * wx / (flux * sigma));
-            let dy = limited(2.0 * wy / (flux * sigma));
-            let dxx = limited(4.0 * (wxx / flux - 0.5 * m.xx()) / variance);
-            let dxy = limited(4.0 * (wxy / flux - 0.5 * m.xy()) / variance);
-            let dyy = limited(4.0 * (wyy / flux - 0.5 * m.yy()) / variance);
-            change = [dx, dy, dxx, dxy, dyy]
-                .into_iter()
-                .fold(0.0, |most, step| most.max(step.abs()));
-            x += dx * sigma;
-            y += dy * sigma;
-            // The step limits keep the smaller eigenvalue at half of its old value or more.
-            m = Covariance::new(
-                m.xx() + dxx * variance,
-                m.xy() + dxy * variance,
-                m.yy() + dyy * variance,
-            )?;
+            if now.change < newton_below {
+                if let Some(there) = pixels.newton(&now) {
+                    now = there;
+                    continue;
+                }
+                newton_below = NEWTON_RETRY * now.change;
+            }
+            now = pixels.measure(now.weight.moved(now.plain_step)?, now.flux)?;
         }
         Err(MetricsError::NotConverged {
             iterations: MAX_ITERATIONS,
-            change,
+            change: now.change,
         })
-    }
-
-    /// Checks the sigmas of a weight. The larger sigma may be at most `slack * largest_px`, where
-    /// `largest_px` is the limit for a result.
-    fn check_width(m: Covariance, slack: f64, largest_px: f64) -> Result<(), MetricsError> {
-        if m.sigma_minor_px() < SMALLEST_SIGMA_PX {
-            return Err(MetricsError::WeightCollapsed {
-                sigma_px: m.sigma_minor_px(),
-            });
-        }
-        if m.sigma_major_px() > slack * largest_px {
-            return Err(MetricsError::WidthOutOfRange {
-                major_px: m.sigma_major_px(),
-                minor_px: m.sigma_minor_px(),
-                smallest_px: SMALLEST_SIGMA_PX,
-                largest_px,
-            });
-        }
-        Ok(())
     }
 }
 
-/// Sums over the pixels of `w I` times 1, dx, dy, dx dx, dx dy and dy dy.
-fn weighted_moments(cutout: &Cutout, x0: f64, y0: f64, m: Covariance) -> [f64; 6] {
-    let determinant = m.determinant();
-    let (ixx, ixy, iyy) = (m.yy() / determinant, -m.xy() / determinant, m.xx() / determinant);
-    let mut sums = [CompensatedSum::default(); 6];
-    for (x, y, value) in cutout.pixels() {
-        let (dx, dy) = (x - x0, y - y0);
-        let light = (-0.5 * (ixx * dx * dx + 2.0 * ixy * dx * dy + iyy * dy * dy)).exp() * value;
-        let terms = [1.0, dx, dy, dx * dx, dx * dy, dy * dy];
-        for (sum, term) in sums.iter_mut().zip(terms) {
-            sum.add(light * term);
+/// Checks the sigmas of a weight. The larger sigma may be at most `slack * largest_px`, where
+/// `largest_px` is the limit for a result.
+fn check_width(m: Covariance, slack: f64, largest_px: f64) -> Result<(), MetricsError> {
+    if m.sigma_minor_px() < SMALLEST_SIGMA_PX {
+        return Err(MetricsError::WeightCollapsed {
+            sigma_px: m.sigma_minor_px(),
+        });
+    }
+    if m.sigma_major_px() > slack * largest_px {
+        return Err(MetricsError::WidthOutOfRange {
+            major_px: m.sigma_major_px(),
+            minor_px: m.sigma_minor_px(),
+            smallest_px: SMALLEST_SIGMA_PX,
+            largest_px,
+        });
+    }
+    Ok(())
+}
+
+/// The centre and the covariance of a weight, in pixels of the cutout.
+#[derive(Debug, Clone, Copy)]
+struct Weight {
+    x: f64,
+    y: f64,
+    m: Covariance,
+}
+
+/// A step of a weight: of `x` and `y` in units of its smaller sigma, then of `Mxx`, `Mxy` and `Myy`
+/// in units of the square of that sigma.
+type Step = [f64; 5];
+
+impl Weight {
+    fn gaussian(&self) -> UnitGaussian {
+        let height = self.m.yy().sqrt();
+        let root = self.m.determinant().sqrt();
+        UnitGaussian {
+            x: self.x,
+            y: self.y,
+            lxx: height / root,
+            lyx: -self.m.xy() / (height * root),
+            lyy: 1.0 / height,
         }
     }
-    sums.map(CompensatedSum::value)
+
+    /// Converts a step from the coordinates `(u, v)` of the weight, in which its covariance is the
+    /// unit matrix. `step` holds the shift of the centre and the change of the covariance.
+    fn step(&self, step: SVector<f64, 5>) -> Step {
+        let UnitGaussian { lxx, lyx, lyy, .. } = self.gaussian();
+        let [u, v, uu, uv, vv]: [f64; 5] = step.into();
+        let sigma = self.m.sigma_minor_px();
+        // dy = v / lyy, dx = (u - tilt v) / lxx
+        let tilt = lyx / lyy;
+        let (to_x, to_y) = (1.0 / (lxx * sigma), 1.0 / (lyy * sigma));
+        [
+            (u - tilt * v) * to_x,
+            v * to_y,
+            (uu - 2.0 * tilt * uv + tilt * tilt * vv) * to_x * to_x,
+            (uv - tilt * vv) * to_x * to_y,
+            vv * to_y * to_y,
+        ]
+    }
+
+    /// Moves the weight by a step. Steps within [`LARGEST_STEP`] keep the smaller eigenvalue at half
+    /// of its old value or more.
+    fn moved(&self, [dx, dy, dxx, dxy, dyy]: Step) -> Result<Self, MetricsError> {
+        let sigma = self.m.sigma_minor_px();
+        let variance = sigma * sigma;
+        Ok(Self {
+            x: self.x + dx * sigma,
+            y: self.y + dy * sigma,
+            m: Covariance::new(
+                self.m.xx() + dxx * variance,
+                self.m.xy() + dxy * variance,
+                self.m.yy() + dyy * variance,
+            )?,
+        })
+    }
+}
+
+/// The moments under a weight, and the steps that they ask for.
+#[derive(Debug, Clone, Copy)]
+struct Weighted {
+    weight: Weight,
+    flux: f64,
+    plain_step: Step,
+    /// Largest component of the plain step.
+    change: f64,
+    /// The step of Newton's method. None far from a solution to which plain steps converge.
+    newton_step: Option<Step>,
+}
+
+/// The pixels to measure, and the limits of their weight.
+#[derive(Debug, Clone, Copy)]
+struct WeightedPixels<'a> {
+    cutout: &'a Cutout,
+    /// Largest magnitude of a pixel.
+    brightest: f64,
+    largest_px: f64,
+    slack: f64,
+}
+
+impl WeightedPixels<'_> {
+    /// Measures the moments under a weight. `flux` is the flux under a weight one step away, or 0.
+    fn measure(&self, weight: Weight, flux: f64) -> Result<Weighted, MetricsError> {
+        self.cutout.check_centre(weight.x, weight.y)?;
+        check_width(weight.m, self.slack, self.largest_px)?;
+        let sums = self.sums(weight.gaussian(), flux);
+        let flux = sums.of((0, 0));
+        // The amplitude is twice the weighted flux.
+        let all = MONOMIALS.map(|monomial| 2.0 * sums.of(monomial));
+        if all.iter().any(|v| !v.is_finite()) {
+            return Err(MetricsError::Overflow {
+                largest: self.cutout.extreme(),
+            });
+        }
+        if flux <= 0.0 {
+            return Err(MetricsError::NonPositiveFlux { flux });
+        }
+        // Means of u, v, u^2 - 1/2, uv, v^2 - 1/2: a solution has only zeros here.
+        let mean = |monomial| sums.of(monomial) / flux;
+        let [u, v] = [mean((1, 0)), mean((0, 1))];
+        let [uu, uv, vv] = [mean((2, 0)) - 0.5, mean((1, 1)), mean((0, 2)) - 0.5];
+        // For a Gaussian near the weight, to first order: the weighted offset is half of the true
+        // offset (factor 2). The weighted covariance differs from half of the weight's by a quarter
+        // of the true covariance's difference from the weight's (factor 4).
+        let plain = SVector::from([2.0 * u, 2.0 * v, 4.0 * uu, 4.0 * uv, 4.0 * vv]);
+        let plain_step = weight.step(plain).map(|d| d.clamp(-LARGEST_STEP, LARGEST_STEP));
+        // Minus the derivatives of the means of u, v, u^2 / 2, uv and v^2 / 2 by a shift of the
+        // centre and a change of the covariance. The factors 1/2 make this matrix symmetric.
+        let halves = SVector::from([1.0, 1.0, 0.5, 1.0, 0.5]);
+        let products = sums.products().fixed_view::<5, 5>(1, 1) / flux;
+        let products = SMatrix::<f64, 5, 5>::from_fn(|i, j| products[(i, j)] * halves[i] * halves[j]);
+        let means = SVector::from([0.0, 0.0, 0.25, 0.0, 0.25]);
+        let unit = SMatrix::from_diagonal(&SVector::from([1.0, 1.0, 0.25, 0.5, 0.25]));
+        let matrix = unit + means * means.transpose() - products;
+        // The plain step uses half of `unit` in its place for a Gaussian: plain steps converge if and
+        // only if the matrix lies between 0 and twice that of a Gaussian.
+        let converges = (unit - matrix).cholesky().is_some();
+        let newton_step = matrix
+            .cholesky()
+            .filter(|_| converges)
+            .map(|factor| weight.step(factor.solve(&SVector::from([u, v, 0.5 * uu, uv, 0.5 * vv]))))
+            .filter(|step| step.iter().all(|d| d.abs() < LARGEST_STEP));
+        Ok(Weighted {
+            weight,
+            flux,
+            plain_step,
+            change: plain_step.iter().fold(0.0, |most, d| most.max(d.abs())),
+            newton_step,
+        })
+    }
+
+    /// The moments after a step of Newton's method, if it at least halves the change.
+    fn newton(&self, now: &Weighted) -> Option<Weighted> {
+        let weight = now.weight.moved(now.newton_step?).ok()?;
+        let there = self.measure(weight, now.flux).ok()?;
+        (there.change < 0.5 * now.change).then_some(there)
+    }
+
+    /// Sums of the weighted light times powers of `u` and `v`. Leaves out pixels whose light is
+    /// negligible next to `flux`.
+    fn sums(&self, gaussian: UnitGaussian, flux: f64) -> MonomialSums {
+        let (rows, columns) = self.cutout.values.dim();
+        let reach = reach(self.brightest, rows * columns, flux);
+        let mut row = GaussianRow::new(columns);
+        let mut sums = MonomialSums::default();
+        for (i, values) in self.cutout.rows().enumerate() {
+            row.evaluate(gaussian, i, reach);
+            sums.add(&row, &values[row.columns()]);
+        }
+        sums
+    }
 }

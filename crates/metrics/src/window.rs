@@ -149,6 +149,12 @@ impl Cutout {
         self.values.iter().copied().fold(0.0, larger)
     }
 
+    /// The rows of pixel values.
+    pub(crate) fn rows(&self) -> std::slice::ChunksExact<'_, f64> {
+        let values = self.values.as_slice().expect("a cutout is row-major");
+        values.chunks_exact(self.values.ncols())
+    }
+
     /// The pixel values row by row, each with its column and row in the cutout.
     pub(crate) fn pixels(&self) -> impl Iterator<Item = (f64, f64, f64)> + '_ {
         let columns = self.values.ncols();
