@@ -3,9 +3,14 @@
 use nalgebra::{SMatrix, SVector};
 use ndarray::{Array2, s};
 
+use crate::gaussian_rows::{GaussianRow, LARGEST_REACH, MONOMIALS, MonomialSums, UnitGaussian, dot, reach};
 use crate::levenberg_marquardt::Linearised;
 use crate::window::Cutout;
 use crate::{Covariance, MetricsError};
+
+/// The model is never cut off at a smaller distance. Where it covers a single pixel, its slope at
+/// the neighbours tells the fit that it is too narrow.
+const NEIGHBOURS_PX: f64 = 5.0;
 
 /// The kind of ellipse that a fit uses.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -81,64 +86,184 @@ impl GaussianModel {
         }
     }
 
-    /// Calls `visit(model - value, derivatives)` for every pixel.
-    pub(crate) fn residuals<const N: usize>(
-        self,
-        p: &SVector<f64, N>,
-        cutout: &Cutout,
-        mut visit: impl FnMut(f64, &[f64; N]),
-    ) {
-        let (amplitude, x0, y0) = (p[0], p[1], p[2]);
-        let (lxx, lyx, lyy) = match self.profile {
-            Profile::Round => (p[3].exp(), 0.0, p[3].exp()),
-            Profile::Elliptical => (p[3].exp(), p[4], p[5].exp()),
+    /// The Gaussian of height 1 with the centre and the width of the parameters `p`.
+    fn unit_gaussian<const N: usize>(self, p: &SVector<f64, N>) -> UnitGaussian {
+        let (lyx, lyy) = match self.profile {
+            Profile::Round => (0.0, p[3].exp()),
+            Profile::Elliptical => (p[4], p[5].exp()),
         };
-        let background = self.background(p).unwrap_or(0.0);
-        let mut derivatives = [0.0; N];
-        for (x, y, value) in cutout.pixels() {
-            let (dx, dy) = (x - x0, y - y0);
-            let (u, v) = (lxx * dx + lyx * dy, lyy * dy);
-            let shape = (-0.5 * (u * u + v * v)).exp();
-            let gauss = amplitude * shape;
-            derivatives[0] = shape;
-            derivatives[1] = gauss * u * lxx;
-            derivatives[2] = gauss * (u * lyx + v * lyy);
-            match self.profile {
-                Profile::Round => derivatives[3] = -gauss * (u * u + v * v),
-                Profile::Elliptical => {
-                    derivatives[3] = -gauss * u * lxx * dx;
-                    derivatives[4] = -gauss * u * dy;
-                    derivatives[5] = -gauss * v * v;
-                }
-            }
-            if self.background {
-                derivatives[N - 1] = 1.0;
-            }
-            visit(gauss + background - value, &derivatives);
+        UnitGaussian {
+            x: p[1],
+            y: p[2],
+            lxx: p[3].exp(),
+            lyx,
+            lyy,
         }
     }
 
-    /// Half the sum of squared residuals at the parameters `p`, with its gradient and its normal
-    /// matrix.
+    /// Half the sum of squared residuals at the parameters `p`, with its gradient, its normal matrix
+    /// and its second derivatives.
     pub(crate) fn linearise<const N: usize>(self, p: &SVector<f64, N>, cutout: &Cutout) -> Linearised<N> {
+        let (rows, columns) = cutout.values.dim();
+        let gaussian = self.unit_gaussian(p);
+        let amplitude = p[0];
+        let background = self.background(p).unwrap_or(0.0);
+        // The values are at most 1.
+        let reach = reach(1.0 + amplitude.abs(), rows * columns, 1.0)
+            .max(NEIGHBOURS_PX * gaussian.lxx.max(gaussian.lyy))
+            .min(LARGEST_REACH);
+        let mut row = GaussianRow::new(columns);
+        let mut residuals = vec![0.0; columns];
+        let mut derivatives = [(); N].map(|()| vec![1.0; columns]);
         let mut cost = 0.0;
-        let mut gradient = [0.0; N];
-        let mut normal = [[0.0; N]; N];
-        self.residuals(p, cutout, |residual, derivatives| {
-            cost += 0.5 * residual * residual;
+        let mut gradient = SVector::<f64, N>::zeros();
+        let mut normal = SMatrix::<f64, N, N>::zeros();
+        let mut of_residual = MonomialSums::default();
+        for (i, values) in cutout.rows().enumerate() {
+            for (residual, value) in residuals.iter_mut().zip(values) {
+                *residual = background - value;
+            }
+            row.evaluate(gaussian, i, reach);
+            let near = &mut residuals[row.columns()];
+            for (residual, g) in near.iter_mut().zip(row.values()) {
+                *residual += amplitude * g;
+            }
+            self.differentiate(amplitude, gaussian, &row, &mut derivatives);
+            let n = near.len();
             for i in 0..N {
-                gradient[i] += residual * derivatives[i];
+                let derivative = &derivatives[i][..n];
+                gradient[i] += dot(derivative, near);
                 for j in 0..=i {
-                    normal[i][j] += derivatives[i] * derivatives[j];
+                    normal[(i, j)] += dot(derivative, &derivatives[j][..n]);
                 }
             }
-        });
+            of_residual.add(&row, near);
+            cost += 0.5 * dot(&residuals, &residuals);
+            if self.background {
+                // The background is in the residuals of all pixels.
+                let columns = row.columns();
+                gradient[N - 1] += residuals[..columns.start].iter().sum::<f64>();
+                gradient[N - 1] += residuals[columns.end..].iter().sum::<f64>();
+            }
+        }
+        if self.background {
+            normal[(N - 1, N - 1)] = (rows * columns) as f64;
+        }
+        normal.fill_upper_triangle_with_lower_triangle();
         Linearised {
             cost,
-            gradient: SVector::from(gradient),
-            normal: SMatrix::from_fn(|i, j| normal[i.max(j)][i.min(j)]),
+            gradient,
+            normal,
+            hessian: normal + self.curvature(amplitude, gaussian, &of_residual),
         }
     }
+
+    /// The derivatives of the model by all parameters but the background, on a row.
+    fn differentiate<const N: usize>(
+        self,
+        amplitude: f64,
+        gaussian: UnitGaussian,
+        row: &GaussianRow,
+        derivatives: &mut [Vec<f64>; N],
+    ) {
+        let UnitGaussian { lxx, lyx, lyy, .. } = gaussian;
+        let (v, dy) = (row.v(), row.v() / lyy);
+        for (i, (&g, &u)) in row.values().iter().zip(row.u()).enumerate() {
+            let light = amplitude * g;
+            derivatives[0][i] = g;
+            derivatives[1][i] = light * u * lxx;
+            derivatives[2][i] = light * (u * lyx + v * lyy);
+            match self.profile {
+                Profile::Round => derivatives[3][i] = -light * (u * u + v * v),
+                Profile::Elliptical => {
+                    derivatives[3][i] = -light * u * (u - lyx * dy);
+                    derivatives[4][i] = -light * u * dy;
+                    derivatives[5][i] = -light * v * v;
+                }
+            }
+        }
+    }
+
+    /// Sums over the pixels of the residual times the second derivatives of the model. `of_residual`
+    /// holds the sums of the residual times the Gaussian.
+    fn curvature<const N: usize>(
+        self,
+        amplitude: f64,
+        gaussian: UnitGaussian,
+        of_residual: &MonomialSums,
+    ) -> SMatrix<f64, N, N> {
+        // The parameters of this model as combinations of those of an ellipse, A, x0, y0, a, b, c.
+        let mut selection = SMatrix::<f64, N, 6>::zeros();
+        selection.fill_diagonal(1.0);
+        match self.profile {
+            Profile::Round => {
+                selection.fixed_columns_mut::<2>(4).fill(0.0);
+                selection[(3, 5)] = 1.0;
+            }
+            Profile::Elliptical => {}
+        }
+        selection * second_derivatives(gaussian, amplitude, of_residual) * selection.transpose()
+    }
+}
+
+/// The derivatives of `-(u^2 + v^2) / 2` by `x0, y0, a, b, c` (rows 1 to 5) as polynomials in the
+/// [`MONOMIALS`].
+fn first_derivatives(gaussian: UnitGaussian) -> SMatrix<f64, 6, 6> {
+    let UnitGaussian { lxx, lyx, lyy, .. } = gaussian;
+    // dx = (u - tilt v) / lxx, dy = v / lyy
+    let tilt = lyx / lyy;
+    #[rustfmt::skip]
+    let derivatives = SMatrix::from_row_slice(&[
+        // 1,  u,   v,   u^2,  uv,        v^2
+        0.0, 0.0, 0.0, 0.0,  0.0,         0.0,
+        0.0, lxx, 0.0, 0.0,  0.0,         0.0,
+        0.0, lyx, lyy, 0.0,  0.0,         0.0,
+        0.0, 0.0, 0.0, -1.0, tilt,        0.0,
+        0.0, 0.0, 0.0, 0.0,  -1.0 / lyy,  0.0,
+        0.0, 0.0, 0.0, 0.0,  0.0,         -1.0,
+    ]);
+    derivatives
+}
+
+/// Sums over the pixels of the residual times the second derivatives of `A g` by `A, x0, y0, a, b,
+/// c`. `of_residual` holds the sums of `g` times the residual.
+fn second_derivatives(
+    gaussian: UnitGaussian,
+    amplitude: f64,
+    of_residual: &MonomialSums,
+) -> SMatrix<f64, 6, 6> {
+    let UnitGaussian { lxx, lyx, lyy, .. } = gaussian;
+    let tilt = lyx / lyy;
+    let [one, u, v, uu, uv, vv] = MONOMIALS.map(|monomial| of_residual.of(monomial));
+    // With g = exp(f): (A g)'' = A g (f' f' + f'').
+    let first = first_derivatives(gaussian);
+    let mut second = first * of_residual.products() * first.transpose();
+    for (i, j, sum) in [
+        (1, 1, -lxx * lxx * one),
+        (1, 2, -lxx * lyx * one),
+        (1, 3, lxx * (2.0 * u - tilt * v)),
+        (1, 4, lxx / lyy * v),
+        (2, 2, -(lyx * lyx + lyy * lyy) * one),
+        (2, 3, lyx * (u - tilt * v)),
+        (2, 4, u + tilt * v),
+        (2, 5, 2.0 * lyy * v),
+        (3, 3, -2.0 * uu + 3.0 * tilt * uv - tilt * tilt * vv),
+        (3, 4, (tilt * vv - uv) / lyy),
+        (4, 4, -vv / (lyy * lyy)),
+        (5, 5, -2.0 * vv),
+    ] {
+        second[(i, j)] += sum;
+        if i != j {
+            second[(j, i)] += sum;
+        }
+    }
+    second *= amplitude;
+    let by_amplitude = first * SVector::from([one, u, v, uu, uv, vv]);
+    for i in 1..6 {
+        second[(0, i)] = by_amplitude[i];
+        second[(i, 0)] = by_amplitude[i];
+    }
+    second
 }
 
 const FIRST_SIGMA_PX: f64 = 0.4;
@@ -146,7 +271,7 @@ const SIGMA_RATIO: f64 = 1.5;
 
 /// Returns the best round Gaussian of a coarse search, or `None` if none has a positive amplitude.
 ///
-/// It tries three centres: the brightest pixel, and the centre of the brightest box, for boxes with
+/// Three centres are tried: the brightest pixel, and the centre of the brightest box, for boxes with
 /// sides of 3 pixels and of about a quarter of the window's shorter side. The boxes find a wide PSF
 /// in noise. The sigmas are a geometric series from 0.4 pixels to the window's longer side. For
 /// each pair of centre and sigma, linear least squares give the amplitude and the background. The
@@ -160,59 +285,56 @@ pub(crate) fn coarse_search(cutout: &Cutout, background: bool) -> Option<Start> 
             centres.push(centre);
         }
     }
+    let longer = rows.max(columns);
+    let n = cutout.values.len() as f64;
+    let sum: f64 = cutout.values.iter().sum();
+    // Gaussians at all distances from their centre, which is element `longer`.
+    let mut profiles = Vec::new();
+    let mut sigma = FIRST_SIGMA_PX;
+    while sigma <= longer as f64 {
+        let at = |i: usize| (-0.5 * ((i as f64 - longer as f64) / sigma).powi(2)).exp();
+        profiles.push((sigma, (0..2 * longer).map(at).collect::<Vec<f64>>()));
+        sigma *= SIGMA_RATIO;
+    }
     let mut best: Option<(f64, Start)> = None;
     for (row, column) in centres {
-        let mut sigma = FIRST_SIGMA_PX;
-        while sigma <= rows.max(columns) as f64 {
-            if let Some((gain, start)) = linear_fit(cutout, column as f64, row as f64, sigma, background)
-                && best.is_none_or(|(most, _)| gain > most)
-            {
+        for (sigma, profile) in &profiles {
+            let along_x = &profile[longer - column..][..columns];
+            let along_y = &profile[longer - row..][..rows];
+            // Sums over the pixels of the Gaussian, its square and its product with the values.
+            let g = along_x.iter().sum::<f64>() * along_y.iter().sum::<f64>();
+            let gg = dot(along_x, along_x) * dot(along_y, along_y);
+            let mut gd = 0.0;
+            for (values, weight) in cutout.rows().zip(along_y) {
+                if *weight > 0.0 {
+                    gd += weight * dot(values, along_x);
+                }
+            }
+            let (power, product) = if background {
+                (gg - g * g / n, gd - g * sum / n)
+            } else {
+                (gg, gd)
+            };
+            let amplitude = product / power;
+            let gain = amplitude * product;
+            if amplitude > 0.0 && amplitude.is_finite() && best.is_none_or(|(most, _)| gain > most) {
+                let level = if background {
+                    (sum - amplitude * g) / n
+                } else {
+                    0.0
+                };
+                let start = Start {
+                    amplitude,
+                    x: column as f64,
+                    y: row as f64,
+                    sigma: *sigma,
+                    background: level,
+                };
                 best = Some((gain, start));
             }
-            sigma *= SIGMA_RATIO;
         }
     }
     best.map(|(_, start)| start)
-}
-
-/// Fits the amplitude and the background of a round Gaussian with a given centre and sigma. Returns
-/// the amount by which the Gaussian decreases the sum of squares, and the Gaussian. Returns `None`
-/// if the amplitude is not positive.
-fn linear_fit(cutout: &Cutout, x: f64, y: f64, sigma: f64, background: bool) -> Option<(f64, Start)> {
-    let (rows, columns) = cutout.values.dim();
-    let profile = |n: usize, centre: f64| -> Vec<f64> {
-        (0..n)
-            .map(|i| (-0.5 * ((i as f64 - centre) / sigma).powi(2)).exp())
-            .collect()
-    };
-    let (along_x, along_y) = (profile(columns, x), profile(rows, y));
-    let (mut gg, mut gd, mut g, mut d) = (0.0, 0.0, 0.0, 0.0);
-    for (row, wy) in cutout.values.rows().into_iter().zip(&along_y) {
-        for (value, wx) in row.iter().zip(&along_x) {
-            let w = wx * wy;
-            gg += w * w;
-            gd += w * value;
-            g += w;
-            d += value;
-        }
-    }
-    let n = cutout.values.len() as f64;
-    let (power, product) = if background {
-        (gg - g * g / n, gd - g * d / n)
-    } else {
-        (gg, gd)
-    };
-    let amplitude = product / power;
-    (amplitude > 0.0 && amplitude.is_finite()).then(|| {
-        let start = Start {
-            amplitude,
-            x,
-            y,
-            sigma,
-            background: if background { (d - amplitude * g) / n } else { 0.0 },
-        };
-        (amplitude * product, start)
-    })
 }
 
 /// Row and column of the centre of the brightest box. A box has sides of `2 half + 1` pixels and
@@ -230,12 +352,20 @@ fn brightest_box(values: &Array2<f64>, half: usize) -> (usize, usize) {
     best.1
 }
 
-/// Sums of every `side` consecutive values along the last axis.
+/// Sums of every `side` consecutive values along the last axis. Equal values have equal sums
+/// wherever they are.
 fn running_sums(values: &Array2<f64>, side: usize) -> Array2<f64> {
-    let (rows, columns) = values.dim();
-    Array2::from_shape_fn((rows, columns + 1 - side), |(i, j)| {
-        values.slice(s![i, j..j + side]).sum()
-    })
+    if side == 1 {
+        return values.clone();
+    }
+    let half = side / 2;
+    let halves = running_sums(values, half);
+    let n = values.ncols() + 1 - side;
+    let mut sums = &halves.slice(s![.., ..n]) + &halves.slice(s![.., half..half + n]);
+    if side % 2 == 1 {
+        sums += &values.slice(s![.., side - 1..]);
+    }
+    sums
 }
 
 #[cfg(test)]
@@ -243,33 +373,55 @@ mod tests {
     use super::*;
     use crate::Window;
 
-    /// The error of central differences with step h is of order h^2, relative to values of order 1.
+    /// The error of the differences below with step h is of order h^4, relative to values of order 1.
     const DIFFERENCE_TOLERANCE: f64 = 1e-8;
 
+    /// Derivative of `f` at 0, from four points.
+    fn slope<const N: usize>(f: impl Fn(f64) -> SVector<f64, N>) -> SVector<f64, N> {
+        let h = 1e-3;
+        ((f(h) - f(-h)) * 8.0 - (f(2.0 * h) - f(-2.0 * h))) / (12.0 * h)
+    }
+
     fn check<const N: usize>(model: GaussianModel, p: SVector<f64, N>) {
-        let cutout = Window::whole()
-            .cut(Array2::<f64>::zeros((9, 8)).view(), 1)
-            .unwrap();
-        let collect = |p: &SVector<f64, N>| {
-            let mut all = Vec::new();
-            model.residuals(p, &cutout, |r, d: &[f64; N]| all.push((r, *d)));
-            all
+        let values = Array2::from_shape_fn((9, 8), |(y, x)| 0.3 * (x as f64 - 0.7 * y as f64).sin());
+        let cutout = Window::whole().cut(values.view(), 1).unwrap();
+        let at = |k: usize, step: f64| {
+            let mut q = p;
+            q[k] += step;
+            model.linearise(&q, &cutout)
         };
-        let h = 1e-5;
-        let at = collect(&p);
         for k in 0..N {
-            let (mut up, mut down) = (p, p);
-            up[k] += h;
-            down[k] -= h;
-            for ((above, below), here) in collect(&up).iter().zip(collect(&down)).zip(&at) {
-                let slope = (above.0 - below.0) / (2.0 * h);
-                assert!(
-                    (slope - here.1[k]).abs() < DIFFERENCE_TOLERANCE,
-                    "parameter {k}: {slope} {}",
-                    here.1[k]
-                );
-            }
+            let by_cost = slope(|step| SVector::from([at(k, step).cost]))[0];
+            let here = at(k, 0.0);
+            assert!(
+                (by_cost - here.gradient[k]).abs() < DIFFERENCE_TOLERANCE,
+                "parameter {k}: {by_cost} {}",
+                here.gradient[k]
+            );
+            let by_gradient = slope(|step| at(k, step).gradient);
+            assert!(
+                (by_gradient - here.hessian.column(k)).amax() < DIFFERENCE_TOLERANCE,
+                "parameter {k}: {by_gradient} {}",
+                here.hessian
+            );
         }
+        // Without residuals, the second derivatives are the normal matrix. It does not depend on the
+        // values.
+        let normal = at(0, 0.0).normal;
+        let mut exact = cutout;
+        let gaussian = model.unit_gaussian(&p);
+        for ((row, column), value) in exact.values.indexed_iter_mut() {
+            let (dx, dy) = (column as f64 - gaussian.x, row as f64 - gaussian.y);
+            let (u, v) = (gaussian.lxx * dx + gaussian.lyx * dy, gaussian.lyy * dy);
+            *value = p[0] * (-0.5 * (u * u + v * v)).exp() + model.background(&p).unwrap_or(0.0);
+        }
+        let there = model.linearise(&p, &exact);
+        assert!(there.cost < f64::EPSILON, "{there:?}");
+        assert!(
+            (there.hessian - there.normal).amax() < 1e-13 * there.normal.amax(),
+            "{there:?}"
+        );
+        assert!((there.normal - normal).amax() < 1e-13 * there.normal.amax());
     }
 
     #[test]

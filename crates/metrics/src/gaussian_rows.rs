@@ -5,7 +5,7 @@ use std::ops::Range;
 use nalgebra::SMatrix;
 
 /// Beyond this distance in sigmas, a Gaussian is below the smallest numbers of double precision.
-const LARGEST_REACH: f64 = 37.0;
+pub(crate) const LARGEST_REACH: f64 = 37.0;
 /// Pixels are left out if all their terms together are below this fraction of a sum.
 const NEGLIGIBLE: f64 = 1e-15;
 /// The values of a row come from a recurrence that starts afresh after this many pixels. It loses
@@ -95,6 +95,16 @@ impl GaussianRow {
         }
     }
 
+    /// `v` on this row.
+    pub(crate) fn v(&self) -> f64 {
+        self.v
+    }
+
+    /// `u` on the columns that the Gaussian reaches.
+    pub(crate) fn u(&self) -> &[f64] {
+        &self.u[..self.columns.len()]
+    }
+
     /// The columns that the Gaussian reaches.
     pub(crate) fn columns(&self) -> Range<usize> {
         self.columns.clone()
@@ -114,7 +124,7 @@ pub(crate) struct MonomialSums([[f64; 5]; 5]);
 impl MonomialSums {
     /// Adds a row with `q = g * values`. `values` are those of the row's columns.
     pub(crate) fn add(&mut self, row: &GaussianRow, values: &[f64]) {
-        let along_row = power_sums(&row.u[..row.columns.len()], row.values(), values);
+        let along_row = power_sums(row.u(), row.values(), values);
         let mut power = 1.0;
         for k in 0..5 {
             for j in 0..5 - k {

@@ -2,13 +2,14 @@
 
 use nalgebra::{SMatrix, SVector};
 
-/// The cost `|r|^2 / 2` at a point, its gradient `J^T r` and the normal matrix `J^T J`, with the
-/// residuals `r` and their Jacobian `J`.
+/// The cost `|r|^2 / 2` at a point, its gradient `J^T r`, the normal matrix `J^T J` and the matrix of
+/// the cost's second derivatives, with the residuals `r` and their Jacobian `J`.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Linearised<const N: usize> {
     pub(crate) cost: f64,
     pub(crate) gradient: SVector<f64, N>,
     pub(crate) normal: SMatrix<f64, N, N>,
+    pub(crate) hessian: SMatrix<f64, N, N>,
 }
 
 /// The point at which the iteration converged.
@@ -35,6 +36,12 @@ const CONVERGED: f64 = 1e-11;
 /// The corresponding limit if the cost decreases no further because of its rounding errors, and
 /// after [`MAX_ITERATIONS`].
 const STALLED: f64 = 1e-7;
+/// Newton's method begins when a full Gauss-Newton step changes the model by less than this
+/// fraction of the data's norm.
+const NEWTON_BELOW: f64 = 1e-2;
+/// After a Newton step that failed, the next one is tried when the change has decreased by this
+/// factor.
+const NEWTON_RETRY: f64 = 0.1;
 const FIRST_DAMPING: f64 = 1e-3;
 const MAX_DAMPING: f64 = 1e14;
 /// A predicted decrease below this fraction of the cost is smaller than the cost's rounding error.
@@ -68,6 +75,22 @@ impl<const N: usize> Linearised<N> {
             .then_some((step, quadratic.max(0.0).sqrt(), descent))
     }
 
+    /// The change of the linearised model by a full Gauss-Newton step, `|P_J r|`.
+    fn full_change(&self) -> f64 {
+        self.step(0.0).map_or(f64::INFINITY, |(_, change, _)| change)
+    }
+
+    /// The step of Newton's method, if the cost is convex and undamped Gauss-Newton steps converge:
+    /// the second derivatives `H` satisfy `0 < H < 2 J^T J`. Levenberg-Marquardt rarely converges
+    /// where they do not.
+    fn newton_step(&self) -> Option<SVector<f64, N>> {
+        let (scales, normal) = (self.scales(), self.scaled_normal());
+        let hessian = SMatrix::<f64, N, N>::from_fn(|i, j| self.hessian[(i, j)] / (scales[i] * scales[j]));
+        (normal * 2.0 - hessian).cholesky()?;
+        let y = hessian.cholesky()?.solve(&-self.gradient.component_div(&scales));
+        Some(y.component_div(&scales))
+    }
+
     fn scaled_normal(&self) -> SMatrix<f64, N, N> {
         let scales = self.scales();
         SMatrix::from_fn(|i, j| self.normal[(i, j)] / (scales[i] * scales[j]))
@@ -85,7 +108,8 @@ impl<const N: usize> Linearised<N> {
 }
 
 /// Levenberg-Marquardt with the damping rule of Nielsen (1999, report IMM-REP-1999-05) and
-/// Marquardt's scaling.
+/// Marquardt's scaling. Near the minimum, steps of Newton's method replace its own if they at least
+/// halve the change below without raising the cost.
 ///
 /// The iteration has converged when an undamped step would change the model by less than 1e-11 of
 /// `data_norm`, the norm of the fitted data. This change is `|P_J r|`, the length of the projection
@@ -100,6 +124,7 @@ pub(crate) fn minimise<const N: usize>(
     let mut damping = FIRST_DAMPING;
     let mut growth = 2.0;
     let mut change = f64::INFINITY;
+    let mut newton_below = NEWTON_BELOW;
     let settled = |parameters, at, iterations| {
         Ok(Minimum {
             parameters,
@@ -108,11 +133,20 @@ pub(crate) fn minimise<const N: usize>(
         })
     };
     for iteration in 0..MAX_ITERATIONS {
-        change = at
-            .step(0.0)
-            .map_or(f64::INFINITY, |(_, full_change, _)| full_change / data_norm);
+        change = at.full_change() / data_norm;
         if change <= CONVERGED {
             return settled(p, at, iteration);
+        }
+        if change < newton_below {
+            let newton = at.newton_step().map(|step| (p + step, linearise(&(p + step))));
+            if let Some((q, there)) = newton
+                && there.full_change() / data_norm < 0.5 * change
+                && there.cost <= at.cost * (1.0 + COST_ROUNDING)
+            {
+                (p, at) = (q, there);
+                continue;
+            }
+            newton_below = NEWTON_RETRY * change;
         }
         let trial = at.step(damping).map(|(step, _, predicted)| {
             let q = p + step;
@@ -168,6 +202,7 @@ mod tests {
             cost: 0.0,
             gradient: SVector::zeros(),
             normal: SMatrix::zeros(),
+            hessian: SMatrix::zeros(),
         };
         for (r, row) in residuals {
             let row = SVector::from(row);
@@ -175,6 +210,8 @@ mod tests {
             at.gradient += row * r;
             at.normal += row * row.transpose();
         }
+        // Gauss-Newton in place of Newton: the residuals' second derivatives are left out.
+        at.hessian = at.normal;
         at
     }
 
