@@ -2,8 +2,9 @@
 
 use nalgebra::{SMatrix, SVector};
 
-/// The cost `|r|^2 / 2` at a point, its gradient `J^T r`, the normal matrix `J^T J` and the matrix of
-/// the cost's second derivatives, with the residuals `r` and their Jacobian `J`.
+/// The cost `|r|^2 / 2` at a point, its gradient `J^T r` and the normal matrix `J^T J`, with the
+/// residuals `r` and their Jacobian `J`. At a minimum, `hessian` holds the cost's second derivatives.
+/// Elsewhere, terms of the order of the gradient may be left out.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Linearised<const N: usize> {
     pub(crate) cost: f64,
