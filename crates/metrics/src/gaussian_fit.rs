@@ -113,10 +113,11 @@ impl GaussianFit {
 /// over the amplitude `A`, the centre `r0`, the covariance `C` (round or elliptical) and, if
 /// requested, the constant background `B`. The model is the Gaussian *at pixel centres*, not its
 /// integral over the pixel. The FWHM therefore includes the pixel response if the stamp includes
-/// it. The minimum is found by Levenberg-Marquardt (Marquardt 1963) with an analytic Jacobian. The
-/// parameters are the elements of a Cholesky factor of `C^-1`, with the logarithms of its diagonal.
-/// They need no bounds, and a round PSF is not a special case. The fit starts at the best of a
-/// coarse grid of round Gaussians.
+/// it. The minimum is found by Levenberg-Marquardt (Marquardt 1963) with an analytic Jacobian, and by
+/// Newton's method in the last steps. Where the Gaussian is negligible, below 1e-15 of the largest
+/// value or less, it counts as 0. The parameters are the elements of a Cholesky factor of `C^-1`, with
+/// the logarithms of its diagonal. They need no bounds, and a round PSF is not a special case. The fit
+/// starts at the best of a coarse grid of round Gaussians.
 ///
 /// The stamp is `[y, x]`, `f32` or `f64`, in any units.
 ///

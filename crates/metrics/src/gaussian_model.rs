@@ -210,6 +210,8 @@ impl GaussianModel {
 
 const FIRST_SIGMA_PX: f64 = 0.4;
 const SIGMA_RATIO: f64 = 1.5;
+/// In sigmas. Beyond it, a Gaussian is below 1e-17.
+const COARSE_REACH: f64 = 9.0;
 
 /// Returns the best round Gaussian of a coarse search, or `None` if none has a positive amplitude.
 ///
@@ -241,16 +243,18 @@ pub(crate) fn coarse_search(cutout: &Cutout, background: bool) -> Option<Start> 
     let mut best: Option<(f64, Start)> = None;
     for (row, column) in centres {
         for (sigma, profile) in &profiles {
-            let along_x = &profile[longer - column..][..columns];
-            let along_y = &profile[longer - row..][..rows];
+            let reach = (COARSE_REACH * sigma) as usize;
+            let (first_column, first_row) = (column.saturating_sub(reach), row.saturating_sub(reach));
+            let near_x = first_column..columns.min(column + reach + 1);
+            let near_y = first_row..rows.min(row + reach + 1);
+            let along_x = &profile[longer - column..][near_x.clone()];
+            let along_y = &profile[longer - row..][near_y];
             // Sums over the pixels of the Gaussian, its square and its product with the values.
             let g = along_x.iter().sum::<f64>() * along_y.iter().sum::<f64>();
             let gg = dot(along_x, along_x) * dot(along_y, along_y);
             let mut gd = 0.0;
-            for (values, weight) in cutout.rows().zip(along_y) {
-                if *weight > 0.0 {
-                    gd += weight * dot(values, along_x);
-                }
+            for (values, weight) in cutout.rows().skip(first_row).zip(along_y) {
+                gd += weight * dot(&values[near_x.clone()], along_x);
             }
             let (power, product) = if background {
                 (gg - g * g / n, gd - g * sum / n)

@@ -127,8 +127,8 @@ impl MonomialSums {
         let along_row = power_sums(row.u(), row.values(), values);
         let mut power = 1.0;
         for k in 0..5 {
-            for j in 0..5 - k {
-                self.0[j][k] += along_row[j] * power;
+            for (j, sum) in along_row.iter().enumerate().take(5 - k) {
+                self.0[j][k] += sum * power;
             }
             power *= row.v;
         }
@@ -192,4 +192,74 @@ pub(crate) fn dot(a: &[f64], b: &[f64]) -> f64 {
     }
     let [a, b, c, d] = sums;
     (a + b) + (c + d)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Rounding of exponents up to 37^2 / 2, and of 32 steps of the recurrence.
+    const RECURRENCE: f64 = 1e-12;
+
+    #[test]
+    fn rows_hold_the_gaussian_wherever_it_counts() {
+        let shapes = [
+            (0.3, 0.0, 0.3),
+            (0.02, 0.01, 0.05),
+            (5.0, -3.0, 2.0),
+            (0.9, 0.7, 0.1),
+            (40.0, 0.0, 40.0),
+        ];
+        for ((lxx, lyx, lyy), reach) in shapes.into_iter().zip([9.0, 3.0, 9.0, 37.0, 37.0]) {
+            let gaussian = UnitGaussian {
+                x: 70.3,
+                y: 9.8,
+                lxx,
+                lyx,
+                lyy,
+            };
+            let mut row = GaussianRow::new(150);
+            let mut sums = MonomialSums::default();
+            let mut expected = [0.0; 3];
+            for i in 0..20 {
+                row.evaluate(gaussian, i, reach);
+                sums.add(&row, row.values());
+                for column in 0..150 {
+                    let (dx, dy) = (column as f64 - 70.3, i as f64 - 9.8);
+                    let (u, v) = (lxx * dx + lyx * dy, lyy * dy);
+                    let g = (-0.5 * (u * u + v * v)).exp();
+                    let inside = row.columns().contains(&column);
+                    assert_eq!(inside, u.hypot(v) <= reach, "{gaussian:?} {i} {column}");
+                    if inside {
+                        let value = row.values()[column - row.columns().start];
+                        assert!((value / g - 1.0).abs() < RECURRENCE, "{gaussian:?} {i} {column}");
+                        for (sum, factor) in expected.iter_mut().zip([1.0, u * u * v, u * v * v * v]) {
+                            *sum += g * g * factor;
+                        }
+                    }
+                }
+            }
+            for (monomial, expected) in [(0, 0), (2, 1), (1, 3)].into_iter().zip(expected) {
+                assert!(
+                    (sums.of(monomial) - expected).abs() <= RECURRENCE * expected.abs().max(sums.of((0, 0)))
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn a_gaussian_that_is_not_finite_is_seen() {
+        for lxx in [f64::NAN, f64::INFINITY, 0.0] {
+            let gaussian = UnitGaussian {
+                x: f64::NAN,
+                y: 1.0,
+                lxx,
+                lyx: 0.0,
+                lyy: 1.0,
+            };
+            let mut row = GaussianRow::new(5);
+            row.evaluate(gaussian, 1, 9.0);
+            assert!(row.columns() == (0..5) && row.values()[0].is_nan(), "{row:?}");
+        }
+    }
 }

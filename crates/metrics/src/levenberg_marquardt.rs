@@ -82,8 +82,8 @@ impl<const N: usize> Linearised<N> {
     }
 
     /// The step of Newton's method, if the cost is convex and undamped Gauss-Newton steps converge:
-    /// the second derivatives `H` satisfy `0 < H < 2 J^T J`. Levenberg-Marquardt rarely converges
-    /// where they do not.
+    /// the second derivatives `H` satisfy `0 < H < 2 J^T J`. Elsewhere there is no step, so that fits
+    /// succeed and fail as with Levenberg-Marquardt alone.
     fn newton_step(&self) -> Option<SVector<f64, N>> {
         let (scales, normal) = (self.scales(), self.scaled_normal());
         let hessian = SMatrix::<f64, N, N>::from_fn(|i, j| self.hessian[(i, j)] / (scales[i] * scales[j]));

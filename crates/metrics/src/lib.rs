@@ -41,6 +41,7 @@
 //! Adaptive moments are second moments under a Gaussian weight that has the PSF's own size and
 //! shape.
 
+mod adaptive_weight;
 mod comparison;
 mod ellipse;
 mod error;

@@ -1,13 +1,11 @@
 //! Second moments: adaptive (with a matching Gaussian weight) and unweighted.
 
-use nalgebra::{SMatrix, SVector};
 use ndarray::ArrayView2;
 use psf_types::Real;
 use serde::Serialize;
 
+use crate::adaptive_weight::{Weight, WeightedPixels, check_width};
 use crate::comparison::CompensatedSum;
-use crate::gaussian_rows::{GaussianRow, MONOMIALS, MonomialSums, UnitGaussian, reach};
-use crate::window::Cutout;
 use crate::{Covariance, MetricsError, Window};
 
 /// The centroid and the ellipse of second moments, common to both kinds of moments.
@@ -233,8 +231,11 @@ impl QuadrupoleMoments {
 ///
 /// The iteration starts at the window's centre pixel (index `n / 2`) with a round weight of sigma 5
 /// pixels, or of a sixth of the window's shorter side if that is less.
-/// [`with_start`](Self::with_start) sets another start. The iteration ends when a step changes `M`
-/// by less than 1e-11 of its smaller eigenvalue and the centroid by less than 1e-11 sigma.
+/// [`with_start`](Self::with_start) sets another start. HSM's step, which would reach the solution at
+/// once if a Gaussian were close to it, is repeated until it becomes small. Then steps of Newton's
+/// method follow, where HSM's steps converge too. The iteration ends when HSM's step would change `M`
+/// by less than 1e-11 of its smaller eigenvalue and the centroid by less than 1e-11 sigma. A PSF takes
+/// about a dozen steps. Pixels far out, whose weighted light is below 1e-15 of the sum, are left out.
 ///
 /// The stamp is `[y, x]`, `f32` or `f64`, in any units. It must not contain a background.
 ///
@@ -269,9 +270,6 @@ const MAX_ITERATIONS: usize = 1000;
 /// The iteration ends when a step's relative change is below this. Rounding errors are a thousand
 /// times smaller.
 const CONVERGED: f64 = 1e-11;
-/// Largest change of `M` in one step relative to its smaller eigenvalue, and of the centroid
-/// relative to sigma.
-const LARGEST_STEP: f64 = 0.25;
 /// Newton's method begins when the plain step changes the weight by less than this.
 const NEWTON_BELOW: f64 = 0.1;
 /// After a Newton step that failed, the next one is tried when the change has decreased by this
@@ -279,8 +277,6 @@ const NEWTON_BELOW: f64 = 0.1;
 const NEWTON_RETRY: f64 = 0.1;
 const START_SIGMA_PX: f64 = 5.0;
 const START_SIDES: f64 = 1.0 / 6.0;
-/// A narrower weight covers only one pixel.
-const SMALLEST_SIGMA_PX: f64 = 0.2;
 /// The largest final sigma divided by the window's shorter side. A flat stamp gives a sigma of
 /// 0.357 of its side. A sigma near this value measures the window, not the source.
 const LARGEST_SIDES: f64 = 1.0 / 3.0;
@@ -367,16 +363,19 @@ impl AdaptiveMomentFinder {
         let mut newton_below = NEWTON_BELOW;
         for iteration in 0..MAX_ITERATIONS {
             if now.change <= CONVERGED {
-                check_width(now.weight.m, 1.0, largest_px)?;
+                let Weight { x, y, m } = now.weight;
+                check_width(m, 1.0, largest_px)?;
                 return Ok(AdaptiveMoments {
                     amplitude: 2.0 * now.flux,
-                    shape: Shape::new(cutout.on_stamp(now.weight.x, now.weight.y), now.weight.m),
+                    shape: Shape::new(cutout.on_stamp(x, y), m),
                     iterations: iteration,
-                    covariance: now.weight.m,
+                    covariance: m,
                 });
             }
             if now.change < newton_below {
-                if let Some(there) = pixels.newton(&now) {
+                if let Some(there) = pixels.after_newton_step(&now)
+                    && there.change < 0.5 * now.change
+                {
                     now = there;
                     continue;
                 }
@@ -388,179 +387,5 @@ impl AdaptiveMomentFinder {
             iterations: MAX_ITERATIONS,
             change: now.change,
         })
-    }
-}
-
-/// Checks the sigmas of a weight. The larger sigma may be at most `slack * largest_px`, where
-/// `largest_px` is the limit for a result.
-fn check_width(m: Covariance, slack: f64, largest_px: f64) -> Result<(), MetricsError> {
-    if m.sigma_minor_px() < SMALLEST_SIGMA_PX {
-        return Err(MetricsError::WeightCollapsed {
-            sigma_px: m.sigma_minor_px(),
-        });
-    }
-    if m.sigma_major_px() > slack * largest_px {
-        return Err(MetricsError::WidthOutOfRange {
-            major_px: m.sigma_major_px(),
-            minor_px: m.sigma_minor_px(),
-            smallest_px: SMALLEST_SIGMA_PX,
-            largest_px,
-        });
-    }
-    Ok(())
-}
-
-/// The centre and the covariance of a weight, in pixels of the cutout.
-#[derive(Debug, Clone, Copy)]
-struct Weight {
-    x: f64,
-    y: f64,
-    m: Covariance,
-}
-
-/// A step of a weight: of `x` and `y` in units of its smaller sigma, then of `Mxx`, `Mxy` and `Myy`
-/// in units of the square of that sigma.
-type Step = [f64; 5];
-
-impl Weight {
-    fn gaussian(&self) -> UnitGaussian {
-        let height = self.m.yy().sqrt();
-        let root = self.m.determinant().sqrt();
-        UnitGaussian {
-            x: self.x,
-            y: self.y,
-            lxx: height / root,
-            lyx: -self.m.xy() / (height * root),
-            lyy: 1.0 / height,
-        }
-    }
-
-    /// Converts a step from the coordinates `(u, v)` of the weight, in which its covariance is the
-    /// unit matrix. `step` holds the shift of the centre and the change of the covariance.
-    fn step(&self, step: SVector<f64, 5>) -> Step {
-        let UnitGaussian { lxx, lyx, lyy, .. } = self.gaussian();
-        let [u, v, uu, uv, vv]: [f64; 5] = step.into();
-        let sigma = self.m.sigma_minor_px();
-        // dy = v / lyy, dx = (u - tilt v) / lxx
-        let tilt = lyx / lyy;
-        let (to_x, to_y) = (1.0 / (lxx * sigma), 1.0 / (lyy * sigma));
-        [
-            (u - tilt * v) * to_x,
-            v * to_y,
-            (uu - 2.0 * tilt * uv + tilt * tilt * vv) * to_x * to_x,
-            (uv - tilt * vv) * to_x * to_y,
-            vv * to_y * to_y,
-        ]
-    }
-
-    /// Moves the weight by a step. Steps within [`LARGEST_STEP`] keep the smaller eigenvalue at half
-    /// of its old value or more.
-    fn moved(&self, [dx, dy, dxx, dxy, dyy]: Step) -> Result<Self, MetricsError> {
-        let sigma = self.m.sigma_minor_px();
-        let variance = sigma * sigma;
-        Ok(Self {
-            x: self.x + dx * sigma,
-            y: self.y + dy * sigma,
-            m: Covariance::new(
-                self.m.xx() + dxx * variance,
-                self.m.xy() + dxy * variance,
-                self.m.yy() + dyy * variance,
-            )?,
-        })
-    }
-}
-
-/// The moments under a weight, and the steps that they ask for.
-#[derive(Debug, Clone, Copy)]
-struct Weighted {
-    weight: Weight,
-    flux: f64,
-    plain_step: Step,
-    /// Largest component of the plain step.
-    change: f64,
-    /// The step of Newton's method. None far from a solution to which plain steps converge.
-    newton_step: Option<Step>,
-}
-
-/// The pixels to measure, and the limits of their weight.
-#[derive(Debug, Clone, Copy)]
-struct WeightedPixels<'a> {
-    cutout: &'a Cutout,
-    /// Largest magnitude of a pixel.
-    brightest: f64,
-    largest_px: f64,
-    slack: f64,
-}
-
-impl WeightedPixels<'_> {
-    /// Measures the moments under a weight. `flux` is the flux under a weight one step away, or 0.
-    fn measure(&self, weight: Weight, flux: f64) -> Result<Weighted, MetricsError> {
-        self.cutout.check_centre(weight.x, weight.y)?;
-        check_width(weight.m, self.slack, self.largest_px)?;
-        let sums = self.sums(weight.gaussian(), flux);
-        let flux = sums.of((0, 0));
-        // The amplitude is twice the weighted flux.
-        let all = MONOMIALS.map(|monomial| 2.0 * sums.of(monomial));
-        if all.iter().any(|v| !v.is_finite()) {
-            return Err(MetricsError::Overflow {
-                largest: self.cutout.extreme(),
-            });
-        }
-        if flux <= 0.0 {
-            return Err(MetricsError::NonPositiveFlux { flux });
-        }
-        // Means of u, v, u^2 - 1/2, uv, v^2 - 1/2: a solution has only zeros here.
-        let mean = |monomial| sums.of(monomial) / flux;
-        let [u, v] = [mean((1, 0)), mean((0, 1))];
-        let [uu, uv, vv] = [mean((2, 0)) - 0.5, mean((1, 1)), mean((0, 2)) - 0.5];
-        // For a Gaussian near the weight, to first order: the weighted offset is half of the true
-        // offset (factor 2). The weighted covariance differs from half of the weight's by a quarter
-        // of the true covariance's difference from the weight's (factor 4).
-        let plain = SVector::from([2.0 * u, 2.0 * v, 4.0 * uu, 4.0 * uv, 4.0 * vv]);
-        let plain_step = weight.step(plain).map(|d| d.clamp(-LARGEST_STEP, LARGEST_STEP));
-        // Minus the derivatives of the means of u, v, u^2 / 2, uv and v^2 / 2 by a shift of the
-        // centre and a change of the covariance. The factors 1/2 make this matrix symmetric.
-        let halves = SVector::from([1.0, 1.0, 0.5, 1.0, 0.5]);
-        let products = sums.products().fixed_view::<5, 5>(1, 1) / flux;
-        let products = SMatrix::<f64, 5, 5>::from_fn(|i, j| products[(i, j)] * halves[i] * halves[j]);
-        let means = SVector::from([0.0, 0.0, 0.25, 0.0, 0.25]);
-        let unit = SMatrix::from_diagonal(&SVector::from([1.0, 1.0, 0.25, 0.5, 0.25]));
-        let matrix = unit + means * means.transpose() - products;
-        // The plain step uses half of `unit` in its place for a Gaussian: plain steps converge if and
-        // only if the matrix lies between 0 and twice that of a Gaussian.
-        let converges = (unit - matrix).cholesky().is_some();
-        let newton_step = matrix
-            .cholesky()
-            .filter(|_| converges)
-            .map(|factor| weight.step(factor.solve(&SVector::from([u, v, 0.5 * uu, uv, 0.5 * vv]))))
-            .filter(|step| step.iter().all(|d| d.abs() < LARGEST_STEP));
-        Ok(Weighted {
-            weight,
-            flux,
-            plain_step,
-            change: plain_step.iter().fold(0.0, |most, d| most.max(d.abs())),
-            newton_step,
-        })
-    }
-
-    /// The moments after a step of Newton's method, if it at least halves the change.
-    fn newton(&self, now: &Weighted) -> Option<Weighted> {
-        let weight = now.weight.moved(now.newton_step?).ok()?;
-        let there = self.measure(weight, now.flux).ok()?;
-        (there.change < 0.5 * now.change).then_some(there)
-    }
-
-    /// Sums of the weighted light times powers of `u` and `v`. Leaves out pixels whose light is
-    /// negligible next to `flux`.
-    fn sums(&self, gaussian: UnitGaussian, flux: f64) -> MonomialSums {
-        let (rows, columns) = self.cutout.values.dim();
-        let reach = reach(self.brightest, rows * columns, flux);
-        let mut row = GaussianRow::new(columns);
-        let mut sums = MonomialSums::default();
-        for (i, values) in self.cutout.rows().enumerate() {
-            row.evaluate(gaussian, i, reach);
-            sums.add(&row, &values[row.columns()]);
-        }
-        sums
     }
 }
