@@ -19,7 +19,7 @@ use conv_core::{
 use ndarray::{Array2, ArrayViewMut2};
 use psf_types::{
     DataError, FrameShape, Image, ImageView, LightProfile, NoProgress, PixelRegion, PointSource, Progress,
-    PsfModel, SersicSource,
+    PsfModel, SersicSource, Uncounted,
 };
 use sersic::SersicLight;
 
@@ -216,11 +216,7 @@ impl<T: ConvReal> Simulator<T> {
         progress: &dyn Progress,
     ) -> Result<TileCounts, PsfieldError> {
         self.check_sources(scene, false)?;
-        let expected = self.image_shape();
-        if image.dim() != (expected.ny(), expected.nx()) {
-            let got = FrameShape::new(image.ncols(), image.nrows())?;
-            return Err(ConvError::FrameShape { expected, got }.into());
-        }
+        self.check_image(&image)?;
         let mut counts = TileCounts::default();
         if let Some(of_scene) = scene.image() {
             let convolver = self.convolver(progress)?;
@@ -230,6 +226,74 @@ impl<T: ConvReal> Simulator<T> {
         let sources = (scene.stars(), scene.galaxies());
         self.draw_sources_into(sources, self.geometry.region, image, progress)?;
         Ok(counts)
+    }
+
+    /// Returns the images of many scenes. They are equal, bit by bit, to those of
+    /// [`simulate`](Self::simulate). For many small scenes this is faster, because threads work on
+    /// different scenes.
+    ///
+    /// # Errors
+    /// The errors of [`simulate_into`](Self::simulate_into).
+    pub fn simulate_many(&self, scenes: &[Scene<'_, T>]) -> Result<Vec<Image<T>>, PsfieldError> {
+        let mut images: Vec<Array2<T>> = scenes.iter().map(|_| self.zeros()).collect();
+        let views = images.iter_mut().map(|image| image.view_mut()).collect();
+        self.simulate_many_into(scenes, views, &NoProgress)?;
+        images.into_iter().map(|image| Ok(Image::new(image)?)).collect()
+    }
+
+    /// Adds the images of many scenes to `images`, as [`simulate_into`](Self::simulate_into) adds
+    /// one. `progress` counts scenes.
+    ///
+    /// # Errors
+    /// The errors of [`simulate_into`](Self::simulate_into).
+    ///
+    /// # Panics
+    /// If there is not one image for each scene.
+    #[inline(never)]
+    pub fn simulate_many_into(
+        &self,
+        scenes: &[Scene<'_, T>],
+        mut images: Vec<ArrayViewMut2<'_, T>>,
+        progress: &dyn Progress,
+    ) -> Result<(), PsfieldError> {
+        assert_eq!(scenes.len(), images.len(), "an image for each scene");
+        let with_images = scenes.iter().all(|scene| scene.image().is_some());
+        let engine = match with_images && self.geometry.oversample == 1 && !scenes.is_empty() {
+            true => self.convolver(progress)?.engine.as_ref(),
+            false => None,
+        };
+        let Some(engine) = engine else {
+            progress.start(scenes.len() as u64);
+            for (scene, image) in scenes.iter().zip(images) {
+                self.simulate_into(scene, image, &Uncounted(progress))?;
+                progress.advance(1);
+            }
+            return Ok(());
+        };
+        let mut lights = Vec::with_capacity(scenes.len());
+        for (scene, image) in scenes.iter().zip(&images) {
+            self.check_sources(scene, false)?;
+            self.check_image(image)?;
+            let of_scene = scene.image().expect("every scene has an image");
+            lights.push(self.light(of_scene, progress)?.0);
+        }
+        let views = images.iter_mut().map(|image| image.view_mut()).collect();
+        engine.execute_many(Operation::Convolve, &lights, views, progress)?;
+        for (scene, image) in scenes.iter().zip(images) {
+            let sources = (scene.stars(), scene.galaxies());
+            self.draw_sources_into(sources, self.geometry.region, image, &Uncounted(progress))?;
+        }
+        Ok(())
+    }
+
+    /// Checks the shape of an array for an image.
+    fn check_image(&self, image: &ArrayViewMut2<'_, T>) -> Result<(), PsfieldError> {
+        let expected = self.image_shape();
+        if image.dim() == (expected.ny(), expected.nx()) {
+            return Ok(());
+        }
+        let got = FrameShape::new(image.ncols(), image.nrows())?;
+        Err(ConvError::FrameShape { expected, got }.into())
     }
 
     /// Computes `A^T g` for an image `g`, where `A` is [`simulate`](Self::simulate) for scenes
@@ -301,6 +365,39 @@ impl<T: ConvReal> Simulator<T> {
             options,
             geometry,
             convolver: OnceLock::from(convolver),
+        })
+    }
+
+    /// Returns a simulator with the same settings for another PSF, such as other coefficients of the
+    /// same basis. If the new stamps have the shape and the centre of the old ones, it uses the tiles
+    /// that were chosen for this simulator, which is much faster than a new plan. The tolerance holds
+    /// in any case.
+    ///
+    /// # Errors
+    /// The errors of [`SimulatorBuilder::build`] and of [`prepare`](Self::prepare).
+    #[inline(never)]
+    pub fn for_other_field(&self, psf: Psf, progress: &dyn Progress) -> Result<Self, PsfieldError> {
+        let shape = (self.geometry.shape.ny(), self.geometry.shape.nx());
+        let other = psf.simulator(shape).options(self.options.clone()).build::<T>()?;
+        let Some(engine) = self.convolver(progress)?.engine.as_ref() else {
+            return Ok(other);
+        };
+        let clock = Instant::now();
+        let (model, _) = other.image_model()?;
+        let options = engine.plan().options();
+        check_flux(other.psf(), model, &options)?;
+        let Some(plan) = engine.plan().for_other_field(model, progress)? else {
+            return Ok(other);
+        };
+        let (engine, placement) = device::place(plan, &other.options)?;
+        let convolver = Convolver {
+            engine: Some(engine),
+            placement,
+            seconds: clock.elapsed().as_secs_f64(),
+        };
+        Ok(Self {
+            convolver: OnceLock::from(convolver),
+            ..other
         })
     }
 

@@ -3,7 +3,7 @@
 
 use ndarray::{Array2, ArrayViewMut2, s};
 
-use super::processor::LightPass;
+use super::processor::{BlockKernels, LightPass};
 use super::tasks::{Task, together};
 use super::tile_engine::Workspace;
 use super::treatment::{TileCounts, TileMethod, each_tile};
@@ -32,7 +32,8 @@ impl<T: ConvReal> WithIsa<T> for Gather<'_, '_, T> {
         let rows = &rows[pass.rows.clone()];
         together(pass, self.output, &columns, rows, |task, workspace| {
             let is_last = task.block.0 + 1 == columns.len();
-            let counts = gather_block(simd, pass, task, workspace);
+            let mut kernels = BlockKernels::new(&pass.processor.plan, task.block);
+            let counts = gather_block(simd, pass, task, &mut kernels, workspace);
             if is_last {
                 pass.progress.advance(1);
             }
@@ -41,10 +42,11 @@ impl<T: ConvReal> WithIsa<T> for Gather<'_, '_, T> {
     }
 }
 
-fn gather_block<T: ConvReal, S: Lanes<T>>(
+pub(super) fn gather_block<T: ConvReal, S: Lanes<T>>(
     simd: S,
     pass: &LightPass<'_, T>,
     task: Task<'_, T>,
+    kernels: &mut BlockKernels<'_, T>,
     workspace: &mut Workspace<T>,
 ) -> Result<TileCounts, ConvError> {
     let engine = pass.tile_engine();
@@ -53,6 +55,7 @@ fn gather_block<T: ConvReal, S: Lanes<T>>(
         simd,
         pass,
         task.block,
+        kernels,
         workspace,
         |local, (x, y), treatment, workspace| {
             let ((columns, rows), (i, j)) = (local.part.size, (x - origin.0, y - origin.1));

@@ -5,6 +5,7 @@
 //! light by transforms, by the direct sum or stamp by stamp ([`tile_engine`]). It skips dark tiles.
 
 pub(crate) mod gather;
+pub(crate) mod many;
 pub(crate) mod processor;
 pub(crate) mod scatter;
 mod tasks;

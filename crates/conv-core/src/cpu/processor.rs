@@ -84,6 +84,8 @@ pub(crate) struct BlockKernels<'a, T: ConvReal> {
     pub(crate) block: &'a Block<T>,
     table: OnceCell<Arc<CoefficientTable<T>>>,
     stamps: OnceCell<Stamps<T>>,
+    /// True if the kernels' spectra serve several arrays of light.
+    pub(crate) are_shared: bool,
     transformed: bool,
 }
 
@@ -95,6 +97,7 @@ impl<'a, T: ConvReal> BlockKernels<'a, T> {
             block: plan.block(column, row),
             table: OnceCell::new(),
             stamps: OnceCell::new(),
+            are_shared: false,
             transformed: false,
         }
     }

@@ -3,7 +3,7 @@
 
 use ndarray::ArrayViewMut2;
 
-use super::processor::LightPass;
+use super::processor::{BlockKernels, LightPass};
 use super::tasks::{Task, together};
 use super::tile_engine::Workspace;
 use super::treatment::{TileCounts, TileMethod, each_tile};
@@ -27,41 +27,65 @@ impl<T: ConvReal> WithIsa<T> for Scatter<'_, '_, T> {
     type Output = Result<TileCounts, ConvError>;
 
     fn run<S: Lanes<T>>(mut self, simd: S) -> Self::Output {
-        let (pass, plan) = (&self.pass, &self.pass.processor.plan);
-        let [columns, rows] = [0, 1].map(|axis| plan.extents(axis));
-        // The numbers of colours depend on all rows of blocks, so that a band has the same colours
-        // even if it is executed alone.
-        let (column_colours, row_colours) = (colours(&columns), colours(&rows));
-        let numbered = |extents: Vec<(usize, usize)>| extents.into_iter().enumerate();
-        let (columns, rows) = (numbered(columns), numbered(rows));
+        let pass = &self.pass;
         let mut counts = TileCounts::default();
-        for first in pass.rows.clone().step_by(plan.tiling.band()) {
-            let band = first..(first + plan.tiling.band()).min(pass.rows.end);
-            for row_colour in 0..row_colours {
-                let of_colour = |row: &usize| band.contains(row) && row % row_colours == row_colour;
-                let rows: Vec<_> = rows.clone().filter(|(row, _)| of_colour(row)).collect();
-                for column_colour in 0..column_colours {
-                    let of_colour = columns.clone().skip(column_colour).step_by(column_colours);
-                    let columns: Vec<_> = of_colour.collect();
-                    counts += together(
-                        pass,
-                        self.output.view_mut(),
-                        &columns,
-                        &rows,
-                        |task, workspace| scatter_block(simd, pass, task, workspace),
-                    )?;
-                }
-            }
-            pass.progress.advance(band.len() as u64);
+        for round in rounds(pass) {
+            let output = self.output.view_mut();
+            counts += together(pass, output, &round.columns, &round.rows, |task, workspace| {
+                let mut kernels = BlockKernels::new(&pass.processor.plan, task.block);
+                scatter_block(simd, pass, task, &mut kernels, workspace)
+            })?;
+            pass.progress.advance(round.finished);
         }
         Ok(counts)
     }
 }
 
-fn scatter_block<T: ConvReal, S: Lanes<T>>(
+/// Blocks that may run together.
+pub(super) struct Round {
+    /// Columns and rows of blocks, as in [`together`].
+    pub(super) columns: Vec<(usize, (usize, usize))>,
+    pub(super) rows: Vec<(usize, (usize, usize))>,
+    /// The number of rows of blocks that are finished after this round.
+    finished: u64,
+}
+
+/// The rounds of an execution, in order.
+pub(super) fn rounds<T: ConvReal>(pass: &LightPass<'_, T>) -> Vec<Round> {
+    let plan = &pass.processor.plan;
+    let [columns, rows] = [0, 1].map(|axis| plan.extents(axis));
+    // The numbers of colours depend on all rows of blocks, so that a band has the same colours
+    // even if it is executed alone.
+    let (column_colours, row_colours) = (colours(&columns), colours(&rows));
+    let numbered = |extents: Vec<(usize, usize)>| extents.into_iter().enumerate();
+    let (columns, rows) = (numbered(columns), numbered(rows));
+    let mut rounds = Vec::new();
+    for first in pass.rows.clone().step_by(plan.tiling.band()) {
+        let band = first..(first + plan.tiling.band()).min(pass.rows.end);
+        for (row_colour, column_colour) in
+            (0..row_colours).flat_map(|row| (0..column_colours).map(move |column| (row, column)))
+        {
+            let of_colour = |row: &usize| band.contains(row) && row % row_colours == row_colour;
+            let is_last = row_colour + 1 == row_colours && column_colour + 1 == column_colours;
+            rounds.push(Round {
+                columns: columns
+                    .clone()
+                    .skip(column_colour)
+                    .step_by(column_colours)
+                    .collect(),
+                rows: rows.clone().filter(|(row, _)| of_colour(row)).collect(),
+                finished: if is_last { band.len() as u64 } else { 0 },
+            });
+        }
+    }
+    rounds
+}
+
+pub(super) fn scatter_block<T: ConvReal, S: Lanes<T>>(
     simd: S,
     pass: &LightPass<'_, T>,
     task: Task<'_, T>,
+    kernels: &mut BlockKernels<'_, T>,
     workspace: &mut Workspace<T>,
 ) -> Result<TileCounts, ConvError> {
     let plan = &pass.processor.plan;
@@ -71,6 +95,7 @@ fn scatter_block<T: ConvReal, S: Lanes<T>>(
         simd,
         pass,
         task.block,
+        kernels,
         workspace,
         |local, (x, y), treatment, workspace| {
             let reach = plan.geometry.reach_from(x, y);

@@ -314,15 +314,15 @@ pub(crate) fn each_tile<T: ConvReal, S: Lanes<T>>(
     simd: S,
     pass: &LightPass<'_, T>,
     (column, row): (usize, usize),
+    kernels: &mut BlockKernels<'_, T>,
     workspace: &mut Workspace<T>,
     mut convolve: impl FnMut(LocalTile<'_, T>, (usize, usize), &Treatment<T>, &mut Workspace<T>),
 ) -> Result<TileCounts, ConvError> {
     let plan = &pass.processor.plan;
-    let mut kernels = BlockKernels::new(plan, (column, row));
     let mut counts = TileCounts::default();
     let (across, up) = (&plan.tiling.columns[column], &plan.tiling.rows[row]);
     // The only tile of a block transforms each kernel itself.
-    let is_alone = across.tiles.len() * up.tiles.len() == 1;
+    let is_alone = across.tiles.len() * up.tiles.len() == 1 && !kernels.are_shared;
     let transforms_kernels = pass.direction() == Direction::Scatter && is_alone;
     for (y, rows, below) in up.placed() {
         for (x, columns, left) in across.placed() {
@@ -331,7 +331,7 @@ pub(crate) fn each_tile<T: ConvReal, S: Lanes<T>>(
                 size: (columns, rows),
             };
             let tile = PlacedTile { first: (x, y), part };
-            let Some(treatment) = treated(pass, &kernels, tile, workspace)? else {
+            let Some(treatment) = treated(pass, kernels, tile, workspace)? else {
                 counts.dark += 1;
                 continue;
             };

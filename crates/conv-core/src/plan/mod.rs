@@ -182,6 +182,24 @@ impl<T: ConvReal> Plan<T> {
         Self::of_whole(&self.model, whole, region, self.options, progress)
     }
 
+    /// Plans the same frame for another model, such as other coefficients of the same basis. Keeps the
+    /// tiles chosen for this plan, and finds the modes of each block anew, so that the tolerance holds.
+    /// This is much faster than a new plan, which may choose other tiles. `None` if the shape or the
+    /// centre of the stamps differs.
+    ///
+    /// # Errors
+    /// [`ConvError`] as for [`Self::new`], or [`ConvError::Cancelled`].
+    pub fn for_other_field(
+        &self,
+        model: &PsfModel,
+        progress: &dyn Progress,
+    ) -> Result<Option<Self>, ConvError> {
+        let Some(whole) = self.whole.for_other_model(model, self.options)? else {
+            return Ok(None);
+        };
+        Self::of_whole(model, Arc::new(whole), self.region, self.options, progress).map(Some)
+    }
+
     #[inline(never)]
     pub(crate) fn of_whole(
         model: &PsfModel,

@@ -384,6 +384,24 @@ impl WholeFrame {
         })
     }
 
+    /// The tiles with the PSFs of another model. `None` if the stamps reach other pixels.
+    pub(crate) fn for_other_model(
+        &self,
+        model: &PsfModel,
+        options: PlanOptions,
+    ) -> Result<Option<Self>, ConvError> {
+        let reach = Reach::of(model.grid())?;
+        let whole = || Self {
+            view: self.view,
+            space: PsfSpace::new(model, options.tolerance_on()),
+            geometry: self.geometry,
+            tiling: self.tiling.clone(),
+            reach,
+            anchor: self.anchor,
+        };
+        Ok((reach == self.reach).then(whole))
+    }
+
     /// Returns the data for a plan of a region of the frame.
     pub(crate) fn part(&self, region: PixelRegion) -> Result<Part, ConvError> {
         let frame = self.view.frame.shape();

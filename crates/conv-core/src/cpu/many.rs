@@ -1,0 +1,92 @@
+//! Many arrays of light, such as the frames of a training set, through one plan.
+
+use ndarray::ArrayViewMut2;
+use rayon::prelude::*;
+
+use super::gather::gather_block;
+use super::processor::{BlockKernels, LightPass};
+use super::scatter::{rounds, scatter_block};
+use super::tasks::Task;
+use super::treatment::TileCounts;
+use crate::plan::geometry::Direction;
+use crate::simd::{Lanes, WithIsa};
+use crate::{ConvError, ConvReal};
+
+/// Executes one plan for several arrays of light, each with its own output. The passes differ only
+/// in their light.
+///
+/// A task executes all blocks, one after the other, for a few arrays of light. So the spectra of a
+/// block's kernels serve all of them. The blocks come in the order of single executions, so the
+/// images are equal, bit by bit.
+pub(crate) struct Many<'j, 'o, T: ConvReal> {
+    pub(crate) passes: Vec<(LightPass<'j, T>, ArrayViewMut2<'o, T>)>,
+}
+
+/// The most arrays of light of a task. More of them hardly save time, and need more of the cache.
+const MOST_PER_TASK: usize = 16;
+/// Each thread gets at least this many tasks if there are enough arrays of light.
+const TASKS_PER_THREAD: usize = 4;
+
+impl<T: ConvReal> WithIsa<T> for Many<'_, '_, T> {
+    type Output = Result<TileCounts, ConvError>;
+
+    fn run<S: Lanes<T>>(mut self, simd: S) -> Self::Output {
+        let tasks = TASKS_PER_THREAD * rayon::current_num_threads();
+        let per_task = self.passes.len().div_ceil(tasks).clamp(1, MOST_PER_TASK);
+        let done: Vec<_> = self
+            .passes
+            .par_chunks_mut(per_task)
+            .map(|passes| few(simd, passes))
+            .collect();
+        let mut counts = TileCounts::default();
+        for outcome in done {
+            counts += outcome?;
+        }
+        Ok(counts)
+    }
+}
+
+/// Executes all blocks for a few arrays of light.
+fn few<T: ConvReal, S: Lanes<T>>(
+    simd: S,
+    passes: &mut [(LightPass<'_, T>, ArrayViewMut2<'_, T>)],
+) -> Result<TileCounts, ConvError> {
+    let first = passes[0].0.clone();
+    let plan = &first.processor.plan;
+    let mut blocks: Vec<(usize, usize)> = Vec::new();
+    if first.direction() == Direction::Scatter {
+        for round in rounds(&first) {
+            let in_row = |row| round.columns.iter().map(move |&(column, _)| (column, row));
+            blocks.extend(round.rows.iter().flat_map(|&(row, _)| in_row(row)));
+        }
+    } else {
+        let columns = 0..plan.tiling.columns.len();
+        blocks.extend(
+            first
+                .rows
+                .clone()
+                .flat_map(|row| columns.clone().map(move |column| (column, row))),
+        );
+    }
+    first.processor.with_workspace(|workspace| {
+        let mut counts = TileCounts::default();
+        for block in blocks {
+            let mut kernels = BlockKernels::new(plan, block);
+            kernels.are_shared = passes.len() > 1;
+            for (pass, output) in passes.iter_mut() {
+                pass.progress.check_cancelled()?;
+                let task = Task {
+                    block,
+                    output: output.view_mut(),
+                    origin: (0, pass.first_output),
+                };
+                counts += match pass.direction() {
+                    Direction::Scatter => scatter_block(simd, pass, task, &mut kernels, workspace),
+                    Direction::Gather => gather_block(simd, pass, task, &mut kernels, workspace),
+                }?;
+            }
+        }
+        first.progress.advance(passes.len() as u64);
+        Ok(counts)
+    })
+}
