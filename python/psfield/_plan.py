@@ -140,6 +140,38 @@ class Plan:
         other._handle = self._handle.for_region(other._settings["region"])
         return other
 
+    def for_model(self, model: PsfModel) -> Plan:
+        """Return a plan for another PSF, with the settings and the tiles of this plan.
+
+        This takes much less time than `PsfModel.plan`, which has to choose the tiles. Use it for
+        frames that have a PSF of their own each, such as other coefficients of one basis. The
+        tolerance holds for every model. If the stamps have another shape, the plan is made anew.
+
+        Parameters
+        ----------
+        model : PsfModel
+            The other PSF.
+
+        Returns
+        -------
+        Plan
+
+        Examples
+        --------
+        >>> import psfield
+        >>> stamps = [[[0, 1, 0], [1, 4, 1], [0, 1, 0]], [[1, 1, 1], [1, 1, 1], [1, 1, 1]]]
+        >>> sharp, wide = (psfield.PsfModel.from_samples(stamp, (0, 0)) for stamp in stamps)
+        >>> plan = sharp.plan((3, 5), tolerance=1e-4)
+        >>> scene = [[0, 0, 0, 0, 0], [0, 0, 9, 0, 0], [0, 0, 0, 0, 0]]
+        >>> plan.for_model(wide).simulate(scene).round(2)[1].tolist()
+        [0.0, 1.0, 1.0, 1.0, 0.0]
+        """
+        other = Plan.__new__(Plan)
+        other._model = model
+        other._settings = self._settings
+        other._handle = self._handle.for_model(model._handle)
+        return other
+
     @property
     def model(self) -> PsfModel:
         """The model of the PSF.
@@ -287,7 +319,8 @@ class Plan:
         ----------
         scene : array_like, astropy CCDData or Quantity, optional
             Flux in each pixel, ``[y, x]`` with the `shape` of the plan, finite. A plan for a region
-            also accepts only its `light_region`.
+            also accepts only its `light_region`. An array ``[n, y, x]`` (or a list of arrays) is a
+            stack of scenes, without a catalogue. For many small scenes this is faster than a loop.
         catalog : table or path, optional
             Stars and galaxies, as a table (astropy Table, dict of arrays, structured array, data
             frame) or as a CSV or FITS file that `read_catalog` can read. The columns are ``x``,
@@ -300,16 +333,17 @@ class Plan:
             place of a column holds for all rows. Fluxes may be negative, but not 0. Stars and
             galaxies do not depend on the scene's pixels (``oversample``).
         out : numpy.ndarray, optional
-            Array to which the image is written, with `image_shape` and `dtype`. Its content is
-            undefined after an interruption.
+            Array to which the image is written, with `image_shape` and `dtype`, or ``[n, y, x]``
+            for a stack of scenes. Its content is undefined after an interruption.
         progress : callable or tqdm bar, optional
             ``progress(done, total)``, called a few times per second.
 
         Returns
         -------
         numpy.ndarray, Quantity or CCDData
-            The image ``[y, x]``, or ``out`` if that is given. It has the unit of the scene. For
-            CCDData it also has the header and the world coordinates of the scene.
+            The image ``[y, x]``, or ``[n, y, x]`` for a stack of scenes, or ``out`` if that is
+            given. It has the unit of the scene. For CCDData it also has the header and the world
+            coordinates of the scene.
 
         Raises
         ------
@@ -336,9 +370,13 @@ class Plan:
         >>> image = plan.simulate(catalog={"x": [0, 3], "y": [1, 1], "flux": 8})
         >>> (image.round(2) + 0.0).tolist()  # + 0.0 turns -0.0 into 0.0
         [[1.0, 0.0, 0.0, 1.0], [4.0, 1.0, 1.0, 4.0], [1.0, 0.0, 0.0, 1.0]]
+        >>> plan.simulate(np.stack([scene, 2 * scene, 3 * scene])).shape
+        (3, 3, 4)
         """
         if scene is None and catalog is None:
             raise ValueError("there is nothing to simulate: give a scene, a catalog, or both")
+        if _is_stack(scene):
+            return self._simulate_stack(scene, catalog, out, progress)
         light, unit = None if scene is None else self._scene(scene), unit_of(scene)
         columns = columns_of(catalog, unit)
         if columns and (x := columns["x"]) is not None and not x.size:
@@ -352,6 +390,25 @@ class Plan:
         if out is not None:
             return out
         return like(scene, image, self._shown(light), self._settings["oversample"])
+
+    def _simulate_stack(self, scenes: Any, catalog: Any, out: Any, progress: Any) -> Any:
+        """Return the images of scenes ``[n, y, x]``."""
+        if catalog is not None:
+            raise ValueError(
+                "catalog: a stack of scenes has no catalogue: simulate the scenes one by one"
+            )
+        unit = unit_of(scenes)
+        lights = numbers(scenes, "scene", self.dtype, "[n, y, x]")
+        self._check_scene_shape(lights.shape[1:])
+        target, copied = self._target(out, lights, unit, len(lights))
+        images, texts = self._handle.simulate_many(lights, target, as_callback(progress))
+        for text in texts:
+            warnings.warn(text, PsfieldWarning, stacklevel=3)
+        if copied:
+            np.copyto(out, target)  # type: ignore[arg-type]
+        if out is not None:
+            return out
+        return images if unit is None else images << unit
 
     def adjoint(self, image: Any, *, progress: Progress | None = None) -> NDArray[Any]:
         """Apply the transpose of `simulate` to an image, for gradients and deconvolution.
@@ -471,13 +528,18 @@ class Plan:
             kind = f"the path {scene!r}" if is_path(scene) else "a table"
             raise TypeError(f"scene must be an array [y, x], got {kind}: did you mean catalog=?")
         light = numbers(scene, "scene", self.dtype, "[y, x]")
-        for_region = self.region is not None and light.shape == self._light_shape()
-        if light.shape == self.shape or for_region:
-            return light
+        self._check_scene_shape(light.shape)
+        return light
+
+    def _check_scene_shape(self, shape: tuple[int, ...]) -> None:
+        """Refuse a scene that is neither the whole scene nor the part that reaches the region."""
+        for_region = self.region is not None and shape == self._light_shape()
+        if shape == self.shape or for_region:
+            return
         expected = f"{self.shape}"
         if self.region is not None:
             expected += f", or {self._light_shape()} for the light_region {self.light_region}"
-        raise ValueError(f"scene: the plan is for scenes of shape {expected}, got {light.shape}")
+        raise ValueError(f"scene: the plan is for scenes of shape {expected}, got {shape}")
 
     def _shown(self, light: NDArray[Any] | None) -> tuple[int, int]:
         """Return the column and the row of the first pixel of the image.
@@ -508,30 +570,37 @@ class Plan:
         return pixels
 
     def _target(
-        self, out: Any, light: NDArray[Any] | None, unit: Any
+        self, out: Any, light: NDArray[Any] | None, unit: Any, count: int | None = None
     ) -> tuple[NDArray[Any] | None, bool]:
         """Return the array that the native module writes to.
 
-        The second value says whether that array must be copied to ``out`` afterwards.
+        The second value says whether that array must be copied to ``out`` afterwards. ``count`` is
+        the number of images of a stack.
         """
+        shape = self.image_shape if count is None else (count, *self.image_shape)
         if out is None:
             return None, False
         if not isinstance(out, np.ndarray):
             raise TypeError(f"out must be a NumPy array, got {type(out).__name__}")
-        if out.shape != self.image_shape or out.dtype != self.dtype:
-            wanted = f"shape {self.image_shape} and type {self.dtype}"
+        if out.shape != shape or out.dtype != self.dtype:
+            wanted = f"shape {shape} and type {self.dtype}"
             raise ValueError(f"out must have {wanted}, got {out.shape} and {out.dtype}")
         if not out.flags.writeable:
             raise ValueError("out is read-only")
         if hasattr(out, "unit") and out.unit != unit:
             raise ValueError(f"out has the unit {out.unit}, but the scene has {unit or 'none'}")
         overlaps = light is not None and np.may_share_memory(out, light)
-        # Several threads must not write to rows that share memory.
-        rows_apart = abs(out.strides[0]) >= out.shape[1] * out.itemsize or out.shape[0] == 1
-        pixels_adjacent = out.strides[1] == out.itemsize and out.flags.aligned
-        if pixels_adjacent and out.dtype.isnative and rows_apart and not overlaps:
+        # Several threads must not write to rows or images that share memory.
+        apart = all(
+            abs(stride) >= abs(inner) * length or count == 1
+            for stride, inner, length, count in zip(
+                out.strides[:-1], out.strides[1:], out.shape[1:], out.shape[:-1], strict=True
+            )
+        )
+        pixels_adjacent = out.strides[-1] == out.itemsize and out.flags.aligned
+        if pixels_adjacent and out.dtype.isnative and apart and not overlaps:
             return np.asarray(out), False
-        return np.empty(self.image_shape, self.dtype), True
+        return np.empty(shape, self.dtype), True
 
     def __repr__(self) -> str:
         (ny, nx), settings = self.shape, self._settings
@@ -544,6 +613,13 @@ class Plan:
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _again, (self._model, self._settings)
+
+
+def _is_stack(scene: Any) -> bool:
+    """Return whether a scene is an array ``[n, y, x]`` or a list of arrays ``[y, x]``."""
+    if isinstance(scene, (list, tuple)):
+        return len(scene) > 0 and np.ndim(scene[0]) == 2
+    return getattr(scene, "ndim", 0) == 3
 
 
 def region_of(region: Any, name: str) -> tuple[int, int, int, int] | None:

@@ -340,6 +340,29 @@ def test_files_that_fail_are_tried_again(client, model, tmp_path) -> None:
     np.testing.assert_array_equal(fits.getdata(results[1].output), expected_of(model, 2))
 
 
+def wide_model(seed: int) -> psfield.PsfModel:
+    return model_of(1.5 + 0.1 * seed)
+
+
+def test_a_psf_of_one_job(client, model, tmp_path) -> None:
+    other = model_of(2.0)
+    other.write(tmp_path / "other.fits")
+    jobs = [{"scene": draw, "seed": seed} for seed in range(5)]
+    for job, psf in zip(jobs, [None, other, tmp_path / "other.fits", wide_model, [1, 2]]):
+        job["psf"] = psf
+    with pytest.warns(psfield.PsfieldWarning, match="1 of 5 jobs failed"):
+        results = psfield.dask.batch(
+            jobs, model, str(tmp_path / "p{index}.fits"), tolerance=1e-4, client=client
+        )
+    assert "psf must be a PsfModel, a path or a function, got list" in results[4].error
+    models = [model, other, other, wide_model(3)]
+    for seed, (result, psf) in enumerate(zip(results, models)):
+        expected = expected_of(psf, seed, tolerance=1e-4)
+        # Each plan may differ by the tolerance.
+        assert relative_l2(fits.getdata(result.output), expected) < 2e-4
+    assert relative_l2(fits.getdata(results[1].output), expected_of(model, 1)) > 1e-2
+
+
 def test_a_detector_of_one_job(client, model, tmp_path) -> None:
     detector = psfield.detector.Detector(photon_noise=True)
     jobs = [{"scene": draw, "seed": 1, "detector": detector}, {"scene": draw, "seed": 2}]

@@ -187,7 +187,7 @@ class TestArrays:
             (np.zeros((96, 127)), ValueError, r"scenes of shape \(96, 128\), got \(96, 127\)"),
             (np.zeros((0, 128)), ValueError, "scene is empty"),
             (np.zeros(96), ValueError, r"an array \[y, x\], got one of shape \(96,\)"),
-            (np.zeros((1, 96, 128)), ValueError, r"an array \[y, x\]"),
+            (np.zeros((1, 1, 96, 128)), ValueError, r"an array \[y, x\]"),
             (np.zeros((96, 128), complex), TypeError, "scene must be real numbers, got complex128"),
             (np.zeros((96, 128), object), TypeError, "real numbers, got object"),
             (np.full((96, 128), "a"), TypeError, "real numbers"),
@@ -344,6 +344,56 @@ def test_spot_checks_know_galaxies_frames_and_finer_scenes(model):
     plan = model.plan(scene.shape, 1e-3)
     image = plan.simulate(scene, {**catalog, "x": [5.3, 60.5, -3.0]})
     assert plan.spot_check(scene, catalog, image=image, pixels=300, seed=4).passed is False
+
+
+class TestStacks:
+    """Many scenes ``[n, y, x]`` in one call."""
+
+    @pytest.fixture
+    def scenes(self, scene):
+        return np.stack([(1 + n) * np.roll(scene, n) for n in range(7)])
+
+    @pytest.mark.parametrize(
+        "settings", [{}, {"precision": "f64"}, {"anchor": "output"}, {"oversample": 2}]
+    )
+    def test_images_are_those_of_single_scenes(self, model, scenes, settings):
+        plan = model.plan(scenes.shape[1:], tolerance=1e-3, device="cpu", **settings)
+        images = plan.simulate(scenes)
+        assert images.dtype == plan.dtype
+        assert np.array_equal(images, [plan.simulate(scene) for scene in scenes])
+        assert np.array_equal(images, plan.simulate(list(scenes)))
+
+    def test_out(self, model, scenes):
+        plan = model.plan(scenes.shape[1:], tolerance=1e-3, device="cpu")
+        expected = plan.simulate(scenes)
+        for out in (np.full_like(expected, np.nan), np.full_like(expected, np.nan)[::-1, :, ::-1]):
+            assert plan.simulate(scenes, out=out) is out
+            assert np.array_equal(out, expected)
+        with pytest.raises(ValueError, match="out must have shape"):
+            plan.simulate(scenes, out=np.empty_like(expected[0]))
+
+    def test_bad_stacks(self, model, scenes):
+        plan = model.plan(scenes.shape[1:], tolerance=1e-3, device="cpu")
+        with pytest.raises(ValueError, match="a stack of scenes has no catalogue"):
+            plan.simulate(scenes, {"x": [1], "y": [1], "flux": [1]})
+        with pytest.raises(ValueError, match="scene: the plan is for scenes of shape"):
+            plan.simulate(scenes[:, 1:])
+        with pytest.raises(ValueError, match="scene"):
+            plan.simulate(np.where(np.arange(7)[:, None, None] == 3, np.nan, scenes))
+        with pytest.raises(ValueError, match="scene is empty"):
+            plan.simulate(scenes[:0])
+
+
+def test_a_plan_for_another_model_keeps_the_tolerance(model, scene):
+    samples = np.roll(model.evaluate(*model.positions.T), 1, axis=0)
+    other = psfield.PsfModel.from_samples(samples, model.positions)
+    plan = model.plan(scene.shape, tolerance=1e-3, device="cpu")
+    kept, new = plan.for_model(other), other.plan(scene.shape, tolerance=1e-3, device="cpu")
+    assert kept.model is other and kept.tolerance == 1e-3
+    assert kept.summary["tile_shape"] == plan.summary["tile_shape"]
+    # Each plan may differ by the tolerance.
+    assert relative_l2(kept.simulate(scene), new.simulate(scene)) < 2e-3
+    assert relative_l2(plan.simulate(scene), new.simulate(scene)) > 5e-3
 
 
 @pytest.mark.filterwarnings("ignore::psfield.PsfieldWarning")

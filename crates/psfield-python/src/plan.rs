@@ -3,8 +3,8 @@
 use std::sync::{Arc, Mutex};
 
 use ndarray::parallel::prelude::*;
-use ndarray::{Array2, ArrayView2, ArrayViewMut2, Axis};
-use numpy::{Element, IntoPyArray, PyArray2, PyArrayMethods, PyReadonlyArray2, PyReadwriteArray2};
+use ndarray::{Array2, Array3, ArrayView2, ArrayViewMut2, ArrayViewMut3, Axis, Dimension, Ix2, Ix3};
+use numpy::{Element, IntoPyArray, PyArray, PyArrayMethods, PyReadonlyArray, PyReadwriteArray};
 use psfield::conv_core::ConvReal;
 use psfield::psf_types::{Image, ImageView, NoProgress};
 use psfield::{Method, Preparation, PsfieldError, Scene, SimulateOptions, SimulationWarning, Simulator};
@@ -42,6 +42,22 @@ macro_rules! in_precision {
         match &$plan.simulator {
             AnySimulator::Single($simulator) => $body,
             AnySimulator::Double($simulator) => $body,
+        }
+    };
+}
+
+/// Makes a simulator from that of a plan, in the same precision.
+macro_rules! another {
+    ($plan:expr, $py:expr, |$of:ident, $watch:ident| $make:expr) => {
+        match &$plan.simulator {
+            AnySimulator::Single($of) => {
+                let $of = Arc::clone($of);
+                AnySimulator::Single(planned($py, move |$watch| $make)?)
+            }
+            AnySimulator::Double($of) => {
+                let $of = Arc::clone($of);
+                AnySimulator::Double(planned($py, move |$watch| $make)?)
+            }
         }
     };
 }
@@ -118,19 +134,21 @@ impl Plan {
     /// Makes a plan for another region of the same frame.
     fn for_region(&self, py: Python<'_>, at: (i64, i64, usize, usize)) -> PyResult<Self> {
         let at = region(at)?;
-        let simulator = match &self.simulator {
-            AnySimulator::Single(of) => {
-                let of = Arc::clone(of);
-                AnySimulator::Single(planned(py, move |watch| of.for_region(at, watch))?)
-            }
-            AnySimulator::Double(of) => {
-                let of = Arc::clone(of);
-                AnySimulator::Double(planned(py, move |watch| of.for_region(at, watch))?)
-            }
-        };
+        let simulator = another!(self, py, |of, watch| of.for_region(at, watch));
         Ok(Self {
             simulator,
             making: Arc::clone(&self.making),
+            process: std::process::id(),
+        })
+    }
+
+    /// Makes a plan for another PSF, with the settings of this plan and, if possible, its tiles.
+    fn for_model(&self, py: Python<'_>, model: &PsfModel) -> PyResult<Self> {
+        let psf = model.0.clone();
+        let simulator = another!(self, py, |of, watch| of.for_other_field(psf, watch));
+        Ok(Self {
+            simulator,
+            making: Arc::default(),
             process: std::process::id(),
         })
     }
@@ -190,8 +208,8 @@ impl Plan {
         self.check_process()?;
         let sources = sources_of(sources)?;
         in_precision!(self, simulator => {
-            let scene = scene.as_ref().map(|scene| readonly(scene, "scene")).transpose()?;
-            let mut out = out.as_ref().map(writable).transpose()?;
+            let scene = scene.as_ref().map(|scene| readonly::<_, Ix2>(scene, "scene")).transpose()?;
+            let mut out = out.as_ref().map(writable::<_, Ix2>).transpose()?;
             let light = scene.as_ref().map(|scene| scene.as_array());
             let target = out.as_mut().map(|out| out.as_array_mut());
             let made = threads::run_beside(py, progress.as_ref(), &*pool()?, |watch, pool| {
@@ -205,6 +223,33 @@ impl Plan {
         })
     }
 
+    /// Simulates the images of scenes `[n, y, x]`.
+    fn simulate_many<'py>(
+        &self,
+        py: Python<'py>,
+        scenes: Bound<'py, PyAny>,
+        out: Option<Bound<'py, PyAny>>,
+        progress: Option<Py<PyAny>>,
+    ) -> PyResult<Simulated<'py>> {
+        self.check_process()?;
+        in_precision!(self, simulator => {
+            let scenes = readonly::<_, Ix3>(&scenes, "scene")?;
+            let mut out = out.as_ref().map(writable::<_, Ix3>).transpose()?;
+            let (lights, target) = (scenes.as_array(), out.as_mut().map(|out| out.as_array_mut()));
+            let made = threads::run_beside(py, progress.as_ref(), &*pool()?, |watch, pool| {
+                let scenes: Vec<Scene<'_, _>> = lights
+                    .outer_iter()
+                    .map(|light| self.ready(simulator, Some(light), Sources::default(), watch, pool))
+                    .collect::<Result<_, _>>()?;
+                pool.install(|| many_simulated(simulator, &scenes, target, watch))
+            })?;
+            let (images, warnings) = made?;
+            let images = images.map(|images| images.into_pyarray(py).into_any());
+            let text = |w: &SimulationWarning| with_argument(w.to_string(), w.setting());
+            Ok((images, warnings.iter().map(text).collect()))
+        })
+    }
+
     /// Applies the transpose of the simulation to an image.
     fn adjoint<'py>(
         &self,
@@ -214,7 +259,7 @@ impl Plan {
     ) -> PyResult<Bound<'py, PyAny>> {
         self.check_process()?;
         in_precision!(self, simulator => {
-            let image = readonly(&image, "image")?;
+            let image = readonly::<_, Ix2>(&image, "image")?;
             let pixels = image.as_array();
             let made = threads::run(py, progress.as_ref(), |watch| -> Result<_, Failure> {
                 let image = ImageView::new(pixels).map_err(Failure::of("image"))?;
@@ -236,8 +281,8 @@ impl Plan {
     ) -> PyResult<String> {
         let sources = sources_of(sources)?;
         let check = in_precision!(self, simulator => {
-            let image = readonly(&image, "image")?;
-            let scene = scene.as_ref().map(|scene| readonly(scene, "scene")).transpose()?;
+            let image = readonly::<_, Ix2>(&image, "image")?;
+            let scene = scene.as_ref().map(|scene| readonly::<_, Ix2>(scene, "scene")).transpose()?;
             let (pixels, light) = (image.as_array(), scene.as_ref().map(|scene| scene.as_array()));
             threads::run_beside(py, None, &*pool()?, |watch, pool| {
                 let scene = self.ready(simulator, light, sources, watch, pool)?;
@@ -319,6 +364,34 @@ fn simulated<T: ConvReal>(
     Ok((made, simulator.warnings(scene)))
 }
 
+/// Simulates prepared scenes. Returns the images `[n, y, x]`, or `None` if they were written to an
+/// array of the caller, and the warnings of the first scene.
+fn many_simulated<T: ConvReal>(
+    simulator: &Simulator<T>,
+    scenes: &[Scene<'_, T>],
+    out: Option<ArrayViewMut3<'_, T>>,
+    watch: &Watch,
+) -> Result<(Option<Array3<T>>, Vec<SimulationWarning>), Failure> {
+    let mut made = None;
+    let shape = simulator.image_shape();
+    let mut images = match out {
+        Some(mut out) => {
+            out.fill(T::zero());
+            out
+        }
+        None => made
+            .insert(Array3::zeros((scenes.len(), shape.ny(), shape.nx())))
+            .view_mut(),
+    };
+    simulator.simulate_many_into(scenes, images.outer_iter_mut().collect(), watch)?;
+    for image in images.outer_iter() {
+        // `new` checks that every pixel is finite.
+        ImageView::new(image)?;
+    }
+    let warnings = scenes.first().map(|scene| simulator.warnings(scene));
+    Ok((made, warnings.unwrap_or_default()))
+}
+
 /// Builds a simulator, and makes its model and plan for scenes that contain an image. Those for
 /// stars and galaxies are made later, when a scene needs them.
 fn planned<T: ConvReal>(
@@ -337,8 +410,11 @@ fn planned<T: ConvReal>(
 
 /// Borrows a NumPy array for reading. The Python code has already converted the array to the plan's
 /// precision.
-fn readonly<'py, T: Element>(array: &Bound<'py, PyAny>, name: &str) -> PyResult<PyReadonlyArray2<'py, T>> {
-    let array = array.cast::<PyArray2<T>>()?;
+fn readonly<'py, T: Element, D: Dimension>(
+    array: &Bound<'py, PyAny>,
+    name: &str,
+) -> PyResult<PyReadonlyArray<'py, T, D>> {
+    let array = array.cast::<PyArray<T, D>>()?;
     array.try_readonly().map_err(|_| {
         invalid(format!(
             "{name}: another call is writing its image to this array: wait until it returns"
@@ -347,8 +423,10 @@ fn readonly<'py, T: Element>(array: &Bound<'py, PyAny>, name: &str) -> PyResult<
 }
 
 /// Borrows a NumPy array for writing.
-fn writable<'py, T: Element>(array: &Bound<'py, PyAny>) -> PyResult<PyReadwriteArray2<'py, T>> {
-    let array = array.cast::<PyArray2<T>>()?;
+fn writable<'py, T: Element, D: Dimension>(
+    array: &Bound<'py, PyAny>,
+) -> PyResult<PyReadwriteArray<'py, T, D>> {
+    let array = array.cast::<PyArray<T, D>>()?;
     array
         .try_readwrite()
         .map_err(|_| invalid("out: another call reads or writes this array: give each call its own array"))

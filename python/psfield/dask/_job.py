@@ -11,6 +11,7 @@ import numpy as np
 
 from psfield._arrays import plain
 from psfield._catalog import is_path
+from psfield._model import PsfModel
 
 #: Extensions of files that astropy reads.
 _FITS = (".fits", ".fit", ".fts", ".fits.gz", ".fit.gz", ".fits.fz")
@@ -27,6 +28,10 @@ class Job(TypedDict, total=False):
         no argument if the job has none.
     catalog : table, path or callable
         Stars and galaxies, as for `Plan.simulate`, or a function as for the scene.
+    psf : PsfModel, path or callable
+        PSF that replaces the model of the batch: a model, a file that `PsfModel.read` reads, or a
+        function that makes a model, as for the scene. Frames with a PSF of their own each, such as
+        other coefficients of one basis, use the tiles of the plan for the model of the batch.
     seed : int
         Seed of the functions and of the noise of the detector.
     detector : psfield.detector.Detector
@@ -49,6 +54,7 @@ class Job(TypedDict, total=False):
 
     scene: Any
     catalog: Any
+    psf: Any
     seed: int
     detector: Any
     output: str | os.PathLike[str]
@@ -110,6 +116,9 @@ def checked(job: Any, has_detector: bool) -> None:
         raise ValueError(f"a job has no key {unknown[0]!r}: its keys are {', '.join(sorted(KEYS))}")
     if job.get("scene") is None and job.get("catalog") is None:
         raise ValueError("there is nothing to simulate: give the job a scene, a catalog, or both")
+    psf = job.get("psf")
+    if not (psf is None or isinstance(psf, PsfModel) or is_path(psf) or callable(psf)):
+        raise TypeError(f"psf must be a PsfModel, a path or a function, got {type(psf).__name__}")
     seed = job.get("seed")
     if seed is not None and (not isinstance(seed, (int, np.integer)) or seed < 0):
         raise ValueError(f"seed must be an integer of at least 0, got {seed!r}")
@@ -137,6 +146,16 @@ def catalog_of(job: Mapping[str, Any]) -> Any:
     """Return the catalogue of a job as a table or a path, or None."""
     catalog: Any = job.get("catalog")
     return _call(catalog, job) if callable(catalog) else catalog
+
+
+def psf_of(job: Mapping[str, Any]) -> PsfModel | None:
+    """Return the PSF of a job, or None if it uses the model of the batch."""
+    psf: Any = job.get("psf")
+    if callable(psf):
+        psf = _call(psf, job)
+        if not isinstance(psf, PsfModel):
+            raise TypeError(f"psf: the function must return a PsfModel, got {type(psf).__name__}")
+    return PsfModel.read(psf) if is_path(psf) else psf
 
 
 def shape_without_reading(job: Mapping[str, Any]) -> tuple[int, int] | None:

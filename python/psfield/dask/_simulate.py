@@ -34,7 +34,7 @@ def simulate(
     tolerance_on: Literal["l2", "aperture"] = DEFAULTS.tolerance_on,
     anchor: Literal["source", "output"] = DEFAULTS.anchor,
     method: Literal["auto", "lowrank"] = DEFAULTS.method,
-    memory: int = DEFAULTS.memory,
+    memory: int | None = DEFAULTS.memory,
     oversample: int = DEFAULTS.oversample,
     scene_pixels: Literal["point", "integrated"] = DEFAULTS.scene_pixels,
     stamp_size: int | None = None,

@@ -15,7 +15,7 @@ from psfield._model import PsfModel
 from psfield._plan import Plan
 from psfield.dask._cores import set_threads_of
 from psfield.dask._fits import FitsFiles
-from psfield.dask._job import JobResult, Task, catalog_of, scene_of
+from psfield.dask._job import JobResult, Task, catalog_of, psf_of, scene_of
 from psfield.dask._kept import Kept
 from psfield.dask._zarr import ZarrFrames
 
@@ -97,6 +97,9 @@ def _make(settings: BatchSettings, index: int, job: Mapping[str, Any], target: s
         (settings.name, tuple(shape)),
         lambda: _model(settings).plan(tuple(shape), **settings.plan_settings),
     )
+    psf = psf_of(job)
+    if psf is not None:
+        plan = plan.for_model(psf)
     image = plan.simulate(scene, catalog_of(job))
     frames = {"image": image}
     detector = job.get("detector", settings.detector)
