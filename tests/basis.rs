@@ -50,7 +50,7 @@ fn a_basis_trained_on_shifts_represents_shifted_psfs_better() {
     };
     let svd = Svd::new().with_rank(RankSelection::Fixed(20));
     let plain = svd.fit(&samples).unwrap();
-    let trained = svd.fit_augmented(&samples, shifted(1).view()).unwrap();
+    let trained = svd.fit_augmented(samples.clone(), shifted(1).view()).unwrap();
     // Both bases are tested with new shifts, one for each sample.
     let unseen = shifted(2).slice(ndarray::s![..;3, .., ..]).to_owned();
     let positions: SamplePositions = samples.positions().clone();

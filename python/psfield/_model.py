@@ -711,8 +711,8 @@ class PsfModel:
         dict or None
             ``rank``, ``elbow``, ``noise_sigma``, ``max_error``, ``rms_error`` and ``errors``
             (relative L2 errors of the samples), ``leave_one_out`` (errors of predicting each sample
-            from the others: ``median``, ``max``, ``errors``), ``singular_values``,
-            ``cumulative_weights``.
+            from the others: ``median``, ``max``, ``errors``), ``singular_values`` (those that
+            were computed, from the largest on) and their ``cumulative_weights``.
 
         Examples
         --------

@@ -5,9 +5,10 @@ use faer::diag::Diag;
 use faer::dyn_stack::{MemBuffer, MemStack};
 use faer::linalg::matmul::matmul;
 use faer::linalg::svd::{ComputeSvdVectors, SvdParams, svd, svd_scratch};
-use faer::{Accum, Mat, MatMut, MatRef, Par, Spec};
+use faer::{Accum, Mat, MatRef, Par, Spec};
 use ndarray::{Array2, Array3, ArrayView2, Axis};
 use psf_types::{DataError, PsfBasis, StampGrid};
+use rayon::iter::{IndexedParallelIterator as _, ParallelIterator as _};
 use thiserror::Error;
 
 /// Errors of basis methods and rank selection.
@@ -71,6 +72,9 @@ pub enum BasisError {
 /// on the number of threads.
 const SPLIT: usize = 8;
 
+/// Rows of a matrix that are processed at a time.
+pub(crate) const ROWS: usize = 256;
+
 /// Below this work (samples x pixels x the smaller of the two), splitting costs more than it saves.
 /// If other work occupies the threads, splitting costs many times more.
 const MIN_WORK_TO_SPLIT: usize = 1 << 22;
@@ -86,14 +90,21 @@ const SQUARES_AGREE: f64 = 1e-10;
 /// Singular values, and singular vectors `[pixel, k]`.
 type Decomposition = (Vec<f64>, Mat<f64>);
 
-/// Computes the singular value decomposition of samples `[sample, pixel]`. Returns the singular
+/// Returns samples `[sample, pixel]` in row-major order as a matrix `[pixel, sample]`.
+pub(crate) fn columns_of(rows: ArrayView2<'_, f64>) -> MatRef<'_, f64> {
+    let (samples, pixels) = rows.dim();
+    let values = rows.to_slice().expect("row-major");
+    MatRef::from_column_major_slice(values, pixels, samples)
+}
+
+/// Computes the singular value decomposition of a matrix `[pixel, sample]`. Returns the singular
 /// values in descending order and the singular vectors `[pixel, k]`.
 ///
 /// For some matrices with repeated rows, faer loses singular values without an error. The sum of
 /// the squared singular values is then too small. In this case, or without convergence, the
 /// decomposition is repeated after a QR decomposition, and if that also fails, without divide and
 /// conquer.
-pub(crate) fn decompose(rows: ArrayView2<'_, f64>) -> Result<Decomposition, BasisError> {
+pub(crate) fn decompose(matrix: MatRef<'_, f64>) -> Result<Decomposition, BasisError> {
     let usual: SvdParams = *Spec::<SvdParams, f64>::default();
     let qr_first = SvdParams {
         qr_ratio_threshold: 0.0,
@@ -103,9 +114,13 @@ pub(crate) fn decompose(rows: ArrayView2<'_, f64>) -> Result<Decomposition, Basi
         recursion_threshold: usize::MAX,
         ..qr_first
     };
-    let whole: f64 = rows.iter().map(|v| v * v).sum();
+    let whole: f64 = matrix
+        .col_iter()
+        .flat_map(faer::ColRef::iter)
+        .map(|v| v * v)
+        .sum();
     for params in [usual, qr_first, undivided] {
-        let Some((values, vectors)) = decompose_by(rows, params)? else {
+        let Some((values, vectors)) = decompose_by(matrix, params)? else {
             continue;
         };
         let held: f64 = values.iter().map(|s| s * s).sum();
@@ -114,18 +129,16 @@ pub(crate) fn decompose(rows: ArrayView2<'_, f64>) -> Result<Decomposition, Basi
         }
     }
     Err(BasisError::NoConvergence {
-        samples: rows.nrows(),
-        pixels: rows.ncols(),
+        samples: matrix.ncols(),
+        pixels: matrix.nrows(),
     })
 }
 
 /// Computes the decomposition with these parameters of faer. Returns `None` if it does not
 /// converge.
-fn decompose_by(rows: ArrayView2<'_, f64>, params: SvdParams) -> Result<Option<Decomposition>, BasisError> {
-    let (samples, pixels) = rows.dim();
+fn decompose_by(matrix: MatRef<'_, f64>, params: SvdParams) -> Result<Option<Decomposition>, BasisError> {
+    let (pixels, samples) = matrix.shape();
     let size = samples.min(pixels);
-    // Each row (sample) is a column of the pixels x samples matrix in faer's column-major order.
-    let matrix = MatRef::from_column_major_slice(rows.as_slice().expect("row-major"), pixels, samples);
     let work = samples.saturating_mul(pixels).saturating_mul(size);
     let par = if work < MIN_WORK_TO_SPLIT {
         Par::Seq
@@ -169,25 +182,19 @@ fn descending(values: Vec<f64>, vectors: Mat<f64>) -> (Vec<f64>, Mat<f64>) {
     (order.iter().map(|&k| values[k]).collect(), sorted)
 }
 
-/// The coefficients `[sample, k]` of the first `count` components.
-pub(crate) fn project(rows: ArrayView2<'_, f64>, vectors: &Mat<f64>, count: usize) -> Array2<f64> {
-    let (samples, pixels) = rows.dim();
-    let mut coefficients = Array2::zeros((samples, count));
-    let left = MatRef::from_row_major_slice(rows.as_slice().expect("row-major"), samples, pixels);
-    let into = MatMut::from_row_major_slice_mut(
-        coefficients.as_slice_mut().expect("new arrays are row-major"),
-        samples,
-        count,
-    );
-    matmul(
-        into,
-        Accum::Replace,
-        left,
-        vectors.subcols(0, count),
-        1.0,
-        Par::rayon(SPLIT),
-    );
-    coefficients
+/// The product of two matrices. Each thread computes some of its rows at a time. faer's own
+/// splitting is slower for narrow matrices, many times so if other work occupies the threads.
+pub(crate) fn product(left: MatRef<'_, f64>, right: MatRef<'_, f64>) -> Mat<f64> {
+    let mut product = Mat::zeros(left.nrows(), right.ncols());
+    let parts = product.par_row_chunks_mut(ROWS).zip(left.par_row_chunks(ROWS));
+    parts.for_each(|(into, left)| matmul(into, Accum::Replace, left, right, 1.0, Par::Seq));
+    product
+}
+
+/// The coefficients `[sample, k]` of samples `[sample, pixel]`.
+pub(crate) fn project(rows: ArrayView2<'_, f64>, vectors: MatRef<'_, f64>) -> Array2<f64> {
+    let coefficients = product(columns_of(rows).transpose(), vectors);
+    Array2::from_shape_fn((rows.nrows(), vectors.ncols()), |(j, k)| coefficients[(j, k)])
 }
 
 /// Counts the values above a level in a descending list.
@@ -255,10 +262,10 @@ pub fn orthonormal(
         .into_shape_with_order((count, ny * nx))
         .expect("row-major");
     // a = U S V^T: the sums at the nodes have the singular vectors of S V^T C.
-    let (shares, turned) = decompose(coefficients.as_standard_layout().view())?;
+    let (shares, turned) = decompose(columns_of(coefficients.as_standard_layout().view()))?;
     let weights = Array2::from_shape_fn((shares.len(), count), |(i, k)| shares[i] * turned[(k, i)]);
     let weighted = weights.dot(&stamps);
-    let (values, vectors) = decompose(weighted.as_standard_layout().view())?;
+    let (values, vectors) = decompose(columns_of(weighted.as_standard_layout().view()))?;
     let of_mean = mean
         .as_ref()
         .map_or(0.0, |m| nodes as f64 * m.iter().map(|v| v * v).sum::<f64>());
@@ -344,12 +351,12 @@ mod tests {
                     let width = 4.0 + 0.6 * (j % distinct) as f64;
                     (-((u as f64 - 140.0) / width).powi(2)).exp() / width
                 });
-                let (values, vectors) = decompose(matrix.view()).unwrap();
+                let (values, vectors) = decompose(columns_of(matrix.view())).unwrap();
                 let top = values[0];
                 assert!(values.is_sorted_by(|a, b| a >= b));
                 assert!(values[distinct..].iter().all(|s| *s < 1e-13 * top));
                 let gram = vectors.transpose() * &vectors;
-                let image = project(matrix.view(), &vectors, values.len());
+                let image = project(matrix.view(), vectors.as_ref());
                 for (k, column) in image.axis_iter(Axis(1)).enumerate() {
                     let norm = column.dot(&column).sqrt();
                     assert!(

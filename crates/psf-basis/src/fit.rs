@@ -1,11 +1,12 @@
 //! Fits a basis to samples. There are two methods: [`Svd`] computes the basis from the samples, and
 //! [`GivenStamps`] uses stamps from elsewhere.
 
-use ndarray::{Array2, Array3, ArrayView1, ArrayView2, ArrayView3, Axis, concatenate};
+use ndarray::{Array2, Array3, ArrayView1, ArrayView2, ArrayView3, Axis};
 use psf_types::{DataError, PsfBasis, PsfSamples, SampleCoefficients, named};
 
-use crate::decomposition::{BasisError, ROUNDING_UNITS, decompose, fix_signs, project};
-use crate::noise::{PixelNoise, by_sample, noise_floor, uneven_floor};
+use crate::components::{Components, Krylov, is_large};
+use crate::decomposition::{BasisError, ROUNDING_UNITS, fix_signs};
+use crate::noise::{NoiseSearch, PixelNoise};
 use crate::rank::{RankSelection, Spectrum};
 
 /// A method that makes a basis and the samples' coefficients from PSF samples.
@@ -49,7 +50,8 @@ impl BasisFit {
             let (expected, got) = (samples.grid().dim(), basis.grid().dim());
             return Err(DataError::StampShape { expected, got }.into());
         }
-        let errors = truncation_errors(samples, &basis, coefficients.values());
+        let rows = rows_of(samples.stamps());
+        let errors = truncation_errors(rows, mean_of(&basis), &norms(rows), &basis, coefficients.values());
         Ok(Self {
             basis,
             coefficients,
@@ -117,11 +119,23 @@ fn mean_of(basis: &PsfBasis) -> Option<ArrayView1<'_, f64>> {
         .map(|mean| mean.into_shape_with_order(pixels).expect("row-major"))
 }
 
-fn truncation_errors(samples: &PsfSamples, basis: &PsfBasis, coefficients: ArrayView2<'_, f64>) -> Vec<f64> {
-    let (stamps, components) = (rows_of(samples.stamps()), rows_of(basis.components()));
-    let mean = mean_of(basis);
-    let mut errors = Vec::with_capacity(samples.len());
-    for (block, weights) in stamps
+/// The norm of every row.
+fn norms(rows: ArrayView2<'_, f64>) -> Vec<f64> {
+    rows.outer_iter().map(|row| row.dot(&row).sqrt()).collect()
+}
+
+/// The truncation error of every sample, relative to `norms`. `rows` are the samples, and `mean` the
+/// mean stamp that they contain.
+fn truncation_errors(
+    rows: ArrayView2<'_, f64>,
+    mean: Option<ArrayView1<'_, f64>>,
+    norms: &[f64],
+    basis: &PsfBasis,
+    coefficients: ArrayView2<'_, f64>,
+) -> Vec<f64> {
+    let components = rows_of(basis.components());
+    let mut errors = Vec::with_capacity(norms.len());
+    for (block, weights) in rows
         .axis_chunks_iter(Axis(0), BLOCK)
         .zip(coefficients.axis_chunks_iter(Axis(0), BLOCK))
     {
@@ -129,8 +143,8 @@ fn truncation_errors(samples: &PsfSamples, basis: &PsfBasis, coefficients: Array
         if let Some(mean) = mean {
             residual -= &mean;
         }
-        for (stamp, rest) in block.outer_iter().zip(residual.outer_iter()) {
-            errors.push((rest.dot(&rest) / stamp.dot(&stamp)).sqrt());
+        for rest in residual.outer_iter() {
+            errors.push(rest.dot(&rest).sqrt() / norms[errors.len()]);
         }
     }
     errors
@@ -195,8 +209,12 @@ named!(Centring, "centring", "mean or none", "mean" => Mean, "none" => None);
 /// `X - mean = U S V^T`, `B_k = U_k`. Of all bases of `K` components this one has the smallest sum
 /// of squared residuals over all samples (Eckart and Young 1936).
 ///
-/// The decomposition is a thin SVD in f64. The value of largest magnitude in each component is
-/// positive, which fixes the signs. The result does not depend on the number of threads.
+/// The decomposition is a thin SVD in f64. If there are at least 1024 samples and 1024 pixels, only
+/// leading components are computed, in a block Krylov space, unless the rank is `full`. Each has a
+/// residual of at most 1e-12 of the largest singular value. If the selected rank depends on
+/// components that have not converged, all are computed. The value of largest magnitude in each
+/// component is positive, which fixes the signs. The result does not depend on the number of
+/// threads.
 ///
 /// ```
 /// use ndarray::Array3;
@@ -243,33 +261,27 @@ impl Svd {
 
     /// Fits a basis to the samples and to more training stamps `[stamp, y, x]`, such as the
     /// samples' PSFs at sub-pixel shifts. The mean and the components are computed from all stamps,
-    /// the coefficients and errors from the samples only.
+    /// the coefficients and errors from the samples only. Takes the samples, because thousands of
+    /// them need much memory.
     ///
     /// # Errors
     /// [`BasisError`] when shapes differ, the rank is not available, the noise level is not valid
     /// or the decomposition fails.
     pub fn fit_augmented(
         &self,
-        samples: &PsfSamples,
+        samples: PsfSamples,
         training: ArrayView3<'_, f64>,
     ) -> Result<BasisFit, BasisError> {
-        let (count, ny, nx) = training.dim();
-        if (ny, nx) != samples.grid().dim() {
-            return Err(BasisError::TrainingShape {
-                expected: samples.grid().dim(),
-                got: (ny, nx),
-            });
+        let (grid, positions) = (samples.grid(), samples.positions().clone());
+        let (ny, nx) = grid.dim();
+        let (expected, got) = ((ny, nx), (training.dim().1, training.dim().2));
+        if expected != got {
+            return Err(BasisError::TrainingShape { expected, got });
         }
-        let all = if count == 0 {
-            samples.stamps().to_owned()
-        } else {
-            concatenate(Axis(0), &[samples.stamps(), training]).expect("equal shapes")
-        };
-        self.fit_stack(samples, all)
-    }
+        let norms = norms(rows_of(samples.stamps()));
+        let mut stack = samples.into_stamps();
+        stack.append(Axis(0), training).expect("equal shapes");
 
-    fn fit_stack(&self, samples: &PsfSamples, stack: Array3<f64>) -> Result<BasisFit, BasisError> {
-        let grid = samples.grid();
         let (count, pixels) = (stack.dim().0, grid.pixel_count());
         let mut rows = stack.into_shape_with_order((count, pixels)).expect("row-major");
         let frobenius = rows.iter().map(|v| v * v).sum::<f64>().sqrt();
@@ -281,83 +293,94 @@ impl Svd {
             }
             Centring::None => None,
         };
-        let (singular_values, vectors) = decompose(rows.view())?;
         let freedom = count - usize::from(mean.is_some());
         let rounding = ROUNDING_UNITS * f64::EPSILON * frobenius;
-        let mut floor = noise_floor(self.noise, &singular_values, pixels, freedom)?;
-        if self.noise == PixelNoise::Estimate {
-            floor = match floor {
-                Some(even) => Some(by_sample(rows.view(), &vectors, &singular_values, even)),
-                None => uneven_floor(rows.view(), &vectors, &singular_values, freedom),
-            };
-        }
-        let spectrum = Spectrum::new(singular_values, rounding, floor);
-
-        // The samples come first in the stack.
-        let rows = rows.slice_move(ndarray::s![..samples.len(), ..]);
-        let coefficients = project(rows.view(), &vectors, spectrum.numerical_rank);
-        let max_errors = max_errors_by_rank(samples, rows.view(), coefficients.view());
-        drop(rows);
-        let rank = self.rank.select(&spectrum, &max_errors)?;
+        let (found, spectrum, rank) = self.decide(rows.view(), &norms, freedom, rounding)?;
         if rank == 0 && mean.is_none() {
             return Err(BasisError::RankZero);
         }
-        let mut coefficients = coefficients.slice_move(ndarray::s![.., ..rank]);
-        let mut components = Array2::from_shape_fn((rank, pixels), |(k, u)| vectors[(u, k)]);
+        // The samples come first in the stack.
+        let coefficients = found.coefficients.slice(ndarray::s![..norms.len(), ..rank]);
+        let mut coefficients = coefficients.to_owned();
+        let mut components = Array2::from_shape_fn((rank, pixels), |(k, u)| found.vectors[(u, k)]);
         fix_signs(&mut components, &mut coefficients);
 
-        let (ny, nx) = grid.dim();
         let components = components
             .into_shape_with_order((rank, ny, nx))
             .expect("row-major");
         let mean = mean.map(|m| m.into_shape_with_order((ny, nx)).expect("row-major"));
         let basis = PsfBasis::new(mean, components, grid)?;
-        BasisFit::new(
-            samples,
+        // The mean is already subtracted from the rows.
+        let rows = rows.slice(ndarray::s![..norms.len(), ..]);
+        let errors = truncation_errors(rows, None, &norms, &basis, coefficients.view());
+        Ok(BasisFit {
             basis,
-            coefficients.as_standard_layout().into_owned(),
-            Some(spectrum),
-        )
+            coefficients: SampleCoefficients::new(coefficients, positions)?,
+            spectrum: Some(spectrum),
+            errors,
+        })
+    }
+
+    /// Computes the components of rows `[sample, pixel]` and selects the rank. Of a large matrix,
+    /// only leading components are computed, as many as the selection needs. If these are too many,
+    /// all are computed. `norms` are the norms of the samples, which come first in the rows.
+    fn decide(
+        &self,
+        rows: ArrayView2<'_, f64>,
+        norms: &[f64],
+        freedom: usize,
+        rounding: f64,
+    ) -> Result<(Components, Spectrum, usize), BasisError> {
+        let noise = NoiseSearch::new(self.noise, rows, freedom)?;
+        let select = |found: &Components| -> Result<Option<(Spectrum, usize)>, BasisError> {
+            let floor = noise.floor(found, rows.ncols(), freedom);
+            let values = found.values.clone();
+            let Some(spectrum) = Spectrum::new(values, &found.rest, rounding, floor) else {
+                return Ok(None);
+            };
+            let rank = self
+                .rank
+                .select(&spectrum, &found.rest, &max_errors_by_rank(norms, found))?;
+            Ok(rank.map(|rank| (spectrum, rank)))
+        };
+        if is_large(rows) && self.rank != RankSelection::Full {
+            let mut space = Krylov::new(rows);
+            while let Some(found) = space.enlarged()? {
+                if let Some((spectrum, rank)) = select(&found)? {
+                    return Ok((found, spectrum, rank));
+                }
+            }
+        }
+        let found = Components::all(rows)?;
+        let (spectrum, rank) = select(&found)?.expect("nothing is unknown");
+        Ok((found, spectrum, rank))
     }
 }
 
 impl BasisMethod for Svd {
     fn fit(&self, samples: &PsfSamples) -> Result<BasisFit, BasisError> {
-        self.fit_stack(samples, samples.stamps().to_owned())
+        let (ny, nx) = samples.grid().dim();
+        self.fit_augmented(
+            samples.clone(),
+            ArrayView3::from_shape((0, ny, nx), &[]).expect("no stamps"),
+        )
     }
 }
-
-/// Rounding of the difference of two equal sums of squares, relative to either.
-const PYTHAGORAS_ROUNDING: f64 = 1e-12;
 
 /// The largest relative truncation error over the samples with 0, 1, ... components.
 ///
 /// The squares of the omitted coefficients are added, from the last component to the first, so
 /// nothing cancels.
-fn max_errors_by_rank(
-    samples: &PsfSamples,
-    centred: ArrayView2<'_, f64>,
-    coefficients: ArrayView2<'_, f64>,
-) -> Vec<f64> {
-    let count = coefficients.ncols();
+fn max_errors_by_rank(norms: &[f64], found: &Components) -> Vec<f64> {
+    let count = found.values.len();
     let mut largest = vec![0.0f64; count + 1];
-    for (j, (row, a)) in centred.outer_iter().zip(coefficients.outer_iter()).enumerate() {
-        let stamp = samples.stamp(j);
-        let norm2: f64 = stamp.iter().map(|v| v * v).sum();
-        // The squared norm of the sample after all components are subtracted, by Pythagoras. The
-        // rounding of this difference is relative to `whole`. The samples took part in the
-        // decomposition, so the true value is about 0.
-        let whole = row.dot(&row);
-        let outside = whole - a.dot(&a);
-        let mut rest = if outside > PYTHAGORAS_ROUNDING * whole {
-            outside
-        } else {
-            0.0
-        };
-        largest[count] = largest[count].max((rest / norm2).sqrt());
+    let rows = found.coefficients.outer_iter().zip(&found.unexplained);
+    for (norm, (a, &unexplained)) in norms.iter().zip(rows) {
+        let mut rest = unexplained;
+        largest[count] = largest[count].max(rest.sqrt() / norm);
         for k in (0..count).rev() {
             rest += a[k] * a[k];
-            largest[k] = largest[k].max((rest / norm2).sqrt());
+            largest[k] = largest[k].max(rest.sqrt() / norm);
         }
     }
     largest

@@ -1,16 +1,20 @@
 //! White noise in samples, estimated from their singular values.
 
-use faer::Mat;
-use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis};
+use ndarray::{Array1, Array2, ArrayView2, Axis};
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::SeedableRng;
 
-use crate::decomposition::{BasisError, count_above, decompose, project};
+use crate::components::{Components, is_large};
+use crate::decomposition::{BasisError, columns_of, count_above, decompose, project};
 
 /// The noise in the samples' pixels.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 #[non_exhaustive]
 pub enum PixelNoise {
     /// Estimate white noise, with one level for all samples or one per sample (bright and faint
-    /// stars). The estimate may find that there is no noise.
+    /// stars). The estimate may find that there is no noise. If there are at least 1024 samples and
+    /// 1024 pixels, the search uses 256 samples, and the level of each sample follows from what the
+    /// components leave of it.
     #[default]
     Estimate,
     /// White noise of this standard deviation, in the units of the stamps. 0 means no noise.
@@ -56,30 +60,80 @@ const AGREEMENT: f64 = 1.25;
 /// Shortest tail in which noise can be told from decay.
 const MIN_TAIL: usize = 12;
 
-/// The noise floor of a matrix of `rows x columns` with these singular values. `rows` is the number
-/// of pixels. `columns` is the number of samples, less one if the mean was subtracted. Returns
-/// `None` if there is no noise.
-///
-/// [`PixelNoise::Estimate`] compares the lower half of the singular values with the quantiles of
-/// the Marchenko-Pastur law. This is the approach of Gavish and Donoho 2014, at several quantiles
-/// instead of only the median. Each quantile gives a sigma. The singular values count as noise only
-/// if all these sigmas agree.
-pub(crate) fn noise_floor(
-    noise: PixelNoise,
-    singular_values: &[f64],
-    rows: usize,
-    columns: usize,
-) -> Result<Option<NoiseFloor>, BasisError> {
-    match noise {
-        PixelNoise::Known(sigma) if sigma.is_finite() && sigma >= 0.0 => {
-            Ok((sigma > 0.0).then(|| NoiseFloor::new(sigma, rows, columns)))
+/// Finds the noise floor of samples.
+#[derive(Debug)]
+pub(crate) enum NoiseSearch {
+    /// The floor of a known noise, `None` for no noise.
+    Known(Option<NoiseFloor>),
+    /// The noise is estimated from the singular values of all samples.
+    All,
+    /// The noise was found in [`SUBSET`] samples, as a first estimate. Large matrices are searched
+    /// in this way, because the search needs all singular values.
+    Subset(Option<NoiseFloor>),
+}
+
+impl NoiseSearch {
+    /// Prepares the search for samples `[sample, pixel]`. `freedom` is the number of samples, less
+    /// one if the mean was subtracted.
+    pub(crate) fn new(
+        noise: PixelNoise,
+        rows: ArrayView2<'_, f64>,
+        freedom: usize,
+    ) -> Result<Self, BasisError> {
+        Ok(match noise {
+            PixelNoise::Known(sigma) => Self::Known(known(sigma, rows.ncols(), freedom)?),
+            PixelNoise::Estimate if is_large(rows) => Self::Subset(search_subset(rows, freedom)?),
+            PixelNoise::Estimate => Self::All,
+        })
+    }
+
+    /// The noise floor of samples of `pixels` pixels with these components, or `None` if there is
+    /// no noise.
+    pub(crate) fn floor(&self, found: &Components, pixels: usize, freedom: usize) -> Option<NoiseFloor> {
+        match self {
+            Self::Known(floor) => *floor,
+            Self::Subset(first) => first.map(|floor| by_sample(found, pixels, floor)),
+            Self::All => match estimate(&found.values, pixels, freedom) {
+                Some(even) => Some(by_sample(found, pixels, even)),
+                None => uneven_levels(found, pixels, freedom).map(|v| floor_of(&v, pixels, 1.0)),
+            },
         }
-        PixelNoise::Known(got) => Err(BasisError::BadNoise { got }),
-        PixelNoise::Estimate => Ok(estimate(singular_values, rows, columns)),
     }
 }
 
-pub(crate) fn estimate(singular_values: &[f64], rows: usize, columns: usize) -> Option<NoiseFloor> {
+/// The floor of known noise.
+fn known(sigma: f64, pixels: usize, freedom: usize) -> Result<Option<NoiseFloor>, BasisError> {
+    if !(sigma.is_finite() && sigma >= 0.0) {
+        return Err(BasisError::BadNoise { got: sigma });
+    }
+    Ok((sigma > 0.0).then(|| NoiseFloor::new(sigma, pixels, freedom)))
+}
+
+/// Number of samples in which the noise of a large matrix is searched. They are chosen at random.
+const SUBSET: usize = 256;
+
+/// The noise floor of samples, from the noise in a subset of them.
+fn search_subset(rows: ArrayView2<'_, f64>, freedom: usize) -> Result<Option<NoiseFloor>, BasisError> {
+    let (count, pixels) = rows.dim();
+    let mut random = ChaCha8Rng::seed_from_u64(1);
+    let mut chosen = rand::seq::index::sample(&mut random, count, SUBSET).into_vec();
+    chosen.sort_unstable();
+    let found = Components::all(rows.select(Axis(0), &chosen).view())?;
+    Ok(match estimate(&found.values, pixels, SUBSET) {
+        Some(even) => Some(NoiseFloor::new(even.sigma, pixels, freedom)),
+        None => uneven_levels(&found, pixels, SUBSET)
+            .map(|variances| floor_of(&variances, pixels, freedom as f64 / SUBSET as f64)),
+    })
+}
+
+/// Estimates white noise of one level from the singular values of a matrix of `rows x columns`, the
+/// numbers of pixels and of samples. (One less if the mean was subtracted.) Returns `None` if there
+/// is no noise.
+///
+/// Compares the lower half of the singular values with the quantiles of the Marchenko-Pastur law.
+/// This is the approach of Gavish and Donoho 2014, at several quantiles instead of only the median.
+/// Each quantile gives a sigma. The singular values count as noise only if all these sigmas agree.
+fn estimate(singular_values: &[f64], rows: usize, columns: usize) -> Option<NoiseFloor> {
     let count = rows.min(columns).min(singular_values.len());
     let (small, large) = (rows.min(columns), rows.max(columns));
     let law = MarchenkoPastur::new(small as f64 / large as f64);
@@ -173,10 +227,9 @@ const MAX_WORK: f64 = 1e9;
 /// Relative scatter of the largest singular value of finite matrices about its limit.
 const FINITE: f64 = 0.02;
 
-/// The noise floor of samples whose pixels have white noise of a different level in each sample, or
-/// `None` if there is no such noise. `rows` are the samples `[sample, pixel]`, less the mean if it
-/// was subtracted, with these singular vectors and values. `freedom` is the number of samples, less
-/// one if the mean was subtracted.
+/// The noise variance of every sample, if the samples' pixels have white noise of a different level
+/// in each sample, or `None` if there is no such noise. `found` holds all components of the samples.
+/// `freedom` is the number of samples, less one if the mean was subtracted.
 ///
 /// Samples divided by their noise have even noise, which is then tested by the Marchenko-Pastur
 /// law. The noise levels are estimated from the residuals of the divided samples after a few
@@ -185,74 +238,47 @@ const FINITE: f64 = 0.02;
 ///
 /// Divided samples lie in the space spanned by the samples. All computations use coordinates in
 /// that space, at most as many as there are samples, instead of pixels.
-pub(crate) fn uneven_floor(
-    rows: ArrayView2<'_, f64>,
-    vectors: &Mat<f64>,
-    singular_values: &[f64],
-    freedom: usize,
-) -> Option<NoiseFloor> {
-    let (count, pixels) = rows.dim();
-    let size = count.min(pixels);
-    if size < 2 || count as f64 * pixels as f64 * size as f64 > MAX_WORK || !may_be_noise(singular_values) {
+fn uneven_levels(found: &Components, pixels: usize, freedom: usize) -> Option<Vec<f64>> {
+    let (count, size) = found.coefficients.dim();
+    if size < 2 || count as f64 * pixels as f64 * size as f64 > MAX_WORK || !may_be_noise(&found.values) {
         return None;
     }
-    let coordinates = project(rows, vectors, size);
     SIGNALS
         .into_iter()
         .take_while(|signal| 3 * signal <= size)
-        .find_map(|signal| levels(coordinates.view(), pixels, signal, freedom))
-        .map(|variances| floor_of(&variances, pixels))
+        .find_map(|signal| levels(found.coefficients.view(), pixels, signal, freedom))
 }
 
-/// Refines a floor that assumed even noise. Returns the floor computed from the samples' own noise
-/// levels. Returns `even` if these levels are indeed even, or if too few components lie below the
-/// floor to estimate them.
+/// Refines a floor that was estimated, such as one that assumed even noise. Returns the floor
+/// computed from the samples' own noise levels. Returns `first` if these levels are even, or if too
+/// few components lie below the floor to estimate them.
 ///
 /// The noise levels follow from the residuals after the components above the floor are subtracted,
 /// and the floor follows from the levels. Both are computed again until the number of components
 /// above the floor is stable.
-pub(crate) fn by_sample(
-    rows: ArrayView2<'_, f64>,
-    vectors: &Mat<f64>,
-    singular_values: &[f64],
-    even: NoiseFloor,
-) -> NoiseFloor {
-    let (count, pixels) = rows.dim();
-    let above = |floor: &NoiseFloor| count_above(singular_values, floor.threshold);
-    let mut floor = even;
+fn by_sample(found: &Components, pixels: usize, first: NoiseFloor) -> NoiseFloor {
+    let count = found.coefficients.nrows();
+    let above = |floor: &NoiseFloor| count_above(&found.values, floor.threshold);
+    let mut floor = first;
     for _ in 0..ROUNDS {
         let signal = above(&floor);
         if 3 * signal > count.min(pixels) {
-            return even;
+            return first;
         }
         let left = degrees_of_freedom(count, pixels, signal);
-        let variances: Vec<f64> = rows
-            .outer_iter()
-            .map(|row| unexplained(row, vectors, signal) / left)
-            .collect();
+        let variances: Vec<f64> = found.left_after(signal).map(|square| square / left).collect();
         let mean = variances.iter().sum::<f64>() / count as f64;
         let scatter = variances.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / count as f64;
         // The last factor is the relative scatter of a variance computed from `left` values.
         if scatter.sqrt() <= EVEN * mean * (2.0 / left).sqrt() {
-            return even;
+            return first;
         }
-        floor = floor_of(&variances, pixels);
+        floor = floor_of(&variances, pixels, 1.0);
         if above(&floor) == signal {
             break;
         }
     }
     floor
-}
-
-/// The squared norm of a row after its first `signal` components are subtracted.
-fn unexplained(row: ArrayView1<'_, f64>, vectors: &Mat<f64>, signal: usize) -> f64 {
-    let explained: f64 = (0..signal)
-        .map(|k| {
-            let a: f64 = row.iter().enumerate().map(|(u, v)| v * vectors[(u, k)]).sum();
-            a * a
-        })
-        .sum();
-    (row.dot(&row) - explained).max(0.0)
 }
 
 /// The degrees of freedom of a row's noise after `signal` components are removed.
@@ -284,9 +310,14 @@ fn levels(rows: ArrayView2<'_, f64>, pixels: usize, signal: usize, freedom: usiz
         }
         let scales: Array1<f64> = variances.iter().map(|v| 1.0 / v.max(least).sqrt()).collect();
         let divided: Array2<f64> = &rows * &scales.insert_axis(Axis(1));
-        let (found, vectors) = decompose(divided.view()).ok()?;
-        for (row, variance) in divided.outer_iter().zip(&mut variances) {
-            *variance = variance.max(least) * unexplained(row, &vectors, signal) / left;
+        let (found, vectors) = decompose(columns_of(divided.view())).ok()?;
+        let explained = project(divided.view(), vectors.subcols(0, signal));
+        for ((row, a), variance) in divided
+            .outer_iter()
+            .zip(explained.outer_iter())
+            .zip(&mut variances)
+        {
+            *variance = variance.max(least) * (row.dot(&row) - a.dot(&a)).max(0.0) / left;
         }
         values = found;
     }
@@ -295,16 +326,17 @@ fn levels(rows: ArrayView2<'_, f64>, pixels: usize, signal: usize, freedom: usiz
     (SCALED.contains(&floor.sigma) && above <= signal).then_some(variances)
 }
 
-/// The noise floor for noise of these variances, one for each row of `pixels` values.
+/// The noise floor for noise of these variances, one for each row of `pixels` values. `multiple` is
+/// the number of rows for which each variance stands.
 ///
 /// In the limit of large matrices the largest singular value is `sqrt(L min z)`, for `L` pixels and
 /// `z(u) = 1/u + (1/L) sum_j v_j / (1 - v_j u)` over `0 < u < 1 / max v` (Silverstein and Choi
 /// 1995, J. Multivariate Anal. 54, 295). For equal variances it is `sigma (sqrt L + sqrt P)`.
-fn floor_of(variances: &[f64], pixels: usize) -> NoiseFloor {
+fn floor_of(variances: &[f64], pixels: usize, multiple: f64) -> NoiseFloor {
     let largest = variances.iter().copied().fold(0.0, f64::max);
     let z = |u: f64| {
         let sum: f64 = variances.iter().map(|v| v / (1.0 - v * u)).sum();
-        1.0 / u + sum / pixels as f64
+        1.0 / u + multiple * sum / pixels as f64
     };
     // z is convex for these u, so a ternary search finds its minimum.
     let (mut low, mut high) = (0.0, 1.0 / largest);
@@ -356,25 +388,16 @@ mod tests {
 
     #[test]
     fn a_known_level_is_checked() {
-        assert!(matches!(
-            noise_floor(PixelNoise::Known(-1.0), &[], 4, 4),
-            Err(BasisError::BadNoise { .. })
-        ));
-        assert!(
-            noise_floor(PixelNoise::Known(0.0), &[1.0], 4, 4)
-                .unwrap()
-                .is_none()
-        );
-        let floor = noise_floor(PixelNoise::Known(0.1), &[1.0], 400, 100)
-            .unwrap()
-            .unwrap();
+        assert!(matches!(known(-1.0, 4, 4), Err(BasisError::BadNoise { .. })));
+        assert!(known(0.0, 4, 4).unwrap().is_none());
+        let floor = known(0.1, 400, 100).unwrap().unwrap();
         assert!((floor.edge - 3.0).abs() < 1e-12 && floor.threshold > floor.edge);
     }
 
     #[test]
     fn the_edge_of_equal_variances_is_that_of_marchenko_and_pastur() {
         for (rows, pixels) in [(400, 225), (50, 900), (100, 100)] {
-            let floor = floor_of(&vec![0.09; rows], pixels);
+            let floor = floor_of(&vec![0.09; rows], pixels, 1.0);
             let expected = 0.3 * ((rows as f64).sqrt() + (pixels as f64).sqrt());
             assert!(
                 (floor.edge / expected - 1.0).abs() < 1e-9,
@@ -391,7 +414,7 @@ mod tests {
         // raise the edge a little above it.
         let mut variances = vec![1.0; 100];
         variances[7] = 1e4;
-        let floor = floor_of(&variances, 400);
+        let floor = floor_of(&variances, 400, 1.0);
         let norm = 100.0 * 20.0;
         assert!(floor.edge > norm && floor.edge < 1.2 * norm, "{}", floor.edge);
     }

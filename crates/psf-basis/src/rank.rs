@@ -5,6 +5,7 @@ use std::str::FromStr;
 use psf_types::{DataError, through_text};
 use serde::{Deserialize, Serialize};
 
+use crate::components::Rest;
 use crate::decomposition::{BasisError, count_above};
 use crate::noise::NoiseFloor;
 
@@ -37,29 +38,33 @@ impl RankSelection {
     /// The largest truncation error over the samples that `auto` accepts.
     pub const AUTO_ERROR: f64 = 1e-4;
 
-    /// Returns the rank for a spectrum. `max_errors[k]` is the largest truncation error over the
-    /// samples with `k` components.
-    pub(crate) fn select(self, spectrum: &Spectrum, max_errors: &[f64]) -> Result<usize, BasisError> {
+    /// Returns the rank for a spectrum, or `None` if it depends on singular values in `rest`.
+    /// `max_errors[k]` is the largest truncation error over the samples with `k` components.
+    pub(crate) fn select(
+        self,
+        spectrum: &Spectrum,
+        rest: &Rest,
+        max_errors: &[f64],
+    ) -> Result<Option<usize>, BasisError> {
         let available = spectrum.numerical_rank;
+        let if_all = |rank| (rest.count == 0).then_some(rank);
         let for_error = |limit: f64| {
-            max_errors
-                .iter()
-                .position(|&e| e <= limit)
-                .unwrap_or(available)
-                .min(available)
+            let enough = max_errors.iter().position(|&e| e <= limit);
+            enough.map(|k| k.min(available)).or(if_all(available))
         };
         Ok(match self {
-            Self::Auto => spectrum
-                .elbow
-                .max(for_error(Self::AUTO_ERROR))
-                .min(spectrum.significant),
-            Self::Elbow => spectrum.elbow,
-            Self::Full => available,
-            Self::Fixed(asked) if asked > available => {
-                return Err(BasisError::RankTooHigh { asked, available });
-            }
-            Self::Fixed(asked) => asked,
-            Self::Energy(fraction) => spectrum.rank_for_energy(fraction),
+            Self::Auto => for_error(Self::AUTO_ERROR)
+                // Components below the noise are not kept, so they are not needed.
+                .or(spectrum.noise_sigma.map(|_| available))
+                .map(|needed| spectrum.elbow.max(needed).min(spectrum.significant)),
+            Self::Elbow => Some(spectrum.elbow),
+            Self::Full => if_all(available),
+            Self::Fixed(asked) if asked > available => match if_all(available) {
+                Some(available) => return Err(BasisError::RankTooHigh { asked, available }),
+                None => None,
+            },
+            Self::Fixed(asked) => Some(asked),
+            Self::Energy(fraction) => spectrum.rank_for_energy(fraction, rest),
             Self::Error(limit) => for_error(limit),
         })
     }
@@ -108,16 +113,20 @@ through_text!(RankSelection);
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Spectrum {
-    /// All singular values.
+    /// The singular values that were computed, from the largest on. These are all, except if there
+    /// are at least 1024 samples and pixels and the rank is not `full`. The values that are then
+    /// left out have no influence on the ranks.
     pub singular_values: Vec<f64>,
-    /// `c_k = sum_{i<=k} s_i / sum_i s_i`, from `c_1` on. All are 1 if every singular value is 0.
+    /// `c_k = sum_{i<=k} s_i / sum_i s_i`, from `c_1` on. All are 1 if every singular value is 0. If
+    /// singular values are left out, their sum is estimated, to a few per cent.
     pub cumulative_weights: Vec<f64>,
     /// The number of components at the elbow of the cumulative weights, without components below
     /// the noise. The crate's page defines the elbow.
     pub elbow: usize,
-    /// The number of components above rounding, and above the noise if there is any.
+    /// The number of computed components above rounding, and above the noise if there is any.
     pub significant: usize,
-    /// The number of components above rounding, which is the rank that `full` selects.
+    /// The number of computed components above rounding. If no value is left out, this is the rank
+    /// that `full` selects.
     pub numerical_rank: usize,
     /// The standard deviation of the white noise in the pixels, if it was found or given. If it
     /// differs from sample to sample, the root mean square over the samples.
@@ -130,9 +139,20 @@ pub struct Spectrum {
 
 impl Spectrum {
     /// Derives the cumulative weights and the ranks from the singular values. Values below
-    /// `rounding` are rounding errors of the decomposition.
-    pub(crate) fn new(singular_values: Vec<f64>, rounding: f64, noise: Option<NoiseFloor>) -> Self {
-        let total: f64 = singular_values.iter().sum();
+    /// `rounding` are rounding errors of the decomposition. Returns `None` if the ranks depend on
+    /// singular values that are not computed.
+    pub(crate) fn new(
+        singular_values: Vec<f64>,
+        rest: &Rest,
+        rounding: f64,
+        noise: Option<NoiseFloor>,
+    ) -> Option<Self> {
+        let threshold = noise.map_or(0.0, |n| n.threshold);
+        let negligible = FLOOR * singular_values.first()?;
+        if rest.largest > noise.map_or(negligible, |n| n.threshold) {
+            return None;
+        }
+        let total = singular_values.iter().sum::<f64>() + rest.sum;
         let mut sum = 0.0;
         let cumulative_weights = singular_values
             .iter()
@@ -141,35 +161,34 @@ impl Spectrum {
                 if total > 0.0 { sum / total } else { 1.0 }
             })
             .collect();
-        let numerical_rank = count_above(&singular_values, rounding);
-        let significant = noise.map_or(numerical_rank, |n| {
-            count_above(&singular_values, n.threshold.max(rounding))
-        });
-        Self {
-            elbow: elbow(&singular_values).min(significant),
+        let significant = count_above(&singular_values, threshold.max(rounding));
+        Some(Self {
+            elbow: elbow(&singular_values, rest, negligible.max(threshold), significant)?,
             significant,
-            numerical_rank,
+            numerical_rank: count_above(&singular_values, rounding),
             noise_sigma: noise.map(|n| n.sigma),
             noise_edge: noise.map(|n| n.edge),
             cumulative_weights,
             singular_values,
-        }
+        })
     }
 
-    /// The smallest number of components that hold the fraction `energy` of `sum s_i^2`.
-    pub(crate) fn rank_for_energy(&self, energy: f64) -> usize {
-        let total: f64 = self.singular_values.iter().map(|s| s * s).sum();
+    /// The smallest number of components that hold the fraction `energy` of `sum s_i^2`. Returns
+    /// `None` if it is larger than the number of components computed.
+    fn rank_for_energy(&self, energy: f64, rest: &Rest) -> Option<usize> {
+        let needed = energy * (self.singular_values.iter().map(|s| s * s).sum::<f64>() + rest.energy);
         let mut sum = 0.0;
         let enough = self
             .singular_values
             .iter()
             .take(self.numerical_rank)
             .take_while(|&&s| {
-                let short = sum < energy * total;
+                let short = sum < needed;
                 sum += s * s;
                 short
             });
-        enough.count()
+        let count = enough.count();
+        (rest.count == 0 || sum >= needed).then_some(count)
     }
 }
 
@@ -183,41 +202,55 @@ const CLIFF: f64 = 1e-3;
 const FLOOR: f64 = 1e-8;
 
 /// The number of components at the elbow of the curve of cumulative weights
-/// `c_k = sum_{i<=k} s_i / sum_i s_i`.
+/// `c_k = sum_{i<=k} s_i / sum_i s_i`, at most `significant`.
 ///
 /// * A cliff is a fall by more than a factor of 1000 from one singular value to the next, in the
 ///   first half of the curve. There the curve has a sharp corner, which is the elbow. For example,
 ///   samples that span exactly six modes have their elbow at six, however unequal the six are. Of
-///   several cliffs the deepest counts. A cliff that begins below 1e-8 of the largest value does
-///   not count, because a smooth decay ends in rounding there.
+///   several cliffs the deepest counts. A cliff that begins below `negligible` does not count. This
+///   is 1e-8 of the largest value, because a smooth decay ends in rounding there, or the noise.
 /// * Without a cliff, the elbow is the point of the curve furthest above its chord from (0, 0) to
 ///   (m, 1): "Kneedle", Satopaa, Albrecht, Irwin and Raghavan 2011 (ICDCS workshops, section II),
 ///   without smoothing. The curve is concave, so this is the number of singular values above their
 ///   mean, at least 1.
 ///
-/// `singular_values` are in descending order. The result is 0 if all are 0 or there are none.
-pub(crate) fn elbow(singular_values: &[f64]) -> usize {
-    let total: f64 = singular_values.iter().sum();
-    if total <= 0.0 {
-        return 0;
+/// `singular_values` are in descending order, and those in `rest` are at most `negligible`. The
+/// result is 0 if all are 0 or there are none, and `None` if the limits of the sum over `rest` allow
+/// more than one result.
+fn elbow(singular_values: &[f64], rest: &Rest, negligible: f64, significant: usize) -> Option<usize> {
+    let sum: f64 = singular_values.iter().sum();
+    if sum <= 0.0 {
+        return Some(0);
     }
-    cliff(singular_values).unwrap_or_else(|| {
-        let mean = total / singular_values.len() as f64;
-        count_above(singular_values, mean).max(1)
-    })
+    if let Some(cliff) = cliff(singular_values, rest, negligible) {
+        return Some(cliff.min(significant));
+    }
+    let size = (singular_values.len() + rest.count) as f64;
+    let [most, least] = rest.sum_limits.map(|of_rest| {
+        let mean = (sum + of_rest) / size;
+        count_above(singular_values, mean).max(1).min(significant)
+    });
+    (least == most).then_some(least)
 }
 
-fn cliff(singular_values: &[f64]) -> Option<usize> {
-    let half = singular_values.len() / 2;
-    let drop = |k: usize| singular_values[k] / singular_values[k - 1];
-    (1..=half)
-        .filter(|&k| singular_values[k - 1] > FLOOR * singular_values[0] && drop(k) < CLIFF)
-        .min_by(|&a, &b| drop(a).total_cmp(&drop(b)))
+fn cliff(singular_values: &[f64], rest: &Rest, negligible: f64) -> Option<usize> {
+    let half = usize::midpoint(singular_values.len(), rest.count);
+    let next = singular_values.iter().skip(1).chain(Some(&rest.largest));
+    let drops = singular_values.iter().zip(next).take(half).enumerate();
+    drops
+        .filter(|&(_, (&value, &next))| value > negligible && next < CLIFF * value)
+        .min_by(|(_, (a, b)), (_, (c, d))| (*b / *a).total_cmp(&(*d / *c)))
+        .map(|(k, _)| k + 1)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    fn elbow_of(singular_values: &[f64]) -> usize {
+        let negligible = FLOOR * singular_values.first().copied().unwrap_or_default();
+        elbow(singular_values, &Rest::NONE, negligible, usize::MAX).unwrap()
+    }
 
     #[test]
     fn text_forms_round_trip() {
@@ -243,14 +276,14 @@ mod tests {
     fn a_cliff_is_the_elbow_however_unequal_the_modes() {
         let mut values = vec![1e-15; 60];
         values[..6].copy_from_slice(&[10.0, 3.0, 0.5, 0.01, 2e-3, 1e-3]);
-        assert_eq!(elbow(&values), 6);
+        assert_eq!(elbow_of(&values), 6);
     }
 
     #[test]
     fn a_smooth_decay_bends_where_the_values_fall_below_their_mean() {
         let values: Vec<f64> = (0..50).map(|k| 0.8f64.powi(k)).collect();
         // The mean is 0.1, and 0.8^10 = 0.107, 0.8^11 = 0.086.
-        assert_eq!(elbow(&values), 11);
+        assert_eq!(elbow_of(&values), 11);
         // The definition: the furthest point above the chord.
         let total: f64 = values.iter().sum();
         let above = |k: usize| values[..k].iter().sum::<f64>() / total - k as f64 / 50.0;
@@ -263,16 +296,16 @@ mod tests {
         let decay = |k: i32| if k < 20 { 0.25f64.powi(k) } else { 0.0 };
         let values: Vec<f64> = (0..60).map(decay).collect();
         // 0.25^19 = 4e-12. The mean is 4 / 3 / 60 = 0.022.
-        assert_eq!(elbow(&values), 3);
+        assert_eq!(elbow_of(&values), 3);
         // A fall from a higher value is a cliff.
         let cut: Vec<f64> = (0..60).map(|k| if k < 12 { decay(k) } else { 0.0 }).collect();
-        assert_eq!(elbow(&cut), 12);
+        assert_eq!(elbow_of(&cut), 12);
     }
 
     #[test]
     fn nothing_has_no_elbow() {
-        assert_eq!(elbow(&[]), 0);
-        assert_eq!(elbow(&[0.0, 0.0]), 0);
-        assert_eq!(elbow(&[1.0]), 1);
+        assert_eq!(elbow_of(&[]), 0);
+        assert_eq!(elbow_of(&[0.0, 0.0]), 0);
+        assert_eq!(elbow_of(&[1.0]), 1);
     }
 }

@@ -287,7 +287,7 @@ fn training_stamps_enter_the_basis_but_not_the_coefficients() {
     let extra = positive_noise(15, 6, 6).stamps().mapv(|v| v * v);
     let fit = Svd::new()
         .with_rank(RankSelection::Full)
-        .fit_augmented(&samples, extra.view())
+        .fit_augmented(samples.clone(), extra.view())
         .unwrap();
     assert_eq!(fit.coefficients().values().nrows(), 20);
     assert_eq!(fit.rank(), 34);
@@ -295,11 +295,11 @@ fn training_stamps_enter_the_basis_but_not_the_coefficients() {
     let alone = Svd::new().fit(&samples).unwrap();
     assert_eq!(
         Svd::new()
-            .fit_augmented(&samples, Array3::zeros((0, 6, 6)).view())
+            .fit_augmented(samples.clone(), Array3::zeros((0, 6, 6)).view())
             .unwrap(),
         alone
     );
-    let refused = Svd::new().fit_augmented(&samples, Array3::zeros((1, 5, 6)).view());
+    let refused = Svd::new().fit_augmented(samples, Array3::zeros((1, 5, 6)).view());
     assert!(matches!(refused, Err(BasisError::TrainingShape { .. })));
 }
 

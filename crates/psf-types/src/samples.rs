@@ -171,6 +171,11 @@ impl PsfSamples {
         self.positions.len()
     }
 
+    /// Returns the stamps `[sample, y, x]`, row-major, without copying them.
+    pub fn into_stamps(self) -> Array3<f64> {
+        self.stamps
+    }
+
     /// Divides every stamp by its flux, so that each has unit flux.
     #[must_use]
     pub fn into_unit_flux(mut self) -> Self {

@@ -24,7 +24,7 @@ pub(crate) struct FitArgs {
     /// auto: up to the elbow of the singular values, then more until the fit error of every
     /// sample is at most 1e-4.
     /// elbow: up to the elbow. auto and elbow never keep components below the noise.
-    /// full: all.
+    /// full: all. For thousands of samples this takes much more time and memory than the others.
     /// energy=F: enough for the fraction F of the sum of squared singular values (energy=0.999).
     /// error=E: enough for a fit error (relative L2) of at most E for every sample (error=1e-3).
     /// Default for STPSF and STDPSF: full.

@@ -99,7 +99,7 @@ pub struct FitReport {
     pub errors: Vec<f64>,
     /// Errors of predicting each sample from all others.
     pub leave_one_out: LeaveOneOutReport,
-    /// All singular values, in descending order.
+    /// The singular values that were computed, in descending order ([`psf_basis::Spectrum`]).
     pub singular_values: Vec<f64>,
     /// The cumulative weights of the singular values.
     pub cumulative_weights: Vec<f64>,
@@ -173,7 +173,7 @@ pub fn fit_trained(
             stamp.mapv_inplace(|v| v / flux);
         }
     }
-    let fit = method.fit_augmented(&samples, training.view())?;
+    let fit = method.fit_augmented(samples, training.view())?;
     let (spectrum, errors) = (fit.spectrum().cloned(), fit.errors().to_vec());
     let (basis, coefficients) = fit.into_parts();
     let record = PsfModelRecord::new(
@@ -245,7 +245,7 @@ impl Fit {
         &self.record
     }
 
-    /// The singular values, in descending order.
+    /// The singular values that were computed, in descending order ([`psf_basis::Spectrum`]).
     pub fn singular_values(&self) -> &[f64] {
         self.spectrum.as_ref().map_or(&[], |s| &s.singular_values)
     }

@@ -6,7 +6,7 @@
 //! |---|---|
 //! | 0, primary | double cube `[plane, y, x]`: the mean stamp if `CENTRED` is `T`, then the `NCOMP` orthonormal basis stamps |
 //! | `COEFFS`, binary table | columns `X`, `Y` (doubles, 0-based pixels of the frame) and `A` (`NCOMP` doubles; absent for `NCOMP = 0`): one row per sample |
-//! | `SINGULAR`, binary table | optional: column `S`, the singular values of the fit (doubles) |
+//! | `SINGULAR`, binary table | optional: column `S`, the leading singular values of the fit (doubles) |
 //!
 //! | keyword of HDU 0 | meaning |
 //! |---|---|

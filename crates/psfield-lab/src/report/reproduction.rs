@@ -111,7 +111,7 @@ pub struct BasisFigures {
     pub leave_one_out_median: Option<f64>,
     /// The interpolator of the coefficients.
     pub interpolation: Interpolation,
-    /// All singular values.
+    /// The singular values that the fit computed.
     pub singular_values: Vec<f64>,
     /// Cumulative weights of the singular values: the sum of the first k divided by the sum of all.
     pub cumulative_weights: Vec<f64>,
