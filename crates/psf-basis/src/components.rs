@@ -99,7 +99,7 @@ pub(crate) fn is_large(rows: ArrayView2<'_, f64>) -> bool {
 
 /// A space that contains the leading singular vectors of a matrix `X` ever more accurately: the
 /// block Krylov space of `X^T X` for random vectors (Golub and Van Loan, Matrix Computations,
-/// section 10.3.6; Musco and Musco 2015, arXiv:1504.05477).
+/// section 10.3; Musco and Musco 2015, arXiv:1504.05477).
 ///
 /// All its vectors are kept and are orthogonal to rounding. The singular values of `X` within the
 /// space are lower bounds of those of `X`.
@@ -164,44 +164,51 @@ impl<'a> Krylov<'a> {
         let vectors = product(self.space.as_ref(), turned.subcols(0, count));
         let coefficients = project(self.rows, vectors.as_ref());
         let unexplained = unexplained(self.rows, coefficients.view(), &vectors);
-        let energy: f64 = unexplained.iter().sum();
-        let left = self.rows.nrows().min(self.rows.ncols()) - count;
-        let mean_square = energy / left as f64;
-        // One of the values left is at least their root mean square. So a value that the space
-        // misses is not overlooked.
-        let largest = values
-            .get(count)
-            .map_or(0.0, |v| v + residuals[count])
-            .max(mean_square.sqrt());
-
-        // For a random unit vector v, the mean of |<v, v_i>|^2 is 1 / pixels. So the first vectors
-        // of the space sample the sum over all singular values (Gauss quadrature of a block
-        // Krylov space: Golub and Meurant 2010, Matrices, Moments and Quadrature, section 6.6).
-        let weight = |k: usize| {
-            let squares: f64 = (0..BLOCK).map(|i| turned[(i, k)] * turned[(i, k)]).sum();
-            squares * self.rows.ncols() as f64 / BLOCK as f64
-        };
-        let (least, most) = (
-            values[count..].iter().sum::<f64>(),
-            left as f64 * mean_square.sqrt(),
-        );
-        let sampled: f64 = (count..values.len()).map(|k| weight(k) * values[k]).sum();
-        let sum = sampled.clamp(least.min(most), most);
-        let error = DEVIATIONS * (2.0 * energy / BLOCK as f64).sqrt() + QUADRATURE * sum;
-        let rest = Rest {
-            count: left,
-            largest,
-            energy,
-            sum,
-            sum_limits: [(sum - error).max(least.min(most)), (sum + error).min(most)],
-        };
+        let energy = unexplained.iter().sum();
         Ok(Components {
+            rest: self.rest(&values, &turned, count, residuals.get(count).copied(), energy),
             values: values[..count].to_vec(),
             vectors,
             coefficients,
             unexplained,
-            rest,
         })
+    }
+
+    /// Describes the singular values after the first `count`. `values` and `turned` are the singular
+    /// values and vectors within the space, `residual` belongs to the first value that is left, and
+    /// `energy` is the sum of the squares of the values that are left.
+    fn rest(
+        &self,
+        values: &[f64],
+        turned: &Mat<f64>,
+        count: usize,
+        residual: Option<f64>,
+        energy: f64,
+    ) -> Rest {
+        let left = self.rows.nrows().min(self.rows.ncols()) - count;
+        // At least one of the values left is as large as their root mean square. So a large value
+        // that the space misses is noticed.
+        let root_mean_square = (energy / left as f64).sqrt();
+        let next = residual.map_or(0.0, |residual| values[count] + residual);
+
+        // For a random unit vector v, the mean of |<v, v_i>|^2 is 1 / pixels. So the first vectors
+        // of the space sample the sum over all singular values (Gauss quadrature of a block
+        // Krylov space: Golub and Meurant 2010, Matrices, Moments and Quadrature, chapter 6).
+        let sampled = |k: usize| {
+            let squares: f64 = (0..BLOCK).map(|i| turned[(i, k)] * turned[(i, k)]).sum();
+            squares * self.rows.ncols() as f64 / BLOCK as f64 * values[k]
+        };
+        let most = left as f64 * root_mean_square;
+        let least = values[count..].iter().sum::<f64>().min(most);
+        let sum = (count..values.len()).map(sampled).sum::<f64>().clamp(least, most);
+        let error = DEVIATIONS * (2.0 * energy / BLOCK as f64).sqrt() + QUADRATURE * sum;
+        Rest {
+            count: left,
+            largest: next.max(root_mean_square),
+            energy,
+            sum,
+            sum_limits: [(sum - error).max(least), (sum + error).min(most)],
+        }
     }
 
     /// For each vector `v = V t` of the space `V`, the norm of the part of `X^T u`,

@@ -209,6 +209,14 @@ fn few_modes_and_repeated_samples() {
 }
 
 #[test]
+fn equal_samples_need_no_component_beyond_the_rounding_of_their_mean() {
+    let stamps = psfs(1, SIDE).select(Axis(0), &[0; COUNT]);
+    let fit = Svd::new().fit(&samples(stamps)).unwrap();
+    assert!(fit.rank() <= 1);
+    assert!(fit.max_error() < 1e-13);
+}
+
+#[test]
 fn components_just_above_strong_noise() {
     // Convergence is slow just above the edge of the noise, so the space must grow.
     let (count, side) = (2100, 46);
