@@ -180,6 +180,7 @@ impl<T: ConvReal> Engine<T> {
     ///
     /// # Panics
     /// If there is not one array `into` for each array `from`.
+    #[inline(never)]
     pub fn execute_many(
         &self,
         operation: Operation,
@@ -190,8 +191,12 @@ impl<T: ConvReal> Engine<T> {
         assert_eq!(from.len(), into.len(), "an array for each result");
         progress.start(from.len() as u64);
         let rows_in_memory = |into: &ArrayViewMut2<'_, T>| into.strides()[1] == 1;
+        #[cfg(feature = "gpu")]
+        let on_gpu = self.gpu.is_some();
+        #[cfg(not(feature = "gpu"))]
+        let on_gpu = false;
         let few = from.len() < rayon::current_num_threads();
-        if few || self.is_on_gpu() || !into.iter().all(rows_in_memory) {
+        if few || on_gpu || !into.iter().all(rows_in_memory) {
             let mut counts = TileCounts::default();
             for (from, into) in from.iter().zip(into) {
                 counts += self.execute(operation, from, into, &Uncounted(progress))?;
@@ -204,23 +209,8 @@ impl<T: ConvReal> Engine<T> {
             let rows = 0..self.plan().tiling.rows.len();
             Ok((self.pass(rows, (light, 0), 0, operation, progress), output))
         });
-        self.run_many(parts.collect::<Result<_, ConvError>>()?)
-    }
-
-    #[inline(never)]
-    pub(crate) fn run_many(
-        &self,
-        passes: Vec<(LightPass<'_, T>, ArrayViewMut2<'_, T>)>,
-    ) -> Result<TileCounts, ConvError> {
+        let passes = parts.collect::<Result<_, ConvError>>()?;
         T::dispatch(Many { passes })
-    }
-
-    /// Returns whether the plan is on a GPU.
-    fn is_on_gpu(&self) -> bool {
-        #[cfg(feature = "gpu")]
-        return self.gpu.is_some();
-        #[cfg(not(feature = "gpu"))]
-        false
     }
 
     /// The parts of two arrays between which light passes.

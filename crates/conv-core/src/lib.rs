@@ -99,7 +99,7 @@ pub use galaxies::GalaxyPlan;
 pub use image_memory::zeros;
 pub use plan::{Paths, Plan, PlanOptions, PlanSummary};
 pub use reference::{BasisConvolution, ConvolutionMethod, Direct, PatchConvolution};
-pub use simd::ConvReal;
+pub use simd::{ConvReal, InstructionSet};
 pub use stamp_interpolator::{
     ScenePixelFilter, StampInterpolator, edge_reach, edge_reach_of, grid_with_pixel_response, native_grid,
     resample_samples,

@@ -27,7 +27,7 @@ fn scenes<T: ConvReal>() -> Vec<Array2<T>> {
         Array2::from_shape_fn((SIDE - 31, SIDE), |(y, x)| {
             let lit = match n % 4 {
                 0 => x < 40 && y < 40,
-                1 => (x * 31 + y * 17 + n) % 997 == 0,
+                1 => (x * 31 + y * 17 + n).is_multiple_of(997),
                 _ => true,
             };
             let bright = if n % 4 == 3 && (x, y) == (77, 50) {

@@ -3,6 +3,7 @@
 use std::fmt::Write;
 
 use clap::builder::{PossibleValuesParser, TypedValueParser};
+use conv_core::InstructionSet;
 use psfield::{Device, SimulateOptions};
 use serde::Serialize;
 
@@ -16,12 +17,17 @@ use crate::values::text_of_bytes;
 /// simulate --device gpu takes the first device of the list. --gpu-adapter chooses another, by a
 /// part of its name or by its backend (the interface to it, such as vulkan). If there is no device,
 /// psfield devices says so and its exit status is 0.
+///
+/// The environment variable PSFIELD_SIMD (scalar, avx2, avx512 or neon) chooses the vector instructions
+/// with which the CPU convolves images and draws stars. The default is the widest that it has.
 #[derive(Debug, clap::Args)]
 pub(crate) struct DevicesArgs {}
 
 /// The object that `--json` prints.
 #[derive(Debug, Serialize)]
 struct Report {
+    /// The vector instructions of the processor that computations use.
+    instruction_set: String,
     /// True if this build supports GPUs.
     gpu_support: bool,
     adapters: Vec<AdapterRow>,
@@ -53,11 +59,13 @@ impl DevicesArgs {
     pub(crate) fn run(&self, context: &Context) -> anyhow::Result<()> {
         let adapters = adapters();
         let report = Report {
+            instruction_set: InstructionSet::used().to_string(),
             gpu_support: cfg!(feature = "gpu"),
             auto: auto(&adapters),
             adapters,
         };
-        context.report(&report, || report.text())
+        let processor = || format!("The CPU computes with {}.", report.instruction_set);
+        context.report(&report, || format!("{}\n{}", processor(), report.text()))
     }
 }
 
@@ -262,6 +270,7 @@ mod tests {
         assert!(auto(&[row(true)]).starts_with("takes the CPU"));
         assert!(auto(&[row(false), row(true)]).starts_with("takes the first"));
         let report = Report {
+            instruction_set: InstructionSet::used().to_string(),
             gpu_support: true,
             auto: auto(&[row(false)]),
             adapters: vec![row(false)],

@@ -35,6 +35,7 @@ use anyhow::Context as _;
 use clap::builder::{BoolValueParser, TypedValueParser};
 use clap::{FromArgMatches, Parser, Subcommand};
 use context::{Context, UsageError, message_of};
+use conv_core::InstructionSet;
 use files::NamedFiles;
 
 /// Astronomical images with a point spread function that varies over the field
@@ -111,6 +112,7 @@ impl Cli {
             _ => {}
         }
         files.check()?;
+        InstructionSet::asked().map_err(|error| UsageError(error.to_string()))?;
         out_of_memory::name(&files.inputs);
         #[cfg(unix)]
         interrupts::handle().context("cannot install the handlers for Ctrl-C and termination signals")?;

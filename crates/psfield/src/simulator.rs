@@ -258,9 +258,10 @@ impl<T: ConvReal> Simulator<T> {
     ) -> Result<(), PsfieldError> {
         assert_eq!(scenes.len(), images.len(), "an image for each scene");
         let with_images = scenes.iter().all(|scene| scene.image().is_some());
-        let engine = match with_images && self.geometry.oversample == 1 && !scenes.is_empty() {
-            true => self.convolver(progress)?.engine.as_ref(),
-            false => None,
+        let engine = if with_images && self.geometry.oversample == 1 && !scenes.is_empty() {
+            self.convolver(progress)?.engine.as_ref()
+        } else {
+            None
         };
         let Some(engine) = engine else {
             progress.start(scenes.len() as u64);

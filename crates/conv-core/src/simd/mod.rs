@@ -1,11 +1,14 @@
-//! Vectors of the widest instruction set that the machine has, chosen at run time.
+//! Vectors of an instruction set that is chosen at run time ([`InstructionSet`]).
 //!
 //! [`Isa`] is an instruction set, [`Lanes<T>`] its vectors of `T`. Code that is generic over both
 //! is compiled once for each instruction set. [`SimdReal::dispatch`] chooses one at run time. Hot
 //! loops run inside `vectorized!`, where the compiler may use the wide instructions. All functions
 //! called there must be inlined.
 
+mod instruction_set;
 mod transpose;
+
+pub use instruction_set::InstructionSet;
 
 use psf_types::Real;
 use pulp::bytemuck::Pod;
@@ -13,7 +16,7 @@ use pulp::{Simd, WithSimd};
 use rustfft::FftNum;
 
 /// `vectorized!(simd, work)` computes an expression with all instructions of an instruction set, and
-/// `vectorized!(work)` with those of the best one that this machine has.
+/// `vectorized!(work)` with those of the one that is used.
 macro_rules! vectorized {
     ($simd:ident, $work:expr) => {
         pulp::Simd::vectorize(
@@ -25,7 +28,7 @@ macro_rules! vectorized {
         )
     };
     ($work:expr) => {
-        pulp::Arch::new().dispatch($crate::simd::Inlined::new(
+        <f32 as $crate::simd::SimdReal>::dispatch($crate::simd::Inlined::new(
             #[inline(always)]
             || $work,
         ))
@@ -51,6 +54,13 @@ impl<R, F: FnOnce() -> R> WithSimd for Inlined<F> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) -> R {
         (self.0)()
+    }
+}
+
+impl<R, F: FnOnce() -> R> WithIsa<f32> for Inlined<F> {
+    type Output = R;
+    fn run<S: Lanes<f32>>(self, simd: S) -> R {
+        simd.vectorize(self)
     }
 }
 
@@ -168,7 +178,7 @@ pub trait WithIsa<T> {
 
 /// A working precision that has vectors in every instruction set.
 pub trait SimdReal: Pod {
-    /// Runs `work` with the best instruction set of this machine.
+    /// Runs `work` with the instruction set that is [used](InstructionSet::used).
     fn dispatch<W: WithIsa<Self>>(work: W) -> W::Output;
     /// Runs a test with every instruction set that this machine has.
     #[cfg(test)]
@@ -179,17 +189,24 @@ macro_rules! simd_real {
     ($t:ty) => {
         impl SimdReal for $t {
             fn dispatch<W: WithIsa<Self>>(work: W) -> W::Output {
+                let used = InstructionSet::used();
                 #[cfg(target_arch = "x86_64")]
                 {
-                    if let Some(simd) = pulp::x86::V4::try_new() {
+                    if used == InstructionSet::Avx512
+                        && let Some(simd) = pulp::x86::V4::try_new()
+                    {
                         return work.run(simd);
                     }
-                    if let Some(simd) = pulp::x86::V3::try_new() {
+                    if used == InstructionSet::Avx2
+                        && let Some(simd) = pulp::x86::V3::try_new()
+                    {
                         return work.run(simd);
                     }
                 }
                 #[cfg(target_arch = "aarch64")]
-                if let Some(simd) = pulp::aarch64::Neon::try_new() {
+                if used == InstructionSet::Neon
+                    && let Some(simd) = pulp::aarch64::Neon::try_new()
+                {
                     return work.run(simd);
                 }
                 work.run(pulp::Scalar)
