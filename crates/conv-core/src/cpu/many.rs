@@ -4,20 +4,21 @@ use ndarray::ArrayViewMut2;
 use rayon::prelude::*;
 
 use super::gather::gather_block;
+use super::ordered_image::{TileResult, order};
 use super::processor::{BlockKernels, LightPass};
-use super::scatter::{rounds, scatter_block};
+use super::scatter::scatter_block;
 use super::tasks::Task;
 use super::treatment::TileCounts;
 use crate::plan::geometry::Direction;
-use crate::simd::{Lanes, WithIsa};
+use crate::simd::{Lanes, WithIsa, vectorized};
 use crate::{ConvError, ConvReal};
 
 /// Executes one plan for several arrays of light, each with its own output. The passes differ only
 /// in their light.
 ///
 /// A task executes all blocks, one after the other, for a few arrays of light. So the spectra of a
-/// block's kernels serve all of them. The blocks come in the order of single executions, so the
-/// images are equal, bit by bit.
+/// block's kernels serve all of them. Blocks are added in the order of single executions, so the images
+/// are equal, bit by bit.
 pub(crate) struct Many<'j, 'o, T: ConvReal> {
     pub(crate) passes: Vec<(LightPass<'j, T>, ArrayViewMut2<'o, T>)>,
 }
@@ -53,21 +54,8 @@ fn few<T: ConvReal, S: Lanes<T>>(
 ) -> Result<TileCounts, ConvError> {
     let first = passes[0].0.clone();
     let plan = &first.processor.plan;
-    let mut blocks: Vec<(usize, usize)> = Vec::new();
-    if first.direction() == Direction::Scatter {
-        for round in rounds(&first) {
-            let in_row = |row| round.columns.iter().map(move |&(column, _)| (column, row));
-            blocks.extend(round.rows.iter().flat_map(|&(row, _)| in_row(row)));
-        }
-    } else {
-        let columns = 0..plan.tiling.columns.len();
-        blocks.extend(
-            first
-                .rows
-                .clone()
-                .flat_map(|row| columns.clone().map(move |column| (column, row))),
-        );
-    }
+    let engine = first.tile_engine();
+    let blocks = order(&first);
     first.processor.with_workspace(|workspace| {
         let mut counts = TileCounts::default();
         for block in blocks {
@@ -75,14 +63,21 @@ fn few<T: ConvReal, S: Lanes<T>>(
             kernels.are_shared = passes.len() > 1;
             for (pass, output) in passes.iter_mut() {
                 pass.progress.check_cancelled()?;
-                let task = Task {
-                    block,
-                    output: output.view_mut(),
-                    origin: (0, pass.first_output),
-                };
                 counts += match pass.direction() {
-                    Direction::Scatter => scatter_block(simd, pass, task, &mut kernels, workspace),
-                    Direction::Gather => gather_block(simd, pass, task, &mut kernels, workspace),
+                    Direction::Scatter => {
+                        scatter_block(simd, pass, block, &mut kernels, workspace, |result| {
+                            let TileResult { plane, size, place } = result;
+                            vectorized!(simd, engine.add(plane, size, output, place));
+                        })
+                    }
+                    Direction::Gather => {
+                        let task = Task {
+                            block,
+                            output: output.view_mut(),
+                            origin: (0, 0),
+                        };
+                        gather_block(simd, pass, task, &mut kernels, workspace)
+                    }
                 }?;
             }
         }

@@ -1,13 +1,15 @@
 //! Scattering: light of the weighted side spreads to the other side. One side is the light, the
 //! other is the image. PSFs belong to the pixels of the weighted side.
 
-use ndarray::ArrayViewMut2;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
+use ndarray::{ArrayViewMut2, ShapeBuilder};
+use rayon::prelude::*;
+
+use super::ordered_image::{OrderedImage, TileResult};
 use super::processor::{BlockKernels, LightPass};
-use super::tasks::{Task, together};
 use super::tile_engine::Workspace;
-use super::treatment::{TileCounts, TileMethod, each_tile};
-use crate::overlap::colours;
+use super::treatment::{LitPixel, TileCounts, TileMethod, each_tile};
 use crate::simd::{Lanes, WithIsa, vectorized};
 use crate::{ConvError, ConvReal};
 
@@ -15,9 +17,8 @@ use crate::{ConvError, ConvReal};
 /// in the adjoint. The sum over the pixels `p` of a block is added for each kernel `k` of this
 /// block, with the kernel's coefficients `c`.
 ///
-/// Blocks whose outputs overlap never run at the same time. In each band of rows of blocks, the
-/// blocks at every n-th row and every m-th column have one colour and run together. The colours run
-/// one after the other. So the order of additions to a pixel is always the same.
+/// Threads convolve blocks independently. The image receives the blocks in a fixed order
+/// ([`OrderedImage`]).
 pub(crate) struct Scatter<'j, 'o, T: ConvReal> {
     pub(crate) pass: LightPass<'j, T>,
     pub(crate) output: ArrayViewMut2<'o, T>,
@@ -26,101 +27,111 @@ pub(crate) struct Scatter<'j, 'o, T: ConvReal> {
 impl<T: ConvReal> WithIsa<T> for Scatter<'_, '_, T> {
     type Output = Result<TileCounts, ConvError>;
 
-    fn run<S: Lanes<T>>(mut self, simd: S) -> Self::Output {
+    fn run<S: Lanes<T>>(self, simd: S) -> Self::Output {
         let pass = &self.pass;
+        let plan = &pass.processor.plan;
+        let engine = pass.tile_engine();
+        let image = OrderedImage::new(pass, self.output);
+        let finished = AtomicUsize::new(0);
+        // Each thread takes the next block when it is free.
+        let mut done: Vec<_> = image
+            .blocks
+            .iter()
+            .enumerate()
+            .par_bridge()
+            .map(|(number, &block)| {
+                let counts = pass.processor.with_workspace(|workspace| {
+                    let mut kernels = BlockKernels::new(plan, block);
+                    let mut kept = Vec::new();
+                    let counts = scatter_block(simd, pass, block, &mut kernels, workspace, |result| {
+                        image.add_or_keep(simd, &engine, number, result, &mut kept);
+                    })?;
+                    image.finish(simd, &engine, number, kept);
+                    Ok::<_, ConvError>(counts)
+                });
+                let finished = finished.fetch_add(1, Ordering::Relaxed) + 1;
+                pass.progress
+                    .advance(u64::from(finished.is_multiple_of(plan.tiling.columns.len())));
+                (number, counts)
+            })
+            .collect();
+        // Of several errors, returns that of the first block.
+        done.sort_unstable_by_key(|&(number, _)| number);
         let mut counts = TileCounts::default();
-        for round in rounds(pass) {
-            let output = self.output.view_mut();
-            counts += together(pass, output, &round.columns, &round.rows, |task, workspace| {
-                let mut kernels = BlockKernels::new(&pass.processor.plan, task.block);
-                scatter_block(simd, pass, task, &mut kernels, workspace)
-            })?;
-            pass.progress.advance(round.finished);
+        for (_, of_block) in done {
+            counts += of_block?;
         }
         Ok(counts)
     }
 }
 
-/// Blocks that may run together.
-pub(super) struct Round {
-    /// Columns and rows of blocks, as in [`together`].
-    pub(super) columns: Vec<(usize, (usize, usize))>,
-    pub(super) rows: Vec<(usize, (usize, usize))>,
-    /// The number of rows of blocks that are finished after this round.
-    finished: u64,
-}
-
-/// The rounds of an execution, in order.
-pub(super) fn rounds<T: ConvReal>(pass: &LightPass<'_, T>) -> Vec<Round> {
-    let plan = &pass.processor.plan;
-    let [columns, rows] = [0, 1].map(|axis| plan.extents(axis));
-    // The numbers of colours depend on all rows of blocks, so that a band has the same colours
-    // even if it is executed alone.
-    let (column_colours, row_colours) = (colours(&columns), colours(&rows));
-    let numbered = |extents: Vec<(usize, usize)>| extents.into_iter().enumerate();
-    let (columns, rows) = (numbered(columns), numbered(rows));
-    let mut rounds = Vec::new();
-    for first in pass.rows.clone().step_by(plan.tiling.band()) {
-        let band = first..(first + plan.tiling.band()).min(pass.rows.end);
-        for (row_colour, column_colour) in
-            (0..row_colours).flat_map(|row| (0..column_colours).map(move |column| (row, column)))
-        {
-            let of_colour = |row: &usize| band.contains(row) && row % row_colours == row_colour;
-            let is_last = row_colour + 1 == row_colours && column_colour + 1 == column_colours;
-            rounds.push(Round {
-                columns: columns
-                    .clone()
-                    .skip(column_colour)
-                    .step_by(column_colours)
-                    .collect(),
-                rows: rows.clone().filter(|(row, _)| of_colour(row)).collect(),
-                finished: if is_last { band.len() as u64 } else { 0 },
-            });
-        }
-    }
-    rounds
-}
-
+/// Gives the result of each lit tile of a block to `take`.
 pub(super) fn scatter_block<T: ConvReal, S: Lanes<T>>(
     simd: S,
     pass: &LightPass<'_, T>,
-    task: Task<'_, T>,
+    block: (usize, usize),
     kernels: &mut BlockKernels<'_, T>,
     workspace: &mut Workspace<T>,
+    mut take: impl FnMut(TileResult<'_, T>),
 ) -> Result<TileCounts, ConvError> {
     let plan = &pass.processor.plan;
     let engine = pass.tile_engine();
-    let (origin, mut output) = (task.origin, task.output);
     each_tile(
         simd,
         pass,
-        task.block,
+        block,
         kernels,
         workspace,
         |local, (x, y), treatment, workspace| {
             let reach = plan.geometry.reach_from(x, y);
-            let place = (reach.0 - origin.0 as i64, reach.1 - origin.1 as i64);
+            let (mut size, mut first) = (plan.geometry.around(local.part.size), (0, 0));
             if let Some(method) = treatment.method {
                 vectorized!(simd, {
                     match method {
                         TileMethod::Directly => engine.scatter_directly(local, workspace),
                         TileMethod::ByTransforms => engine.scatter(simd, local, workspace),
                     }
-                    let size = plan.geometry.around(local.part.size);
                     if let Some(back) = treatment.back {
                         for value in workspace.weighted.get_mut() {
                             *value *= back;
                         }
                     }
-                    engine.add(workspace.weighted.get(), size, &mut output, place);
                 });
+            } else {
+                (first, size) = reached(&treatment.drawn, engine.geometry.stamp);
             }
+            let (pitch, plane) = (engine.fft.pitch(), workspace.weighted.get_mut());
             if !treatment.drawn.is_empty() {
+                if treatment.method.is_none() {
+                    for row in plane.chunks_exact_mut(pitch).take(size.1) {
+                        row[..size.0].fill(T::zero());
+                    }
+                }
+                let shape = (size.1, size.0).strides((pitch, 1));
+                let mut lit = ArrayViewMut2::from_shape(shape, plane).expect("the plane's size");
+                let corner = (-(first.0 as i64), -(first.1 as i64));
                 vectorized!(
                     simd,
-                    engine.draw_scattered(simd, local, &treatment.drawn, &mut output, place)
+                    engine.draw_scattered(simd, local, &treatment.drawn, &mut lit, corner)
                 );
             }
+            take(TileResult {
+                plane: workspace.weighted.get(),
+                size,
+                place: (reach.0 + first.0 as i64, reach.1 + first.1 as i64),
+            });
         },
     )
+}
+
+/// The rectangle that the stamps of some pixels reach: its first column and row, counted from the first
+/// pixel that the tile reaches, and its columns and rows.
+fn reached<T>(pixels: &[LitPixel<T>], stamp: (usize, usize)) -> ((usize, usize), (usize, usize)) {
+    let along = |coordinate: fn(&LitPixel<T>) -> usize, stamp: usize| {
+        let first = pixels.iter().map(coordinate).min().unwrap_or(0);
+        let last = pixels.iter().map(coordinate).max().unwrap_or(0);
+        (first, last - first + stamp)
+    };
+    let (x, y) = (along(|pixel| pixel.1, stamp.0), along(|pixel| pixel.0, stamp.1));
+    ((x.0, y.0), (x.1, y.1))
 }

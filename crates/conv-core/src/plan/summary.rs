@@ -30,7 +30,8 @@ pub struct PlanSummary {
     pub transform: (usize, usize),
     /// The number of tiles.
     pub tiles: usize,
-    /// The number of blocks. The tiles of a block share one set of modes.
+    /// The number of blocks. The tiles of a block share one set of modes. Threads convolve blocks
+    /// independently, so this is the number of tasks.
     pub blocks: usize,
     /// The number of blocks that have 0, 1, 2 ... modes, the reference included.
     pub blocks_by_modes: Vec<usize>,
@@ -94,7 +95,7 @@ impl std::fmt::Display for PlanSummary {
         }
         writeln!(
             f,
-            "tiles: {}, of up to {} x {} pixels; blocks: {}; transforms of {} x {}",
+            "tiles: {}, of up to {} x {} pixels; blocks: {}, each a task for one thread; transforms of {} x {}",
             self.tiles, self.tile.0, self.tile.1, self.blocks, self.transform.0, self.transform.1
         )?;
         writeln!(

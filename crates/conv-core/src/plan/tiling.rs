@@ -48,8 +48,7 @@ const FEWEST: f64 = 0.8;
 /// The number of threads for which the time of a tiling is predicted. It is a constant, so that
 /// plans do not depend on the machine.
 const THREADS: usize = 4;
-/// The number of pixel rows processed together: few enough for the outer caches, enough to keep
-/// threads busy.
+/// The number of pixel rows that are streamed together: enough to keep threads busy.
 const BAND_ROWS: usize = 1024;
 /// The fraction of the plan's memory that is assumed to be for stamps. The rest is for
 /// coefficients.
@@ -317,8 +316,8 @@ impl Tiling {
         self.rounds() as f64 * block
     }
 
-    /// The number of rows of blocks processed together: about [`BAND_ROWS`] rows of pixels. This
-    /// number determines the order of additions, so it must not depend on the machine.
+    /// The number of rows of blocks that are in memory together if an image is streamed: about
+    /// [`BAND_ROWS`] rows of pixels.
     pub(crate) fn band(&self) -> usize {
         let pixels: usize = self.rows.iter().map(Stretch::length).sum();
         (BAND_ROWS * self.rows.len())
@@ -326,16 +325,14 @@ impl Tiling {
             .clamp(1, self.rows.len())
     }
 
-    /// The number of rounds in which [`THREADS`] threads take one block each. Neighbouring blocks
-    /// are not in the same round, because their outputs may overlap.
+    /// The number of rounds in which [`THREADS`] threads take one block each. The blocks count in four
+    /// groups, so that few blocks, which leave threads idle at the end, count as slow.
     fn rounds(&self) -> usize {
         let halves = |n: usize| [n.div_ceil(2), n / 2];
-        let band = self.band();
-        let bands = (0..self.rows.len()).step_by(band);
-        bands
-            .flat_map(|first| halves(band.min(self.rows.len() - first)))
-            .flat_map(|rows| halves(self.columns.len()).map(|columns| (rows * columns).div_ceil(THREADS)))
-            .sum()
+        let groups = halves(self.rows.len())
+            .into_iter()
+            .flat_map(|rows| halves(self.columns.len()).map(|columns| rows * columns));
+        groups.map(|blocks| blocks.div_ceil(THREADS)).sum()
     }
 }
 
