@@ -342,8 +342,8 @@ class Plan:
         -------
         numpy.ndarray, Quantity or CCDData
             The image ``[y, x]``, or ``[n, y, x]`` for a stack of scenes, or ``out`` if that is
-            given. It has the unit of the scene. For CCDData it also has the header and the world
-            coordinates of the scene.
+            given. It has the unit of the scene. For a single CCDData it also has the header and the
+            world coordinates of the scene.
 
         Raises
         ------
@@ -355,7 +355,8 @@ class Plan:
         -----
         PsfieldWarning
             The stamps are oversampled by a factor below 2 and there are galaxies, or stars between
-            pixels. Or the catalogue has no sources, or none whose light reaches the frame.
+            pixels. Or the catalogue has no sources, or none whose light reaches the frame. Or the
+            plan exceeds its memory, so that each call makes parts of it again.
 
         Examples
         --------
@@ -397,9 +398,7 @@ class Plan:
             raise ValueError(
                 "catalog: a stack of scenes has no catalogue: simulate the scenes one by one"
             )
-        unit = unit_of(scenes)
-        lights = numbers(scenes, "scene", self.dtype, "[n, y, x]")
-        self._check_scene_shape(lights.shape[1:])
+        lights, unit = self._stack(scenes)
         target, copied = self._target(out, lights, unit, len(lights))
         images, texts = self._handle.simulate_many(lights, target, as_callback(progress))
         for text in texts:
@@ -409,6 +408,21 @@ class Plan:
         if out is not None:
             return out
         return images if unit is None else images << unit
+
+    def _stack(self, scenes: Any) -> tuple[NDArray[Any], Any]:
+        """Return the pixels ``[n, y, x]`` of a stack of scenes, and their unit."""
+        if not isinstance(scenes, (list, tuple)):
+            lights, unit = numbers(scenes, "scene", self.dtype, "[n, y, x]"), unit_of(scenes)
+            self._check_scene_shape(lights.shape[1:])
+            return lights, unit
+        units = [unit_of(scene) for scene in scenes]
+        for i, unit in enumerate(units):
+            if unit != units[0]:
+                raise ValueError(f"scene[{i}] has the unit {unit}, but scene[0] has {units[0]}")
+        planes = [numbers(s, f"scene[{i}]", self.dtype, "[y, x]") for i, s in enumerate(scenes)]
+        for plane in planes:
+            self._check_scene_shape(plane.shape)
+        return np.stack(planes), units[0]
 
     def adjoint(self, image: Any, *, progress: Progress | None = None) -> NDArray[Any]:
         """Apply the transpose of `simulate` to an image, for gradients and deconvolution.

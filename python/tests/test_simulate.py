@@ -372,14 +372,27 @@ class TestStacks:
         with pytest.raises(ValueError, match="out must have shape"):
             plan.simulate(scenes, out=np.empty_like(expected[0]))
 
+    def test_units(self, model, scenes):
+        units = pytest.importorskip("astropy.units")
+        plan = model.plan(scenes.shape[1:], tolerance=1e-3, device="cpu")
+        for stack in (scenes * units.electron, [scene * units.electron for scene in scenes]):
+            images = plan.simulate(stack)
+            assert images.unit == units.electron
+            assert np.array_equal(images.value, plan.simulate(scenes))
+        with pytest.raises(ValueError, match=r"scene\[1\] has the unit None"):
+            plan.simulate([scenes[0] * units.electron, scenes[1]])
+
     def test_bad_stacks(self, model, scenes):
         plan = model.plan(scenes.shape[1:], tolerance=1e-3, device="cpu")
         with pytest.raises(ValueError, match="a stack of scenes has no catalogue"):
             plan.simulate(scenes, {"x": [1], "y": [1], "flux": [1]})
         with pytest.raises(ValueError, match="scene: the plan is for scenes of shape"):
             plan.simulate(scenes[:, 1:])
-        with pytest.raises(ValueError, match="scene"):
+        with pytest.raises(ValueError, match=r"scene\[3\]: "):
             plan.simulate(np.where(np.arange(7)[:, None, None] == 3, np.nan, scenes))
+        masked = np.ma.masked_array(scenes[0], mask=np.eye(*scenes[0].shape))
+        with pytest.raises(ValueError, match=r"scene\[1\].*masked"):
+            plan.simulate([scenes[0], masked])
         with pytest.raises(ValueError, match="scene is empty"):
             plan.simulate(scenes[:0])
 

@@ -67,9 +67,9 @@ impl<K: Copy + Ord, V> Kept<K, V> {
 }
 
 impl<K: Ord, V> Values<K, V> {
-    /// Removes values until the others need at most a number of bytes. A catalogue asks for values
-    /// in the order of their keys. So the value computed last is removed first: the next image
-    /// finds all values before it.
+    /// Removes values until the others need at most a number of bytes. Catalogues ask for
+    /// values in a similar order each time. So the value computed last is removed first: the next
+    /// image finds all values before it.
     fn make_room(&mut self, bytes: usize) {
         while self.bytes > bytes
             && let Some((key, size)) = self.computed.pop()

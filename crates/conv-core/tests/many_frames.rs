@@ -5,7 +5,7 @@ mod common;
 
 use std::sync::Arc;
 
-use common::{ANCHORS, Waves, model_with, options, peak};
+use common::{ANCHORS, Patience, Waves, model_with, options, peak};
 use conv_core::{ConvReal, Engine, Operation, Paths, Plan};
 use ndarray::{Array2, ArrayView2};
 use psf_types::{
@@ -81,6 +81,8 @@ fn many_are_equal<T: ConvReal>() {
             let options = options(1e-3, anchor, paths);
             let plan = Plan::<T>::new(&model(Arc::new(Waves)), shape(), shape().region(), options);
             let engine = Engine::new(plan.unwrap());
+            let summary = engine.plan().summary();
+            assert!(summary.blocks > 1, "blocks must share scenes");
             for operation in [Operation::Convolve, Operation::Adjoint] {
                 let expected = each(&engine, operation, &scenes);
                 assert!(expected.iter().any(|image| image.iter().any(|v| !v.is_zero())));
@@ -126,7 +128,10 @@ fn another_field_keeps_the_tolerance() {
         let options = options(TOLERANCE, anchor, Paths::Transforms);
         let of = |model: &PsfModel| Plan::<f64>::new(model, shape(), shape().region(), options).unwrap();
         let (first, other) = (of(&model(Arc::new(Waves))), model(Arc::new(Other)));
-        let kept = first.for_other_field(&other, &NoProgress).unwrap().unwrap();
+        let kept = first
+            .for_other_field(&other, 1 << 28, &NoProgress)
+            .unwrap()
+            .unwrap();
         assert_eq!(kept.summary().tile, first.summary().tile);
         let images =
             [kept, of(&other), first].map(|plan| each(&Engine::new(plan), Operation::Convolve, &scenes()));
@@ -144,7 +149,56 @@ fn another_field_keeps_the_tolerance() {
             );
         }
         let larger = model_with(Arc::new(Waves), (25, 18), (11, 9), false, Normalisation::Keep);
-        let refused = of(&other).for_other_field(&larger, &NoProgress).unwrap();
+        let refused = of(&other).for_other_field(&larger, 1 << 28, &NoProgress).unwrap();
         assert!(refused.is_none(), "stamps of another size");
+    }
+}
+
+/// A missing PSF, a wrong shape and a cancelled run are errors. Outputs of any layout are filled.
+#[test]
+fn errors_and_layouts_are_those_of_single_scenes() {
+    #[derive(Debug)]
+    struct Half;
+    impl CoefficientField for Half {
+        fn component_count(&self) -> usize {
+            Waves.component_count()
+        }
+        fn evaluate_into(&self, p: Position, a: &mut [f64]) -> Result<(), FieldError> {
+            if p.x() > 60.0 {
+                return Err(FieldError::OutsideSamples { position: p });
+            }
+            Waves.evaluate_into(p, a)
+        }
+    }
+    let options = options(1e-3, psf_types::Anchor::Source, Paths::Cheapest);
+    let engine = |field: Arc<dyn CoefficientField>| {
+        Engine::new(Plan::<f32>::new(&model(field), shape(), shape().region(), options).unwrap())
+    };
+    let scenes = scenes::<f32>();
+    let views: Vec<_> = scenes.iter().map(|scene| view(scene.view())).collect();
+    let run = |engine: &Engine<f32>, images: &mut [Array2<f32>], progress: &dyn psf_types::Progress| {
+        let outputs: Vec<_> = images.iter_mut().map(|image| image.view_mut()).collect();
+        engine.execute_many(Operation::Convolve, &views[..outputs.len()], outputs, progress)
+    };
+    let zeros = |count: usize| vec![Array2::<f32>::zeros((SIDE - 31, SIDE)); count];
+    assert!(run(&engine(Arc::new(Half)), &mut zeros(20), &NoProgress).is_err());
+    let whole = engine(Arc::new(Waves));
+    let mut wrong = zeros(20);
+    wrong[7] = Array2::zeros((3, 4));
+    assert!(run(&whole, &mut wrong, &NoProgress).is_err());
+    let cancelled = run(&whole, &mut zeros(20), &Patience::of(3));
+    assert!(matches!(cancelled, Err(conv_core::ConvError::Cancelled(_))));
+
+    let expected = each(&whole, Operation::Convolve, &scenes[..20]);
+    let mut transposed = vec![Array2::<f32>::zeros((SIDE, SIDE - 31)); 20];
+    let outputs = transposed
+        .iter_mut()
+        .map(|image| image.view_mut().reversed_axes())
+        .collect();
+    whole
+        .execute_many(Operation::Convolve, &views[..20], outputs, &NoProgress)
+        .unwrap();
+    for (image, expected) in transposed.iter().zip(&expected) {
+        assert_eq!(image.t(), expected);
     }
 }

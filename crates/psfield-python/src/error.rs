@@ -1,5 +1,6 @@
 //! Converts errors of the library to Python exceptions.
 
+use std::borrow::Cow;
 use std::io::ErrorKind;
 
 use psfield::PsfieldError;
@@ -14,7 +15,7 @@ use pyo3::prelude::*;
 pub(crate) struct Failure {
     error: Box<PsfieldError>,
     /// The argument that caused the error.
-    argument: Option<&'static str>,
+    argument: Option<Cow<'static, str>>,
 }
 
 impl<E: Into<PsfieldError>> From<E> for Failure {
@@ -28,10 +29,12 @@ impl<E: Into<PsfieldError>> From<E> for Failure {
 
 impl Failure {
     /// Returns a function for `map_err`, which turns an error into a failure caused by this argument.
-    pub(crate) fn of<E: Into<PsfieldError>>(argument: &'static str) -> impl FnOnce(E) -> Self {
-        move |error| Self {
+    pub(crate) fn of<E: Into<PsfieldError>>(
+        argument: impl Into<Cow<'static, str>>,
+    ) -> impl FnOnce(E) -> Self {
+        |error| Self {
             error: Box::new(error.into()),
-            argument: Some(argument),
+            argument: Some(argument.into()),
         }
     }
 }

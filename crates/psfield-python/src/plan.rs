@@ -237,10 +237,15 @@ impl Plan {
             let mut out = out.as_ref().map(writable::<_, Ix3>).transpose()?;
             let (lights, target) = (scenes.as_array(), out.as_mut().map(|out| out.as_array_mut()));
             let made = threads::run_beside(py, progress.as_ref(), &*pool()?, |watch, pool| {
-                let scenes: Vec<Scene<'_, _>> = lights
-                    .outer_iter()
-                    .map(|light| self.ready(simulator, Some(light), Sources::default(), watch, pool))
-                    .collect::<Result<_, _>>()?;
+                let check = |(n, light)| {
+                    let light = ImageView::new(light).map_err(Failure::of(format!("scene[{n}]")));
+                    light.map(Scene::from)
+                };
+                let scenes = lights.outer_iter().enumerate().map(check);
+                let scenes: Vec<Scene<'_, _>> = pool.install(|| scenes.collect::<Result<_, _>>())?;
+                if let Some(light) = lights.outer_iter().next() {
+                    self.ready(simulator, Some(light), Sources::default(), watch, pool)?;
+                }
                 pool.install(|| many_simulated(simulator, &scenes, target, watch))
             })?;
             let (images, warnings) = made?;

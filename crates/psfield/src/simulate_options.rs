@@ -92,8 +92,8 @@ impl SimulateOptions {
     /// The largest `oversample`: pixels of the scene along each side of a frame pixel.
     pub const MAX_OVERSAMPLE: usize = 64;
 
-    /// The options of the plan, with the smallest limit of memory if none is set. None for methods
-    /// without a plan.
+    /// The options of a plan, without the limit of memory that follows from the work. None for
+    /// methods without a plan.
     ///
     /// # Errors
     /// [`ErrorKind::Setting`](crate::ErrorKind::Setting) for a tolerance out of range, also for
@@ -101,8 +101,7 @@ impl SimulateOptions {
     pub fn plan_options(&self) -> Result<Option<PlanOptions>, PsfieldError> {
         let options = PlanOptions::new(self.tolerance)?
             .with_tolerance_on(self.tolerance_on)
-            .with_anchor(self.anchor)
-            .with_memory(self.memory.unwrap_or(PlanOptions::DEFAULT_MEMORY_BYTES));
+            .with_anchor(self.anchor);
         Ok(match self.method {
             Method::Auto => Some(options.with_paths(Paths::Cheapest)),
             Method::LowRank => Some(options.with_paths(Paths::Transforms)),

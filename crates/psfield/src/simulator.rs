@@ -3,8 +3,10 @@
 mod both_precisions;
 mod builder;
 mod check;
+mod derived;
 mod flux;
 mod geometry;
+mod many;
 mod stream;
 #[cfg(test)]
 mod tests;
@@ -19,7 +21,7 @@ use conv_core::{
 use ndarray::{Array2, ArrayViewMut2};
 use psf_types::{
     DataError, FrameShape, Image, ImageView, LightProfile, NoProgress, PixelRegion, PointSource, Progress,
-    PsfModel, SersicSource, Uncounted,
+    PsfModel, SersicSource,
 };
 use sersic::SersicLight;
 
@@ -228,65 +230,6 @@ impl<T: ConvReal> Simulator<T> {
         Ok(counts)
     }
 
-    /// Returns the images of many scenes. They are equal, bit by bit, to those of
-    /// [`simulate`](Self::simulate). For many small scenes this is faster, because threads work on
-    /// different scenes.
-    ///
-    /// # Errors
-    /// The errors of [`simulate_into`](Self::simulate_into).
-    pub fn simulate_many(&self, scenes: &[Scene<'_, T>]) -> Result<Vec<Image<T>>, PsfieldError> {
-        let mut images: Vec<Array2<T>> = scenes.iter().map(|_| self.zeros()).collect();
-        let views = images.iter_mut().map(|image| image.view_mut()).collect();
-        self.simulate_many_into(scenes, views, &NoProgress)?;
-        images.into_iter().map(|image| Ok(Image::new(image)?)).collect()
-    }
-
-    /// Adds the images of many scenes to `images`, as [`simulate_into`](Self::simulate_into) adds
-    /// one. `progress` counts scenes.
-    ///
-    /// # Errors
-    /// The errors of [`simulate_into`](Self::simulate_into).
-    ///
-    /// # Panics
-    /// If there is not one image for each scene.
-    #[inline(never)]
-    pub fn simulate_many_into(
-        &self,
-        scenes: &[Scene<'_, T>],
-        mut images: Vec<ArrayViewMut2<'_, T>>,
-        progress: &dyn Progress,
-    ) -> Result<(), PsfieldError> {
-        assert_eq!(scenes.len(), images.len(), "an image for each scene");
-        let with_images = scenes.iter().all(|scene| scene.image().is_some());
-        let engine = if with_images && self.geometry.oversample == 1 && !scenes.is_empty() {
-            self.convolver(progress)?.engine.as_ref()
-        } else {
-            None
-        };
-        let Some(engine) = engine else {
-            progress.start(scenes.len() as u64);
-            for (scene, image) in scenes.iter().zip(images) {
-                self.simulate_into(scene, image, &Uncounted(progress))?;
-                progress.advance(1);
-            }
-            return Ok(());
-        };
-        let mut lights = Vec::with_capacity(scenes.len());
-        for (scene, image) in scenes.iter().zip(&images) {
-            self.check_sources(scene, false)?;
-            self.check_image(image)?;
-            let of_scene = scene.image().expect("every scene has an image");
-            lights.push(self.light(of_scene, progress)?.0);
-        }
-        let views = images.iter_mut().map(|image| image.view_mut()).collect();
-        engine.execute_many(Operation::Convolve, &lights, views, progress)?;
-        for (scene, image) in scenes.iter().zip(images) {
-            let sources = (scene.stars(), scene.galaxies());
-            self.draw_sources_into(sources, self.geometry.region, image, &Uncounted(progress))?;
-        }
-        Ok(())
-    }
-
     /// Checks the shape of an array for an image.
     fn check_image(&self, image: &ArrayViewMut2<'_, T>) -> Result<(), PsfieldError> {
         let expected = self.image_shape();
@@ -335,71 +278,6 @@ impl<T: ConvReal> Simulator<T> {
             engine.execute(Operation::Adjoint, &fine.view(), light.view_mut(), progress)?;
         }
         Ok(Image::new(light)?)
-    }
-
-    /// Returns a simulator for another region of the same frame. `region` is in frame pixels
-    /// counted from the frame's first pixel. The new simulator uses the tiles that were chosen for
-    /// this one and shares its plan for stars, which is much faster than a new plan.
-    ///
-    /// # Errors
-    /// [`ErrorKind::Setting`] for a region outside the frame or a method without a plan, and the
-    /// errors of [`prepare`](Self::prepare).
-    #[inline(never)]
-    pub fn for_region(&self, region: PixelRegion, progress: &dyn Progress) -> Result<Self, PsfieldError> {
-        let options = SimulateOptions {
-            region: Some(region),
-            ..self.options.clone()
-        };
-        let geometry = Geometry::new(self.geometry.shape, &options)?;
-        let chosen = self.convolver(progress)?;
-        let engine = chosen.engine_for(REGION)?;
-        let clock = Instant::now();
-        let plan = engine.plan().for_other_region(geometry.fine(region)?, progress)?;
-        let (engine, placement) = device::place(plan, &options)?;
-        let convolver = Convolver {
-            engine: Some(engine),
-            placement,
-            seconds: clock.elapsed().as_secs_f64(),
-        };
-        Ok(Self {
-            shared: Arc::clone(&self.shared),
-            options,
-            geometry,
-            convolver: OnceLock::from(convolver),
-        })
-    }
-
-    /// Returns a simulator with the same settings for another PSF, such as other coefficients of the
-    /// same basis. If the new stamps have the shape and the centre of the old ones, it uses the tiles
-    /// that were chosen for this simulator, which is much faster than a new plan. The tolerance holds
-    /// in any case.
-    ///
-    /// # Errors
-    /// The errors of [`SimulatorBuilder::build`] and of [`prepare`](Self::prepare).
-    #[inline(never)]
-    pub fn for_other_field(&self, psf: Psf, progress: &dyn Progress) -> Result<Self, PsfieldError> {
-        let shape = (self.geometry.shape.ny(), self.geometry.shape.nx());
-        let other = psf.simulator(shape).options(self.options.clone()).build::<T>()?;
-        let Some(engine) = self.convolver(progress)?.engine.as_ref() else {
-            return Ok(other);
-        };
-        let clock = Instant::now();
-        let (model, _) = other.image_model()?;
-        let options = engine.plan().options();
-        check_flux(other.psf(), model, &options)?;
-        let Some(plan) = engine.plan().for_other_field(model, progress)? else {
-            return Ok(other);
-        };
-        let (engine, placement) = device::place(plan, &other.options)?;
-        let convolver = Convolver {
-            engine: Some(engine),
-            placement,
-            seconds: clock.elapsed().as_secs_f64(),
-        };
-        Ok(Self {
-            convolver: OnceLock::from(convolver),
-            ..other
-        })
     }
 
     /// The part of the scene whose light reaches the computed region, in pixels of the scene. For

@@ -17,8 +17,8 @@ const STRIP: usize = 64;
 /// An image, and the blocks that are added to it.
 ///
 /// A block whose turn has not come is kept: it waits until all earlier blocks that share pixels with
-/// it are added. So the sum in a pixel does not depend on the number of threads, and threads never
-/// wait.
+/// it are added. So the sum in a pixel does not depend on the number of threads, and no thread waits
+/// for a turn. Threads take blocks in order, so that few blocks are kept: at most about one per thread.
 pub(super) struct OrderedImage<'o, T> {
     /// The first of them begins at row `first` of the output.
     strips: Vec<Mutex<ArrayViewMut2<'o, T>>>,
@@ -69,9 +69,19 @@ pub(super) fn order<T: ConvReal>(pass: &LightPass<'_, T>) -> Vec<(usize, usize)>
 
 impl<'o, T: ConvReal> OrderedImage<'o, T> {
     /// The output of a pass.
-    pub(super) fn new(pass: &LightPass<'_, T>, output: ArrayViewMut2<'o, T>) -> Self {
-        let blocks = order(pass);
-        let [columns, rows] = [0, 1].map(|axis| sharing(&pass.processor.plan.extents(axis)));
+    pub(super) fn of_pass(pass: &LightPass<'_, T>, output: ArrayViewMut2<'o, T>) -> Self {
+        let extents = [0, 1].map(|axis| pass.processor.plan.extents(axis));
+        Self::new(order(pass), &extents, (output, pass.first_output))
+    }
+
+    /// `extents` holds the ranges that columns and rows of blocks reach on the output's side. The
+    /// output begins at row `first` of this side.
+    fn new(
+        blocks: Vec<(usize, usize)>,
+        extents: &[Vec<(usize, usize)>; 2],
+        (output, first): (ArrayViewMut2<'o, T>, usize),
+    ) -> Self {
+        let [columns, rows] = extents.each_ref().map(|extents| sharing(extents));
         let mut numbers = vec![vec![None; rows.len()]; columns.len()];
         for (number, &(column, row)) in blocks.iter().enumerate() {
             numbers[column][row] = Some(number);
@@ -98,7 +108,7 @@ impl<'o, T: ConvReal> OrderedImage<'o, T> {
         strips.push(Mutex::new(rest));
         Self {
             strips,
-            first: pass.first_output,
+            first,
             blocks,
             turns,
         }
@@ -186,4 +196,90 @@ fn sharing(ranges: &[(usize, usize)]) -> Vec<Vec<usize>> {
         .iter()
         .map(|range| (0..ranges.len()).filter(|&i| shares(range, &ranges[i])).collect())
         .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use ndarray::Array2;
+    use psf_types::{Anchor, FrameShape};
+    use rand::SeedableRng;
+    use rand::seq::SliceRandom;
+    use rand_chacha::ChaCha8Rng;
+
+    use super::*;
+    use crate::plan::geometry::Geometry;
+    use crate::simd::{SimdReal, WithIsa};
+    use crate::transform::TileTransform;
+    use crate::view::Reach;
+
+    /// Blocks of 30 pixels that reach 50, so that three neighbours share pixels, on an image of several
+    /// strips.
+    const BLOCKS: usize = 5;
+    const SIDE: usize = 170;
+
+    struct AddBlocks<'a> {
+        /// Numbers of blocks in the order in which they are finished.
+        finished: &'a [usize],
+        image: &'a mut Array2<f32>,
+    }
+
+    impl WithIsa<f32> for AddBlocks<'_> {
+        type Output = ();
+        fn run<S: Lanes<f32>>(self, simd: S) {
+            let fft = TileTransform::<f32>::new(64, 64);
+            let region = FrameShape::new(SIDE, SIDE).unwrap().region();
+            let reach = Reach {
+                left: 10,
+                right: 10,
+                below: 10,
+                above: 10,
+            };
+            let engine = TileEngine {
+                fft: &fft,
+                geometry: Geometry::new(region, region, reach, Anchor::Source),
+                flip: false,
+            };
+            let range = |i: usize| (30 * i, 30 * i + 50);
+            let extents = [(0..BLOCKS).map(range).collect(), (0..BLOCKS).map(range).collect()];
+            let blocks: Vec<_> = (0..BLOCKS * BLOCKS).map(|i| (i % BLOCKS, i / BLOCKS)).collect();
+            let image = OrderedImage::new(blocks, &extents, (self.image.view_mut(), 0));
+            for &number in self.finished {
+                let (column, row) = image.blocks[number];
+                let mut kept = Vec::new();
+                // Two tiles, whose values cancel except for rounding that depends on their order.
+                for value in [1e8 * (number as f32).sin(), -1e8 * (number as f32 + 0.5).sin()] {
+                    let plane = vec![value; fft.pitch() * 50];
+                    let result = TileResult {
+                        plane: &plane,
+                        size: (50, 50),
+                        place: (30 * column as i64, 30 * row as i64),
+                    };
+                    image.add_or_keep(simd, &engine, number, result, &mut kept);
+                }
+                image.finish(simd, &engine, number, kept);
+            }
+        }
+    }
+
+    #[test]
+    fn the_image_does_not_depend_on_the_order_in_which_blocks_are_finished() {
+        let sum = |finished: &[usize]| {
+            let mut image = Array2::zeros((SIDE, SIDE));
+            let image_of = &mut image;
+            f32::dispatch(AddBlocks {
+                finished,
+                image: image_of,
+            });
+            image
+        };
+        let mut order: Vec<usize> = (0..BLOCKS * BLOCKS).collect();
+        let expected = sum(&order);
+        assert!(expected.iter().all(|v| *v != 0.0));
+        order.reverse();
+        assert_eq!(sum(&order), expected);
+        for seed in 0..20 {
+            order.shuffle(&mut ChaCha8Rng::seed_from_u64(seed));
+            assert_eq!(sum(&order), expected, "{seed}");
+        }
+    }
 }

@@ -31,14 +31,17 @@ impl<T: ConvReal> WithIsa<T> for Scatter<'_, '_, T> {
         let pass = &self.pass;
         let plan = &pass.processor.plan;
         let engine = pass.tile_engine();
-        let image = OrderedImage::new(pass, self.output);
+        let image = OrderedImage::of_pass(pass, self.output);
         let finished = AtomicUsize::new(0);
+        // The number of the first block that failed. Later ones are skipped.
+        let failed = AtomicUsize::new(usize::MAX);
         // Each thread takes the next block when it is free.
         let mut done: Vec<_> = image
             .blocks
             .iter()
             .enumerate()
             .par_bridge()
+            .filter(|&(number, _)| number < failed.load(Ordering::Relaxed))
             .map(|(number, &block)| {
                 let counts = pass.processor.with_workspace(|workspace| {
                     let mut kernels = BlockKernels::new(plan, block);
@@ -49,6 +52,9 @@ impl<T: ConvReal> WithIsa<T> for Scatter<'_, '_, T> {
                     image.finish(simd, &engine, number, kept);
                     Ok::<_, ConvError>(counts)
                 });
+                if counts.is_err() {
+                    failed.fetch_min(number, Ordering::Relaxed);
+                }
                 let finished = finished.fetch_add(1, Ordering::Relaxed) + 1;
                 pass.progress
                     .advance(u64::from(finished.is_multiple_of(plan.tiling.columns.len())));

@@ -184,20 +184,22 @@ impl<T: ConvReal> Plan<T> {
 
     /// Plans the same frame for another model, such as other coefficients of the same basis. Keeps the
     /// tiles chosen for this plan, and finds the modes of each block anew, so that the tolerance holds.
-    /// This is much faster than a new plan, which may choose other tiles. `None` if the shape or the
-    /// centre of the stamps differs.
+    /// This is much faster than a new plan, which may choose other tiles. `memory_bytes` is the limit of
+    /// [`PlanOptions::with_memory`]. `None` if the shape or the centre of the stamps differs.
     ///
     /// # Errors
     /// [`ConvError`] as for [`Self::new`], or [`ConvError::Cancelled`].
     pub fn for_other_field(
         &self,
         model: &PsfModel,
+        memory_bytes: usize,
         progress: &dyn Progress,
     ) -> Result<Option<Self>, ConvError> {
-        let Some(whole) = self.whole.for_other_model(model, self.options)? else {
+        let options = self.options.with_memory(memory_bytes);
+        let Some(whole) = self.whole.for_other_model(model, options)? else {
             return Ok(None);
         };
-        Self::of_whole(model, Arc::new(whole), self.region, self.options, progress).map(Some)
+        Self::of_whole(model, Arc::new(whole), self.region, options, progress).map(Some)
     }
 
     #[inline(never)]

@@ -89,7 +89,7 @@ impl PlanOptions {
     /// tiles considers this time, so another limit may lead to other tiles. The result then differs
     /// within the tolerance. The limit does not include the model, the modes in compact form (a few
     /// kB per block) or the working memory of threads (a few MB each, with a spectrum for each mode
-    /// of a tile).
+    /// of a tile, and up to 32 MiB for crowded stars).
     #[must_use]
     pub fn with_memory(self, bytes: usize) -> Self {
         Self {

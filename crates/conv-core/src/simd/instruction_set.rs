@@ -33,8 +33,8 @@ impl InstructionSet {
     /// The environment variable that names an instruction set.
     pub const VARIABLE: &str = "PSFIELD_SIMD";
 
-    /// The instruction set that computations use: the one that the environment variable names or, if
-    /// there is no such variable or this machine does not have the instructions, the widest.
+    /// The instruction set that computations use: the one that the environment variable names, or the
+    /// widest if there is no such variable or if [`asked`](Self::asked) is an error.
     pub fn used() -> Self {
         static USED: OnceLock<InstructionSet> = OnceLock::new();
         *USED.get_or_init(|| Self::asked().ok().flatten().unwrap_or_else(Self::widest))

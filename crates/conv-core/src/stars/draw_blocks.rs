@@ -192,15 +192,10 @@ impl<T: ConvReal> BlockDrawer<'_, T> {
             let (spread, bright): (Vec<usize>, Vec<usize>) =
                 stars.into_iter().partition(|&index| flux(index) <= limit);
             stars = bright;
-            let groups = spread.chunks(AT_ONCE).flat_map(|some| {
-                let prepared: Vec<_> = some
-                    .par_chunks(MIN_STARS_PER_TASK)
-                    .map(|some| self.prepare(block, some))
-                    .collect();
-                prepared
-            });
-            let groups = groups.map(|prepared| {
-                let (group, of_group) = prepared?;
+            // By this thread alone, because it holds a workspace: while it waited for others, it could
+            // take up another block and need another workspace.
+            let groups = spread.chunks(MIN_STARS_PER_TASK).map(|some| {
+                let (group, of_group) = self.prepare(block, some)?;
                 missed.extend(of_group);
                 Ok(group)
             });

@@ -24,8 +24,12 @@ use crate::{ConvError, ConvReal};
 /// Blocks have at least this many columns and rows. Smaller blocks need fewer kernels. But drawing a
 /// catalogue reads the kernels of all blocks, and smaller blocks have more kernels in total.
 const LEAST_SIDE: usize = 224;
-/// The most memory of a block's planes. Stamps with many pixels per frame pixel need many planes.
+/// The most memory of a thread. Stamps with many pixels per frame pixel need many planes, and large
+/// stamps large ones.
 const MOST_BYTES: usize = 32 << 20;
+
+/// The number of arrays with the size of a whole transform in a workspace.
+const WHOLE_PLANES: usize = 4;
 
 /// Spreads stars and convolves the planes, for blocks of one size.
 #[derive(Debug)]
@@ -151,7 +155,8 @@ impl<T: ConvReal> Spreader<T> {
     /// Returns whether it is faster to spread stars than to draw them one by one.
     pub(super) fn pays(&self, stars: usize, kernels: usize) -> bool {
         let planes = kernels * self.residues();
-        if planes == 0 || planes * self.plane_len() * size_of::<T>() > MOST_BYTES {
+        let values = planes * self.plane_len() + WHOLE_PLANES * self.fft.plane_len();
+        if planes == 0 || values * size_of::<T>() > MOST_BYTES {
             return false;
         }
         let ([x, y], taps) = (&self.axes, self.taps);

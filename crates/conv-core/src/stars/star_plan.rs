@@ -83,8 +83,8 @@ pub struct StarPlan<T> {
 }
 
 /// Spread stars keep the light beyond the reach of their stamps, up to 5e-7 of their flux
-/// ([`edge_reach_of`](crate::edge_reach_of)). Drawn stars do not. So stars are drawn if the tolerance
-/// is smaller than this.
+/// ([`edge_reach_of`](crate::edge_reach_of)). Drawn stars do not. So stars are spread only if the
+/// tolerance is at least 20 times as large.
 const LEAST_SPREAD_TOLERANCE: f64 = 1e-5;
 
 impl<T: ConvReal> StarPlan<T> {

@@ -12,7 +12,7 @@ const TO: &str = "simulate scene.fits --psf samples.fits -o out.fits";
 fn devices_are_listed_or_it_is_said_that_there_are_none() {
     let desk = Desk::empty();
     let report = desk.done_with_drivers("devices --json").json();
-    assert_keys(&report, &["gpu_support", "adapters", "auto"]);
+    assert_keys(&report, &["instruction_set", "gpu_support", "adapters", "auto"]);
     assert_eq!(report["gpu_support"], cfg!(feature = "gpu"));
     let adapters = report["adapters"].as_array().unwrap();
     let text = desk.done_with_drivers("devices").stdout;
@@ -25,6 +25,19 @@ fn devices_are_listed_or_it_is_said_that_there_are_none() {
     }
     assert_eq!(desk.done_with_drivers("devices -q").stdout, "");
     desk.refused("devices all", 2, &["all"]);
+}
+
+#[cfg(unix)]
+#[test]
+fn a_variable_chooses_the_vector_instructions() {
+    let desk = Desk::empty();
+    let run = desk.shell("PSFIELD_SIMD=scalar \"$PSFIELD\" devices --json");
+    assert_eq!(run.json()["instruction_set"], "scalar");
+    let run = desk.shell("PSFIELD_SIMD=avx51 \"$PSFIELD\" devices");
+    assert!(
+        run.code == Some(2) && run.stderr.contains("PSFIELD_SIMD"),
+        "{run:?}"
+    );
 }
 
 #[cfg(unix)]

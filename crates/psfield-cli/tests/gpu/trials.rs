@@ -2,7 +2,7 @@
 
 use ndarray::{Array2, Array3};
 use psfield::conv_core::gpu::{AdapterKind, adapters};
-use psfield::conv_core::{ConvReal, Plan};
+use psfield::conv_core::{ConvReal, Plan, PlanOptions};
 use psfield::psf_io::{Card, CardValue};
 use psfield::psf_types::NoProgress;
 use psfield::{CpuReason, Device, MIN_SECONDS_FOR_GPU, Placement, Psf, Scene, SimulateOptions, Simulator};
@@ -36,7 +36,11 @@ pub(crate) fn agree() {
             let options = format!("--anchor {anchor} --method {method} --overwrite");
             desk.done_with_drivers(&format!("{TO} {options} --device gpu -o {anchor}.fits"));
             let options = options.replace("--gpu-memory", "--memory");
-            desk.done_with_drivers(&format!("{TO} {options} --device cpu -o cpu.fits"));
+            let run = desk.run(&format!("{TO} {options} --device cpu -o cpu.fits"));
+            assert_eq!(run.code, Some(0), "{run:?}");
+            // A plan beyond its memory is made again by each execution.
+            let is_slow = run.stderr.contains("option --memory");
+            assert_eq!(is_slow, options.contains("--memory"), "{run:?}");
             let apart = difference(&desk.image(&format!("{anchor}.fits")), &desk.image("cpu.fits"));
             assert!(apart <= ROUNDING, "{anchor} {method}: {apart:e}");
         }
@@ -277,7 +281,8 @@ pub(crate) fn auto() {
     assert!(cpu > MIN_SECONDS_FOR_GPU, "a larger frame is needed: {cpu}");
     let first = &adapters()[0];
     let shape = of_auto.scene_shape();
-    let options = of_auto.options().plan_options().unwrap().unwrap();
+    let memory = PlanOptions::memory_for::<f32>(shape, made.model);
+    let options = PlanOptions::default().with_memory(memory);
     let plan = Plan::<f32>::new(made.model, shape, shape.region(), options).unwrap();
     let (gpu, placement) = (plan.predicted_gpu_seconds(first), made.placement);
     let on_gpu = matches!(placement, Placement::Gpu { .. });

@@ -351,6 +351,9 @@ fn measured(
     })
 }
 
+/// The number of frames that are simulated in one call.
+const AT_ONCE: usize = 128;
+
 /// The scenes of a case.
 struct Scenes {
     frame: FrameShape,
@@ -429,11 +432,25 @@ impl Scenes {
         pixels.collect()
     }
 
-    /// Makes the image of each scene in the array `image`. Returns the seconds of all simulations.
+    /// Makes the images of all scenes, the last in the array `image`. Returns the seconds of all
+    /// simulations.
     fn seconds(&self, simulator: &Simulator<f32>, image: &mut Array2<f32>) -> Result<f64, PsfieldError> {
+        if self.count == 1 {
+            return Ok(timed_run(simulator, &self.get(0)?, image)?.seconds);
+        }
         let mut seconds = 0.0;
-        for k in 0..self.count {
-            seconds += timed_run(simulator, &self.get(k)?, image)?.seconds;
+        let mut images = vec![image.clone(); AT_ONCE.min(self.count)];
+        for first in (0..self.count).step_by(AT_ONCE) {
+            let some = (first..self.count).take(AT_ONCE);
+            let scenes = some.map(|k| self.get(k)).collect::<Result<Vec<_>, _>>()?;
+            let clock = Instant::now();
+            for image in &mut images {
+                image.fill(0.0);
+            }
+            let views = images[..scenes.len()].iter_mut().map(|image| image.view_mut());
+            simulator.simulate_many_into(&scenes, views.collect(), &NoProgress)?;
+            seconds += clock.elapsed().as_secs_f64();
+            image.assign(&images[scenes.len() - 1]);
         }
         Ok(seconds)
     }

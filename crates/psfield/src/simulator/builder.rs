@@ -2,7 +2,7 @@
 
 use std::sync::{Arc, OnceLock};
 
-use conv_core::{ConvReal, ConvolutionMethod};
+use conv_core::{ConvReal, ConvolutionMethod, InstructionSet};
 use psf_types::{Anchor, FrameShape, PixelRegion, ToleranceOn};
 
 use super::geometry::Geometry;
@@ -191,6 +191,7 @@ impl SimulatorBuilder {
             mut options,
         } = self;
         options.plan_options()?;
+        InstructionSet::asked()?;
         let geometry = Geometry::new(FrameShape::new(shape.1, shape.0)?, &options)?;
         if method.is_some() && !geometry.is_whole() {
             return Err(PsfieldError::needs_plan(REGION));

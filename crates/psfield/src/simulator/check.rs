@@ -11,7 +11,8 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use super::stream::SceneRows;
-use super::{Simulator, has_sources, light_of};
+use super::{Convolver, Simulator, has_sources, light_of};
+use crate::device::Placement;
 use crate::psf::get_or_make;
 use crate::spot_check::Allowed;
 use crate::{
@@ -407,10 +408,9 @@ impl<T: ConvReal> Simulator<T> {
             let Ok(&flux) = get_or_make(&self.shared.star_flux, flux);
             warnings.push(SimulationWarning::SourcesBetweenPixels { flux });
         }
-        let engine = self
-            .convolver
-            .get()
-            .and_then(|convolver| convolver.engine.as_ref());
+        let on_cpu = |convolver: &&Convolver<T>| matches!(convolver.placement, Placement::Cpu { .. });
+        let convolver = self.convolver.get().filter(on_cpu);
+        let engine = convolver.and_then(|convolver| convolver.engine.as_ref());
         let plan = engine.map(|engine| engine.plan().summary());
         warnings.extend(plan.and_then(|plan| {
             let made_anew = plan.made_anew.0.max(plan.made_anew.1);

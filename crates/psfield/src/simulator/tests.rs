@@ -631,3 +631,58 @@ fn psfs_without_flux_have_no_tolerance_on_apertures() {
     }
     assert!((image(of_image(), ToleranceOn::L2).unwrap().abs() - 2.0_f64.sqrt()).abs() < 1e-9);
 }
+
+/// Images of many scenes, with and without light, stars and galaxies, are those of single scenes.
+#[test]
+fn many_scenes_give_the_images_of_single_ones() {
+    #[derive(Debug, Default)]
+    struct Counts(std::sync::atomic::AtomicU64);
+    impl Progress for Counts {
+        fn start(&self, _: u64) {}
+        fn advance(&self, steps: u64) {
+            self.0.fetch_add(steps, std::sync::atomic::Ordering::Relaxed);
+        }
+    }
+    let builder = psfex(1.0, 1.4).simulator((90, 60)).device(Device::Cpu);
+    let simulator: Simulator<f64> = builder.build().unwrap();
+    let scene = |n: usize| {
+        let light = (n != 2).then(|| ramp(60, 90) * (1.0 + n as f64));
+        let scene = light.map_or_else(Scene::dark, |light| Scene::new(light).unwrap());
+        scene.with_stars(vec![star(20.3 + n as f64, 41.7, 5e4)])
+    };
+    for numbers in [vec![0, 1, 3, 4, 5, 6, 7], vec![0, 1, 2, 3, 4, 5]] {
+        let scenes: Vec<_> = numbers.iter().map(|&n| scene(n)).collect();
+        let images = simulator.simulate_many(&scenes).unwrap();
+        for (image, scene) in images.iter().zip(&scenes) {
+            assert_eq!(image.pixels(), simulator.simulate(scene).unwrap().pixels());
+        }
+        let mut again: Vec<_> = scenes.iter().map(|_| simulator.zeros()).collect();
+        let progress = Counts::default();
+        let views = again.iter_mut().map(|image| image.view_mut()).collect();
+        simulator.simulate_many_into(&scenes, views, &progress).unwrap();
+        assert_eq!(progress.0.into_inner(), scenes.len() as u64);
+        assert_eq!(again[0].view(), images[0].pixels());
+    }
+    let mut wrong = [simulator.zeros(), Array2::zeros((3, 4))];
+    let views = wrong.iter_mut().map(|image| image.view_mut()).collect();
+    let refused = simulator.simulate_many_into(&[scene(0), scene(1)], views, &NoProgress);
+    assert!(refused.is_err());
+}
+
+#[test]
+fn a_simulator_for_another_psf_keeps_the_tolerance() {
+    let of = |psf: Psf| -> Simulator<f64> {
+        let builder = psf.simulator((90, 60)).device(Device::Cpu).tolerance(1e-4);
+        builder.build().unwrap()
+    };
+    let scene = Scene::new(ramp(60, 90)).unwrap();
+    let image = |simulator: &Simulator<f64>| simulator.simulate(&scene).unwrap().into_pixels();
+    let first = of(psfex(1.0, 1.4));
+    let kept = first.for_other_field(psfex(1.0, 2.0), &NoProgress).unwrap();
+    let (kept, new, old) = (image(&kept), image(&of(psfex(1.0, 2.0))), image(&first));
+    let largest = |a: &Array2<f64>, b: &Array2<f64>| (a - b).fold(0.0, |m: f64, d| m.max(d.abs()));
+    let peak = new.fold(0.0, |m: f64, v| m.max(v.abs()));
+    // Each plan may differ by the tolerance.
+    assert!(largest(&kept, &new) < 2e-4 * peak);
+    assert!(largest(&kept, &old) > 2e-3 * peak, "the PSFs must differ");
+}

@@ -1,0 +1,74 @@
+//! Many scenes at once.
+
+use conv_core::{ConvReal, Operation};
+use ndarray::{Array2, ArrayViewMut2};
+use psf_types::{Image, NoProgress, Progress, Uncounted};
+
+use super::Simulator;
+use crate::{PsfieldError, Scene};
+
+impl<T: ConvReal> Simulator<T> {
+    /// Returns the images of many scenes. They are equal, bit by bit, to those of
+    /// [`simulate`](Self::simulate). For many small scenes this is faster, because threads work on
+    /// different scenes. Stars and galaxies are drawn scene by scene.
+    ///
+    /// # Errors
+    /// The errors of [`simulate_into`](Self::simulate_into).
+    pub fn simulate_many(&self, scenes: &[Scene<'_, T>]) -> Result<Vec<Image<T>>, PsfieldError> {
+        // Check the scenes before memory is allocated.
+        for scene in scenes {
+            self.check_sources(scene, false)?;
+        }
+        let mut images: Vec<Array2<T>> = scenes.iter().map(|_| self.zeros()).collect();
+        let views = images.iter_mut().map(|image| image.view_mut()).collect();
+        self.simulate_many_into(scenes, views, &NoProgress)?;
+        images.into_iter().map(|image| Ok(Image::new(image)?)).collect()
+    }
+
+    /// Adds the images of many scenes to `images`, as [`simulate_into`](Self::simulate_into) adds
+    /// one. `progress` counts the scenes whose images are convolved. Stars and galaxies are drawn
+    /// afterwards, scene by scene.
+    ///
+    /// # Errors
+    /// The errors of [`simulate_into`](Self::simulate_into).
+    ///
+    /// # Panics
+    /// If there is not one image for each scene.
+    #[inline(never)]
+    pub fn simulate_many_into(
+        &self,
+        scenes: &[Scene<'_, T>],
+        mut images: Vec<ArrayViewMut2<'_, T>>,
+        progress: &dyn Progress,
+    ) -> Result<(), PsfieldError> {
+        assert_eq!(scenes.len(), images.len(), "an image for each scene");
+        let with_images = scenes.iter().all(|scene| scene.image().is_some());
+        let engine = if with_images && self.geometry.oversample == 1 && !scenes.is_empty() {
+            self.convolver(progress)?.engine.as_ref()
+        } else {
+            None
+        };
+        let Some(engine) = engine else {
+            progress.start(scenes.len() as u64);
+            for (scene, image) in scenes.iter().zip(images) {
+                self.simulate_into(scene, image, &Uncounted(progress))?;
+                progress.advance(1);
+            }
+            return Ok(());
+        };
+        let mut lights = Vec::with_capacity(scenes.len());
+        for (scene, image) in scenes.iter().zip(&images) {
+            self.check_sources(scene, false)?;
+            self.check_image(image)?;
+            let of_scene = scene.image().expect("every scene has an image");
+            lights.push(self.light(of_scene, progress)?.0);
+        }
+        let views = images.iter_mut().map(|image| image.view_mut()).collect();
+        engine.execute_many(Operation::Convolve, &lights, views, progress)?;
+        for (scene, image) in scenes.iter().zip(images) {
+            let sources = (scene.stars(), scene.galaxies());
+            self.draw_sources_into(sources, self.geometry.region, image, &Uncounted(progress))?;
+        }
+        Ok(())
+    }
+}
