@@ -134,11 +134,8 @@ class Plan:
         """
         if region is None:
             raise TypeError("region must be (x0, y0, nx, ny), four integers, got None")
-        other = Plan.__new__(Plan)
-        other._model = self._model
-        other._settings = {**self._settings, "region": region_of(region, "region")}
-        other._handle = self._handle.for_region(other._settings["region"])
-        return other
+        settings = {**self._settings, "region": region_of(region, "region")}
+        return self._derived(self._handle.for_region(settings["region"]), self._model, settings)
 
     def for_model(self, model: PsfModel) -> Plan:
         """Return a plan for another PSF, with the settings and the tiles of this plan.
@@ -166,10 +163,13 @@ class Plan:
         >>> plan.for_model(wide).simulate(scene).round(2)[1].tolist()
         [0.0, 1.0, 1.0, 1.0, 0.0]
         """
+        return self._derived(self._handle.for_model(model._handle), model, self._settings)
+
+    @staticmethod
+    def _derived(handle: _native.Plan, model: PsfModel, settings: dict[str, Any]) -> Plan:
+        """Return a plan that the native module made from another one."""
         other = Plan.__new__(Plan)
-        other._model = model
-        other._settings = self._settings
-        other._handle = self._handle.for_model(model._handle)
+        other._handle, other._model, other._settings = handle, model, settings
         return other
 
     @property

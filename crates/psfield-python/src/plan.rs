@@ -3,9 +3,9 @@
 use std::sync::{Arc, Mutex};
 
 use ndarray::parallel::prelude::*;
-use ndarray::{Array2, Array3, ArrayView2, ArrayViewMut2, ArrayViewMut3, Axis, Dimension, Ix2, Ix3};
+use ndarray::{Array, Array2, Array3, ArrayView2, ArrayViewMut2, ArrayViewMut3, Axis, Dimension, Ix2, Ix3};
 use numpy::{Element, IntoPyArray, PyArray, PyArrayMethods, PyReadonlyArray, PyReadwriteArray};
-use psfield::conv_core::ConvReal;
+use psfield::conv_core::{ConvReal, zeros};
 use psfield::psf_types::{Image, ImageView, NoProgress};
 use psfield::{Method, Preparation, PsfieldError, Scene, SimulateOptions, SimulationWarning, Simulator};
 use pyo3::exceptions::PyOSError;
@@ -216,10 +216,7 @@ impl Plan {
                 let scene = self.ready(simulator, light, sources, watch, pool)?;
                 pool.install(|| simulated(simulator, &scene, target, watch))
             })?;
-            let (image, warnings) = made?;
-            let image = image.map(|image| image.into_pyarray(py).into_any());
-            let text = |w: &SimulationWarning| with_argument(w.to_string(), w.setting());
-            Ok((image, warnings.iter().map(text).collect()))
+            Ok(in_python(py, made?))
         })
     }
 
@@ -248,10 +245,7 @@ impl Plan {
                 }
                 pool.install(|| many_simulated(simulator, &scenes, target, watch))
             })?;
-            let (images, warnings) = made?;
-            let images = images.map(|images| images.into_pyarray(py).into_any());
-            let text = |w: &SimulationWarning| with_argument(w.to_string(), w.setting());
-            Ok((images, warnings.iter().map(text).collect()))
+            Ok(in_python(py, made?))
         })
     }
 
@@ -369,6 +363,16 @@ fn simulated<T: ConvReal>(
     Ok((made, simulator.warnings(scene)))
 }
 
+/// Converts an image, or images, and warnings.
+fn in_python<T: Element, D: Dimension>(
+    py: Python<'_>,
+    (image, warnings): (Option<Array<T, D>>, Vec<SimulationWarning>),
+) -> Simulated<'_> {
+    let text = |w: &SimulationWarning| with_argument(w.to_string(), w.setting());
+    let image = image.map(|image| image.into_pyarray(py).into_any());
+    (image, warnings.iter().map(text).collect())
+}
+
 /// Simulates prepared scenes. Returns the images `[n, y, x]`, or `None` if they were written to an
 /// array of the caller, and the warnings of the first scene.
 fn many_simulated<T: ConvReal>(
@@ -379,14 +383,13 @@ fn many_simulated<T: ConvReal>(
 ) -> Result<(Option<Array3<T>>, Vec<SimulationWarning>), Failure> {
     let mut made = None;
     let shape = simulator.image_shape();
-    let mut images = match out {
-        Some(mut out) => {
-            out.fill(T::zero());
-            out
-        }
-        None => made
-            .insert(Array3::zeros((scenes.len(), shape.ny(), shape.nx())))
-            .view_mut(),
+    let mut images = if let Some(mut out) = out {
+        out.fill(T::zero());
+        out
+    } else {
+        let rows = zeros((scenes.len() * shape.ny(), shape.nx()));
+        let images = rows.into_shape_with_order((scenes.len(), shape.ny(), shape.nx()));
+        made.insert(images.expect("row-major")).view_mut()
     };
     simulator.simulate_many_into(scenes, images.outer_iter_mut().collect(), watch)?;
     for image in images.outer_iter() {

@@ -109,6 +109,16 @@ struct Convolver<T: ConvReal> {
 }
 
 impl<T: ConvReal> Convolver<T> {
+    /// Places a plan on a device. The time is counted from `clock` on.
+    fn of_plan(plan: Plan<T>, options: &SimulateOptions, clock: Instant) -> Result<Self, PsfieldError> {
+        let (engine, placement) = device::place(plan, options)?;
+        Ok(Self {
+            engine: Some(engine),
+            placement,
+            seconds: clock.elapsed().as_secs_f64(),
+        })
+    }
+
     /// Returns the engine. For a method without a plan, returns an error whose message begins with
     /// `what`.
     fn engine_for(&self, what: &str) -> Result<&Engine<T>, PsfieldError> {
@@ -447,23 +457,18 @@ impl<T: ConvReal> Simulator<T> {
         get_or_make(&self.convolver, || {
             let (model, _) = self.image_model()?;
             let clock = Instant::now();
-            let (engine, placement) = match self.planned_for(model)? {
-                Some(options) => {
-                    check_flux(self.psf(), model, &options)?;
-                    let (shape, frame) = (self.geometry.shape, self.geometry.fine(self.geometry.frame)?);
-                    let region = self.geometry.fine(self.geometry.region)?;
-                    let plan = Plan::for_region(model, shape, frame, region, options, progress)?;
-                    let (engine, placement) = device::place(plan, &self.options)?;
-                    (Some(engine), placement)
-                }
-                None => (None, self.placement_of_sources()),
+            let Some(options) = self.planned_for(model)? else {
+                return Ok(Convolver {
+                    engine: None,
+                    placement: self.placement_of_sources(),
+                    seconds: clock.elapsed().as_secs_f64(),
+                });
             };
-            let seconds = clock.elapsed().as_secs_f64();
-            Ok(Convolver {
-                engine,
-                placement,
-                seconds,
-            })
+            check_flux(self.psf(), model, &options)?;
+            let (shape, frame) = (self.geometry.shape, self.geometry.fine(self.geometry.frame)?);
+            let region = self.geometry.fine(self.geometry.region)?;
+            let plan = Plan::for_region(model, shape, frame, region, options, progress)?;
+            Convolver::of_plan(plan, &self.options, clock)
         })
     }
 

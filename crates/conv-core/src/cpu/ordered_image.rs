@@ -3,12 +3,12 @@
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Mutex, PoisonError};
 
-use ndarray::{ArrayViewMut2, Axis};
+use ndarray::ArrayViewMut2;
 
 use super::processor::LightPass;
 use super::tile_engine::TileEngine;
 use crate::ConvReal;
-use crate::overlap::colours;
+use crate::overlap::{colours, split};
 use crate::simd::{Lanes, vectorized};
 
 /// Rows of the image that one thread at a time may add to.
@@ -98,16 +98,11 @@ impl<'o, T: ConvReal> OrderedImage<'o, T> {
                 waiting: Mutex::new(None),
             });
         }
-        let mut strips = Vec::new();
-        let mut rest = output;
-        while rest.nrows() > STRIP {
-            let (strip, after) = rest.split_at(Axis(0), STRIP);
-            strips.push(Mutex::new(strip));
-            rest = after;
-        }
-        strips.push(Mutex::new(rest));
+        let height = output.nrows();
+        let strip = |first: usize| (first, (first + STRIP).min(height));
+        let strips: Vec<_> = (0..height).step_by(STRIP).map(strip).collect();
         Self {
-            strips,
+            strips: split(output, 0, &strips).into_iter().map(Mutex::new).collect(),
             first,
             blocks,
             turns,

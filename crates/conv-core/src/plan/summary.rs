@@ -95,7 +95,8 @@ impl std::fmt::Display for PlanSummary {
         }
         writeln!(
             f,
-            "tiles: {}, of up to {} x {} pixels; blocks: {}, each a task for one thread; transforms of {} x {}",
+            "tiles: {}, of up to {} x {} pixels; blocks: {}, each a task for one thread; \
+             transforms of {} x {}",
             self.tiles, self.tile.0, self.tile.1, self.blocks, self.transform.0, self.transform.1
         )?;
         writeln!(

@@ -73,7 +73,7 @@ impl InstructionSet {
             Self::Avx512 => pulp::x86::V4::try_new().is_some(),
             #[cfg(target_arch = "aarch64")]
             Self::Neon => pulp::aarch64::Neon::try_new().is_some(),
-            #[allow(unreachable_patterns, reason = "the last sets belong to other processors")]
+            // A set of other processors.
             _ => false,
         }
     }

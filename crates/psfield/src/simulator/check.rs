@@ -500,7 +500,8 @@ impl fmt::Display for SimulationWarning {
                 bytes,
             } => write!(
                 f,
-                "each execution makes {made_anew} of {blocks} blocks of the plan again, which is slow: the whole plan needs about {} MiB",
+                "each execution makes {made_anew} of {blocks} blocks of the plan again, which is slow: \
+                 the whole plan needs about {} MiB",
                 bytes.div_ceil(1 << 20)
             ),
         }

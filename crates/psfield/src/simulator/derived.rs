@@ -9,7 +9,7 @@ use psf_types::{PixelRegion, Progress};
 use super::flux::check_flux;
 use super::geometry::Geometry;
 use super::{Convolver, REGION, Simulator};
-use crate::{Method, Psf, PsfieldError, SimulateOptions, device};
+use crate::{Method, Psf, PsfieldError, SimulateOptions};
 
 impl<T: ConvReal> Simulator<T> {
     /// Returns a simulator for another region of the same frame. `region` is in frame pixels
@@ -17,8 +17,8 @@ impl<T: ConvReal> Simulator<T> {
     /// this one and shares its plan for stars, which is much faster than a new plan.
     ///
     /// # Errors
-    /// [`ErrorKind::Setting`](crate::ErrorKind::Setting) for a region outside the frame or a method without a plan, and the
-    /// errors of [`prepare`](Self::prepare).
+    /// [`ErrorKind::Setting`](crate::ErrorKind::Setting) for a region outside the frame or a method
+    /// without a plan, and the errors of [`prepare`](Self::prepare).
     #[inline(never)]
     pub fn for_region(&self, region: PixelRegion, progress: &dyn Progress) -> Result<Self, PsfieldError> {
         let options = SimulateOptions {
@@ -30,12 +30,7 @@ impl<T: ConvReal> Simulator<T> {
         let engine = chosen.engine_for(REGION)?;
         let clock = Instant::now();
         let plan = engine.plan().for_other_region(geometry.fine(region)?, progress)?;
-        let (engine, placement) = device::place(plan, &options)?;
-        let convolver = Convolver {
-            engine: Some(engine),
-            placement,
-            seconds: clock.elapsed().as_secs_f64(),
-        };
+        let convolver = Convolver::of_plan(plan, &options, clock)?;
         Ok(Self {
             shared: Arc::clone(&self.shared),
             options,
@@ -75,12 +70,7 @@ impl<T: ConvReal> Simulator<T> {
         let Some(plan) = plan else {
             return Ok(other);
         };
-        let (engine, placement) = device::place(plan, &other.options)?;
-        let convolver = Convolver {
-            engine: Some(engine),
-            placement,
-            seconds: clock.elapsed().as_secs_f64(),
-        };
+        let convolver = Convolver::of_plan(plan, &other.options, clock)?;
         Ok(Self {
             convolver: OnceLock::from(convolver),
             ..other
