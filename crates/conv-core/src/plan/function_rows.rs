@@ -4,8 +4,8 @@ use std::ops::Range;
 
 use super::coefficient_table::{CoefficientTable, TableBand};
 use crate::ConvReal;
-use crate::simd::{Aligned, Lanes};
-use crate::transform::{Plane, StoredPlane, load};
+use crate::simd::{Aligned, Lanes, Pair};
+use crate::transform::{Plane, StoredPlane, load, put_twisted};
 
 /// A function of a [`CoefficientTable`] in some columns and rows of its region.
 ///
@@ -16,6 +16,8 @@ pub struct FunctionRows<T> {
     columns: Range<usize>,
     bands: Range<usize>,
     rows: Vec<RowInBand<T>>,
+    /// The rows of each band, counted from the first chosen row.
+    band_rows: Vec<Range<usize>>,
     /// True for the constant 1.
     is_one: bool,
     /// The function in the first and the last row of each band, from row to row [`Self::pitch`] values.
@@ -42,9 +44,11 @@ impl<T: ConvReal> FunctionRows<T> {
         let pitch = self.pitch();
         self.ends.at_least(2 * self.bands.len() * pitch);
         self.rows.clear();
+        self.band_rows.clear();
         for (i, band) in table.bands[self.bands.clone()].iter().enumerate() {
             let last = if band.rows.len() == 1 { 2 * i } else { 2 * i + 1 };
             let steps = T::nearest((band.rows.len() - 1).max(1) as f64);
+            let start = self.rows.len();
             for row in band.rows.start.max(rows.start)..band.rows.end.min(rows.end) {
                 let after = T::nearest((row - band.rows.start) as f64);
                 self.rows.push(RowInBand {
@@ -52,6 +56,7 @@ impl<T: ConvReal> FunctionRows<T> {
                     weights: [(steps - after) / steps, after / steps],
                 });
             }
+            self.band_rows.push(start..self.rows.len());
         }
     }
 
@@ -113,16 +118,36 @@ impl<T: ConvReal> FunctionRows<T> {
 /// Light times a function.
 impl<T: ConvReal> Plane<T> for (StoredPlane<'_, T>, &FunctionRows<T>) {
     #[inline(always)]
-    fn vector<S: Lanes<T>>(self, simd: S, row: usize, index: usize) -> S::V {
-        let (light, function) = (self.0.vector(simd, row, index), self.1);
+    fn twist<S: Lanes<T>, const UPPER: bool>(
+        self,
+        simd: S,
+        index: usize,
+        rows: Range<usize>,
+        twist: &[Pair<T>],
+        column: &mut [Pair<S::V>],
+    ) {
+        let (light, function) = self;
         if function.is_one {
-            return light;
+            return light.twist::<S, UPPER>(simd, index, rows, twist, column);
         }
-        let RowInBand { ends, weights } = &function.rows[row];
-        let (values, start) = (function.ends.get(), index * S::LANES);
-        let first = simd.mul(simd.splat(weights[0]), load(simd, values, ends[0] + start));
-        let last = load(simd, values, ends[1] + start);
-        simd.mul(light, simd.mul_add(simd.splat(weights[1]), last, first))
+        let (ends, at) = (function.ends.get(), index * S::LANES);
+        for band in &function.band_rows {
+            let band = band.start.max(rows.start)..band.end.min(rows.end);
+            if band.is_empty() {
+                continue;
+            }
+            let of_band = &function.rows[band.clone()];
+            let [first, last] = of_band[0].ends;
+            let (first, last) = (load(simd, ends, first + at), load(simd, ends, last + at));
+            let here = band.start - rows.start..band.end - rows.start;
+            let column = column[here.clone()].iter_mut().zip(&twist[here]);
+            for ((row, (into, &w)), RowInBand { weights, .. }) in band.zip(column).zip(of_band) {
+                let weight = simd.mul(simd.splat(weights[0]), first);
+                let weight = simd.mul_add(simd.splat(weights[1]), last, weight);
+                let value = simd.mul(light.vector(simd, row, index), weight);
+                put_twisted::<T, S, UPPER>(simd, value, w, into);
+            }
+        }
     }
 }
 

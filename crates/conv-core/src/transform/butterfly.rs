@@ -3,8 +3,9 @@
 use crate::ConvReal;
 use crate::simd::{Lanes, Pair};
 
+/// `a + b`.
 #[inline(always)]
-fn add<T, S: Lanes<T>>(simd: S, a: Pair<S::V>, b: Pair<S::V>) -> Pair<S::V> {
+pub(super) fn add<T, S: Lanes<T>>(simd: S, a: Pair<S::V>, b: Pair<S::V>) -> Pair<S::V> {
     [simd.add(a[0], b[0]), simd.add(a[1], b[1])]
 }
 

@@ -5,4 +5,4 @@ mod stages;
 mod tile;
 
 pub use tile::TileTransform;
-pub(crate) use tile::{Plane, StoredPlane, X_STEP, Y_STEP, load};
+pub(crate) use tile::{Plane, StoredPlane, X_STEP, Y_STEP, load, put_twisted};

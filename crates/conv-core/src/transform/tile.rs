@@ -1,7 +1,9 @@
 //! Two-dimensional real transforms of a tile.
 
+use std::ops::Range;
+
 use super::butterfly::times;
-use super::stages::{Stages, multiply_swapped, root};
+use super::stages::{Factor, Stages, multiply_swapped, root};
 use crate::ConvReal;
 use crate::simd::{Lanes, Pair};
 use pulp::bytemuck::{cast_slice, cast_slice_mut};
@@ -32,8 +34,35 @@ pub struct TileTransform<T> {
 
 /// Real values `[y, x]`, as a transform reads them.
 pub(crate) trait Plane<T: ConvReal>: Copy {
-    /// A vector of a row. `index` counts vectors from the first column.
-    fn vector<S: Lanes<T>>(self, simd: S, row: usize, index: usize) -> S::V;
+    /// Writes a vector of each of some rows to `column`, times its factor in `twist`. If `UPPER` is
+    /// true, adds `i` times the product instead. `index` counts vectors from the first column.
+    fn twist<S: Lanes<T>, const UPPER: bool>(
+        self,
+        simd: S,
+        index: usize,
+        rows: Range<usize>,
+        twist: &[Pair<T>],
+        column: &mut [Pair<S::V>],
+    );
+}
+
+/// Writes `value` times `w` to `into`, or adds `i` times the product if `UPPER` is true.
+#[inline(always)]
+pub(crate) fn put_twisted<T: ConvReal, S: Lanes<T>, const UPPER: bool>(
+    simd: S,
+    value: S::V,
+    w: Pair<T>,
+    into: &mut Pair<S::V>,
+) {
+    let w = [simd.splat(w[0]), simd.splat(w[1])];
+    *into = if UPPER {
+        [
+            simd.neg_mul_add(value, w[1], into[0]),
+            simd.mul_add(value, w[0], into[1]),
+        ]
+    } else {
+        [simd.mul(value, w[0]), simd.mul(value, w[1])]
+    };
 }
 
 /// A plane in memory.
@@ -43,10 +72,27 @@ pub(crate) struct StoredPlane<'a, T> {
     pitch: usize,
 }
 
+impl<T: ConvReal> StoredPlane<'_, T> {
+    /// A vector of a row. `index` counts vectors from the first column.
+    #[inline(always)]
+    pub(crate) fn vector<S: Lanes<T>>(self, simd: S, row: usize, index: usize) -> S::V {
+        load(simd, self.values, row * self.pitch + index * S::LANES)
+    }
+}
+
 impl<T: ConvReal> Plane<T> for StoredPlane<'_, T> {
     #[inline(always)]
-    fn vector<S: Lanes<T>>(self, simd: S, row: usize, index: usize) -> S::V {
-        load(simd, self.values, row * self.pitch + index * S::LANES)
+    fn twist<S: Lanes<T>, const UPPER: bool>(
+        self,
+        simd: S,
+        index: usize,
+        rows: Range<usize>,
+        twist: &[Pair<T>],
+        column: &mut [Pair<S::V>],
+    ) {
+        for ((row, &w), into) in rows.zip(twist).zip(column) {
+            put_twisted::<T, S, UPPER>(simd, self.vector(simd, row, index), w, into);
+        }
     }
 }
 
@@ -104,10 +150,10 @@ impl<T: ConvReal> TileTransform<T> {
         self.along_y_len(self.nx)
     }
 
-    /// The number of values of working memory for a transform: one column or one group of vectors,
-    /// large enough for any instruction set.
+    /// The number of values of working memory for a transform: one column, or one group of vectors and
+    /// a part of another, large enough for any instruction set.
     pub fn column_len(&self) -> usize {
-        self.ny.max(2 * self.nx) * X_STEP
+        self.ny.max(3 * self.nx) * X_STEP
     }
 
     /// The number of values that [`forward_along_y`](Self::forward_along_y) writes.
@@ -131,16 +177,17 @@ impl<T: ConvReal> TileTransform<T> {
         let plane = self.plane(plane);
         self.forward_along_y(simd, plane, (rows, columns), spectrum, self.nx, column);
         let spectrum: &mut [Pair<S::V>] = cast_slice_mut(&mut spectrum[..self.spectrum_len()]);
+        let values: &mut [Pair<S::V>] = &mut cast_slice_mut(column)[..columns.next_multiple_of(S::LANES)];
         for group in spectrum.chunks_exact_mut(group(self.nx)) {
-            self.across
-                .forward(simd, group, columns.next_multiple_of(S::LANES));
+            values.copy_from_slice(&group[..values.len()]);
+            self.across.forward(simd, &*values, group);
         }
     }
 
     /// Computes the spectrum of a plane like [`forward`](Self::forward), multiplies it by another
     /// spectrum, and swaps real and imaginary parts of the product. The product is added to `sum`
     /// if `add` is true, otherwise it replaces `sum`. Each group stays in the first-level cache
-    /// from its transform to the sum. `spectrum` is overwritten.
+    /// from its transform to the sum. `spectrum` is overwritten, and `column` is working memory.
     ///
     /// The other spectrum is whole. Or it is only [transformed along y](Self::forward_along_y), and
     /// `only_y` is its number of columns.
@@ -157,25 +204,21 @@ impl<T: ConvReal> TileTransform<T> {
         spectrum: &mut [T],
         column: &mut [T],
     ) {
-        self.forward_along_y(simd, plane, (rows, columns), spectrum, self.nx, column);
-        let spectrum: &mut [Pair<S::V>] = cast_slice_mut(&mut spectrum[..self.spectrum_len()]);
+        self.forward_along_y(simd, plane, (rows, columns), spectrum, columns, column);
+        let filled = |columns: usize| columns.next_multiple_of(S::LANES);
+        let spectrum: &[Pair<S::V>] = cast_slice(&spectrum[..self.along_y_len(columns)]);
         let sum: &mut [Pair<S::V>] = cast_slice_mut(&mut sum[..self.spectrum_len()]);
-        let others = cast_slice(factor).chunks_exact(group(only_y.unwrap_or(self.nx)));
-        let other: &mut [Pair<S::V>] = &mut cast_slice_mut(column)[..self.nx];
-        let groups = spectrum.chunks_exact_mut(group(self.nx)).zip(others);
+        let factors = cast_slice(factor).chunks_exact(group(only_y.unwrap_or(self.nx)));
+        let groups = spectrum.chunks_exact(group(columns)).zip(factors);
         for ((group, factor), sum) in groups.zip(sum.chunks_exact_mut(group(self.nx))) {
-            let factor: &[Pair<S::V>] = match only_y {
-                None => factor,
-                Some(columns) => {
-                    let filled = columns.next_multiple_of(S::LANES);
-                    other[..filled].copy_from_slice(&factor[..filled]);
-                    self.across.forward(simd, other, filled);
-                    other
-                }
+            let factor = match only_y {
+                None => Factor::Transform(&factor[..self.nx]),
+                Some(columns) => Factor::Values(&factor[..filled(columns)]),
             };
-            let filled = columns.next_multiple_of(S::LANES);
+            let values = &group[..filled(columns)];
+            let (sum, work) = (&mut sum[..self.nx], cast_slice_mut(column));
             self.across
-                .forward_multiply_swapped(simd, group, filled, factor, sum, add);
+                .forward_multiply_swapped(simd, values, factor, sum, add, work);
         }
     }
 
@@ -196,21 +239,9 @@ impl<T: ConvReal> TileTransform<T> {
         let spectrum: &mut [Pair<S::V>] = cast_slice_mut(&mut spectrum[..self.along_y_len(width)]);
         let column: &mut [Pair<S::V>] = &mut cast_slice_mut(column)[..half];
         for block in 0..columns.div_ceil(S::LANES) {
-            let both = rows.saturating_sub(half);
-            for (y, (value, w)) in column.iter_mut().zip(&self.twist).enumerate().take(rows) {
-                let w = [simd.splat(w[0]), simd.splat(w[1])];
-                *value = if y < both {
-                    times(
-                        simd,
-                        [plane.vector(simd, y, block), plane.vector(simd, y + half, block)],
-                        w,
-                    )
-                } else {
-                    let real = plane.vector(simd, y, block);
-                    [simd.mul(real, w[0]), simd.mul(real, w[1])]
-                };
-            }
-            self.down.forward(simd, column, rows.min(half));
+            plane.twist::<S, false>(simd, block, 0..rows.min(half), &self.twist, column);
+            plane.twist::<S, true>(simd, block, half..rows.max(half), &self.twist, column);
+            self.down.forward_in_place(simd, column, rows.min(half));
             let groups = spectrum.chunks_exact_mut(group(width));
             for (from, group) in column.chunks_exact(S::LANES).zip(groups) {
                 simd.transpose(from, &mut group[block * S::LANES..(block + 1) * S::LANES]);
