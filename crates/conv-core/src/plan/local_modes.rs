@@ -7,7 +7,7 @@ use psf_types::PixelRegion;
 use super::allowed_errors::{CellError, CountModes};
 use super::growth_curves::TailGrowth;
 use super::node_functions::NodeFunctions;
-use super::norm::{add_scaled, norm, values};
+use super::norm::{add_scaled, dot, norm, values};
 use super::psf_space::PsfSpace;
 use super::region_cells::RegionCells;
 use super::span::{leave_out, span};
@@ -115,8 +115,7 @@ impl LocalModes {
         let flux = centre.dot(&space.fluxes);
         let possible = norm(centre.view()) * norm(space.fluxes.view());
         let reference = (flux.abs() > MIN_REFERENCE_FLUX * possible).then(|| &centre / flux);
-        let scale = rows.outer_iter().map(norm).fold(0.0, f64::max);
-        let (betas, fluxes) = (rows.dot(&along), rows.dot(&space.fluxes));
+        let (scale, betas, fluxes) = vectorized!(sizes(&rows, values(&along), values(&space.fluxes)));
         if let Some(reference) = &reference {
             vectorized!(for (mut row, &flux) in rows.outer_iter_mut().zip(&fluxes) {
                 add_scaled(row.as_slice_mut().expect("row-major"), -flux, values(reference));
@@ -179,15 +178,10 @@ impl LocalModes {
             let circles = rotation.t().dot(&axes).dot(&circles.t());
             TailGrowth::new(circles, growth.remainder)
         });
-        let table = |first: &[ArrayView1<'_, f64>], rank: usize| {
-            let first = first.iter().map(|column| column.insert_axis(Axis(1)));
-            let columns: Vec<ArrayView2<'_, f64>> = first.chain([rows.slice(s![.., ..rank])]).collect();
-            let joined = ndarray::concatenate(Axis(1), &columns).expect("equally many rows");
-            NodeFunctions::new(joined.view())
-        };
+        let [betas, fluxes] = [&betas, &fluxes].map(|column| column.view().insert_axis(Axis(1)));
         let modes = CountModes {
             cells,
-            table: &table(&[betas.view(), fluxes.view()], rows.ncols()),
+            table: &NodeFunctions::new(&[betas, fluxes, rows.view()]),
             errors,
             reference: reference.as_ref().map_or(0.0, |reference| norm(reference.view())),
             outside: outside.hypot(left_out.part),
@@ -202,7 +196,7 @@ impl LocalModes {
             modes: in_all(kept.t().dot(&axes)),
             duals: metric.map(|metric| in_all(kept.t().dot(&metric.root.t()).dot(&span))),
             directions: left_out.directions,
-            values: table(&[fluxes.view()], rank),
+            values: NodeFunctions::new(&[fluxes, rows.slice(s![.., ..rank])]),
             reference,
         })
     }
@@ -255,6 +249,19 @@ impl LocalModes {
         );
         values
     }
+}
+
+/// The norm of the largest row, and the scalar products of all rows with two vectors.
+#[inline(always)]
+fn sizes(rows: &Array2<f64>, a: &[f64], b: &[f64]) -> (f64, Array1<f64>, Array1<f64>) {
+    let (mut largest, mut of_a, mut of_b) = (0.0_f64, Vec::new(), Vec::new());
+    for row in rows.outer_iter() {
+        let row = row.to_slice().expect("row-major");
+        largest = largest.max(dot(row, row));
+        of_a.push(dot(row, a));
+        of_b.push(dot(row, b));
+    }
+    (largest.sqrt(), of_a.into(), of_b.into())
 }
 
 /// Vectors `[vector, direction]` among `count` directions, from those in the first directions.
@@ -333,7 +340,7 @@ impl<'a> Support<'a> {
     }
 
     fn covariance(&self, rows: ArrayView2<'_, f64>) -> Array2<f64> {
-        let table = NodeFunctions::new(rows);
+        let table = NodeFunctions::new(&[rows]);
         let mut values = Array2::zeros((self.0.len(), rows.ncols()));
         for (mut value, end) in values.outer_iter_mut().zip(&self.0) {
             table.at(end, value.as_slice_mut().expect("row-major"));

@@ -1,6 +1,6 @@
 //! Functions that are linear in the weights of a field's nodes.
 
-use ndarray::ArrayView2;
+use ndarray::{ArrayView2, Axis};
 
 /// Functions that are linear in the weights of the nodes.
 #[derive(Debug)]
@@ -11,11 +11,12 @@ pub(crate) struct NodeFunctions {
 }
 
 impl NodeFunctions {
-    pub(crate) fn new(rows: ArrayView2<'_, f64>) -> Self {
-        let rows = rows.as_standard_layout();
+    /// The functions are the columns of arrays with one row for each node, and one more.
+    pub(crate) fn new(columns: &[ArrayView2<'_, f64>]) -> Self {
+        let rows = ndarray::concatenate(Axis(1), columns).expect("equally many rows");
         Self {
             width: rows.ncols(),
-            values: rows.as_slice().expect("row-major").to_vec(),
+            values: rows.iter().copied().collect(),
         }
     }
 
