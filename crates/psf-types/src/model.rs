@@ -322,6 +322,12 @@ impl PsfModel {
         }
     }
 
+    /// Returns whether two models have the same mean, components and stamp grid.
+    pub fn has_basis_of(&self, other: &Self) -> bool {
+        let same_stamps = Arc::ptr_eq(&self.stamps, &other.stamps) || self.stamps == other.stamps;
+        same_stamps && self.mean_centred == other.mean_centred && self.grid == other.grid
+    }
+
     /// The stamps `[stamp, y, x]`, row-major, beginning with the mean if there is one.
     pub fn stamps(&self) -> ndarray::ArrayView3<'_, f64> {
         self.stamps.view()

@@ -1,6 +1,7 @@
 //! The PSFs of a model as vectors.
 
 use std::ops::Range;
+use std::sync::Arc;
 
 use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis, s};
 use psf_types::{ErrorLimit, FieldError, MeanParts, PixelRegion, Position, PsfModel, ToleranceOn};
@@ -24,7 +25,7 @@ pub struct PsfSpace {
     /// The flux of each direction.
     pub(crate) fluxes: Array1<f64>,
     /// The flux in circles. `None` if the tolerance only bounds the L2 error.
-    pub(crate) growth: Option<GrowthCurves>,
+    pub(crate) growth: Option<Arc<GrowthCurves>>,
 }
 
 /// The fraction of the tolerance that is left to the cells. More of it makes cells larger and needs
@@ -34,20 +35,7 @@ const SHARE_OF_CELLS: f64 = 0.3;
 impl PsfSpace {
     /// The space of a model's PSFs. Plans that use this space bound the errors that `on` names.
     pub fn new(model: &PsfModel, on: ToleranceOn) -> Self {
-        let MeanParts { along, rest } = model.mean_parts();
-        let (mut mean, mut fluxes) = (Vec::new(), Vec::new());
-        if let Some((norm, rest)) = rest {
-            mean.push(*norm);
-            fluxes.push(model.grid().flux_of_sum(rest.sum()));
-        }
-        mean.extend(along);
-        fluxes.extend_from_slice(&model.stamp_fluxes()[model.stamp_count() - along.len()..]);
-        let mut space = Self {
-            model: model.clone(),
-            mean: Array1::from(mean),
-            fluxes: Array1::from(fluxes),
-            growth: None,
-        };
+        let mut space = Self::without_growth(model);
         if on == ToleranceOn::Aperture {
             // Without a mean, the nodes are usually PSFs.
             let of_nodes = model
@@ -56,13 +44,39 @@ impl PsfSpace {
                 .mean_axis(Axis(0))
                 .filter(|_| !model.is_mean_centred());
             let typical = of_nodes.as_ref().unwrap_or(&space.mean);
-            space.growth = Some(GrowthCurves::new(
-                space.stamps().view(),
-                model.grid(),
-                typical.view(),
-            ));
+            let growth = GrowthCurves::new(space.stamps().view(), model.grid(), typical.view());
+            space.growth = Some(Arc::new(growth));
         }
         space
+    }
+
+    /// The space of another model's PSFs. The fluxes in circles are those of the stamps, so they are not
+    /// computed again if both models have the same basis.
+    pub(crate) fn for_other_model(&self, model: &PsfModel, on: ToleranceOn) -> Self {
+        match &self.growth {
+            Some(growth) if model.has_basis_of(&self.model) => Self {
+                growth: Some(Arc::clone(growth)),
+                ..Self::without_growth(model)
+            },
+            _ => Self::new(model, on),
+        }
+    }
+
+    fn without_growth(model: &PsfModel) -> Self {
+        let MeanParts { along, rest } = model.mean_parts();
+        let (mut mean, mut fluxes) = (Vec::new(), Vec::new());
+        if let Some((norm, rest)) = rest {
+            mean.push(*norm);
+            fluxes.push(model.grid().flux_of_sum(rest.sum()));
+        }
+        mean.extend(along);
+        fluxes.extend_from_slice(&model.stamp_fluxes()[model.stamp_count() - along.len()..]);
+        Self {
+            model: model.clone(),
+            mean: Array1::from(mean),
+            fluxes: Array1::from(fluxes),
+            growth: None,
+        }
     }
 
     /// The number of pixels of a stamp.

@@ -390,7 +390,7 @@ impl WholeFrame {
         let reach = Reach::of(model.grid())?;
         let whole = || Self {
             view: self.view,
-            space: PsfSpace::new(model, options.tolerance_on()),
+            space: self.space.for_other_model(model, options.tolerance_on()),
             geometry: self.geometry,
             tiling: self.tiling.clone(),
             reach,
