@@ -6,8 +6,8 @@ use std::sync::Arc;
 use coeff_field::{InterpolatedField, interpolation};
 use ndarray::{Array1, Array2, Array3, Axis, s};
 use psf_types::{
-    Anchor, CoefficientField, FrameShape, Normalisation, OutsidePolicy, PixelRegion, Position, PsfBasis,
-    PsfModel, SampleCoefficients, SamplePositions, StampGrid, ToleranceOn,
+    Anchor, CoefficientField, FieldError, FrameShape, NoProgress, Normalisation, OutsidePolicy, PixelRegion,
+    Position, PsfBasis, PsfModel, SampleCoefficients, SamplePositions, StampGrid, ToleranceOn,
 };
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -300,6 +300,45 @@ fn every_pixel_of_every_interpolator_is_within_the_tolerance() {
     println!("largest errors {coarsest:?}, in circles without a bound {unbounded} times the tolerance");
     assert!(coarsest.l2 > 1e-2 && coarsest.circle > 1e-2, "{coarsest:?}");
     assert!(unbounded > 1.2, "{unbounded}");
+}
+
+/// The fluxes in circles are taken from the first plan if the basis is the same, and only then.
+#[test]
+fn plans_for_other_fields_are_within_the_tolerance() {
+    const TOLERANCE: f64 = 5e-2;
+    let first = model("polynomial=0", false, Normalisation::Keep);
+    let other = model("bicubic", true, Normalisation::Keep);
+    let stamps = other.stamps();
+    let reversed = stamps.slice(s![1..;-1, .., ..]).to_owned();
+    let basis = PsfBasis::new(Some(other.stamp(0).to_owned()), reversed, other.grid()).unwrap();
+    let field = Arc::new(OfOther(other.clone()));
+    let of_other_basis = PsfModel::new(&basis, field, Normalisation::Keep, None).unwrap();
+    assert!(other.has_basis_of(&first) && !of_other_basis.has_basis_of(&first));
+    let first: Plan<f64> = plan(&first, TOLERANCE, ToleranceOn::Aperture, Anchor::Source);
+    for model in [other, of_other_basis] {
+        let plan = first
+            .for_other_field(&model, 1 << 28, &NoProgress)
+            .unwrap()
+            .unwrap();
+        let found = certify(&plan, 0.0);
+        assert!(
+            found.l2 <= TOLERANCE && found.circle <= TOLERANCE && found.circle > 0.1 * TOLERANCE,
+            "{found:?}"
+        );
+    }
+}
+
+/// The field of a model.
+#[derive(Debug)]
+struct OfOther(PsfModel);
+
+impl CoefficientField for OfOther {
+    fn component_count(&self) -> usize {
+        self.0.rank()
+    }
+    fn evaluate_into(&self, position: Position, coefficients: &mut [f64]) -> Result<(), FieldError> {
+        self.0.field().evaluate_into(position, coefficients)
+    }
 }
 
 #[test]
