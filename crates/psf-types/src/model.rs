@@ -322,7 +322,7 @@ impl PsfModel {
         }
     }
 
-    /// Returns whether two models have the same mean, components and stamp grid.
+    /// Returns whether this model has the mean, the components and the stamp grid of another one.
     pub fn has_basis_of(&self, other: &Self) -> bool {
         let same_stamps = Arc::ptr_eq(&self.stamps, &other.stamps) || self.stamps == other.stamps;
         same_stamps && self.mean_centred == other.mean_centred && self.grid == other.grid
