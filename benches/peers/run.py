@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 
 
-GROUPS = "pixels,light,stars,galaxies,frames"
+GROUPS = "pixels,light,stars,galaxies,frames,fields"
 
 
 def arguments():

@@ -52,6 +52,7 @@ pub(crate) struct BenchArgs {
     /// stars: 10^3 to 10^7 stars.
     /// galaxies: 10^3 to 10^5 galaxies.
     /// frames: 1000 frames of 256 x 256 pixels with one plan.
+    /// fields: 100 frames of 256 x 256 pixels, each with its own PSF field: plan and image.
     ///
     /// The method is auto with tolerance 1e-3, in f32. No frame is larger than the largest of
     /// --sizes. A case whose first run takes more than 10 s runs once. All groups together take
@@ -62,7 +63,7 @@ pub(crate) struct BenchArgs {
         num_args = 0..=1,
         require_equals = true,
         value_delimiter = ',',
-        default_missing_value = "pixels,light,stars,galaxies,frames",
+        default_missing_value = "pixels,light,stars,galaxies,frames,fields",
         conflicts_with_all = [
             "grids", "psf", "scene", "stretch", "preset", "rank", "methods", "tolerances", "patches", "ranks", "anchor",
             "precision", "plot", "device", "gpu_adapter"

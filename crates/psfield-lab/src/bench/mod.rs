@@ -9,7 +9,7 @@
 //! [`Contender::Auto`]).
 //!
 //! [`run_real_cases`] measures real work instead of methods: how the cost of [`Contender::Auto`]
-//! grows with pixels, light, stars, galaxies and frames ([`RealGroup`]).
+//! grows with pixels, light, stars, galaxies, frames and PSF fields ([`RealGroup`]).
 //!
 //! ```
 //! use psfield_lab::bench::{BenchCase, BenchOptions, Contender, lit_scene, run, stretched};

@@ -7,7 +7,7 @@ use std::time::Instant;
 use ndarray::{Array2, s};
 use psf_types::{
     FrameShape, ImageView, Interpolation, NoProgress, PointSource, Position, Progress, PsfModelRecord,
-    SersicProfile, SersicSource, named,
+    SampleCoefficients, SamplePositions, SersicProfile, SersicSource, named,
 };
 use psfield::convert::to_psfex;
 use psfield::psf_basis::RankSelection;
@@ -40,11 +40,18 @@ pub enum RealGroup {
     Galaxies,
     /// Many small frames with one plan. Every pixel is lit.
     Frames,
+    /// Small frames, each with a PSF field of its own on one basis. They are parts of larger frames, with
+    /// four times their side. Every pixel is lit.
+    Fields,
 }
 
+/// The side of the frames of which those of [`RealGroup::Fields`] are a part, in sides of the parts.
+const FIELD: usize = 4;
+
 named!(
-    RealGroup, "group of cases", "pixels, light, stars, galaxies or frames",
-    "pixels" => Pixels, "light" => Light, "stars" => Stars, "galaxies" => Galaxies, "frames" => Frames
+    RealGroup, "group of cases", "pixels, light, stars, galaxies, frames or fields",
+    "pixels" => Pixels, "light" => Light, "stars" => Stars, "galaxies" => Galaxies, "frames" => Frames,
+    "fields" => Fields
 );
 
 /// A PSF over a frame, made from a model on a regular grid.
@@ -138,12 +145,13 @@ pub struct RealCase {
 
 impl RealGroup {
     /// All groups.
-    pub const ALL: [Self; 5] = [
+    pub const ALL: [Self; 6] = [
         Self::Pixels,
         Self::Light,
         Self::Stars,
         Self::Galaxies,
         Self::Frames,
+        Self::Fields,
     ];
 
     /// The unit of [`RealCase::amount`].
@@ -153,7 +161,7 @@ impl RealGroup {
             Self::Light => "% lit",
             Self::Stars => "stars",
             Self::Galaxies => "galaxies",
-            Self::Frames => "frames",
+            Self::Frames | Self::Fields => "frames",
         }
     }
 
@@ -168,17 +176,25 @@ impl RealGroup {
             RealPsf::Psfex(3),
             RealPsf::Scattered,
         ];
+        let largest = sizes.iter().copied().max();
+        let case = |psf, side, amount| RealCase {
+            group: self,
+            psf,
+            side,
+            amount,
+        };
         let (side, amounts, quick_amounts): (usize, &[f64], &[f64]) = match self {
             Self::Pixels => {
-                let of_psf = |psf| sizes.iter().map(move |&side| (psf, side));
-                let cases = PSFS.into_iter().flat_map(of_psf);
-                let case = |(psf, side)| RealCase {
-                    group: self,
-                    psf,
-                    side,
-                    amount: (side * side) as f64,
+                let of_psf = |psf| {
+                    let cases = sizes.iter();
+                    cases.map(move |&side| case(psf, side, (side * side) as f64))
                 };
-                return cases.map(case).collect();
+                return PSFS.into_iter().flat_map(of_psf).collect();
+            }
+            Self::Fields => {
+                let side = largest.map_or(256, |largest| largest.min(256));
+                let amount = if quick { 4.0 } else { 100.0 };
+                return PSFS.map(|psf| case(psf, side, amount)).to_vec();
             }
             Self::Light => (4096, &[0.0, 0.1, 1.0, 3.0, 10.0, 30.0, 100.0], &[0.0, 3.0, 100.0]),
             Self::Stars => (9216, &[1e3, 1e4, 1e5, 1e6, 1e7], &[1e3]),
@@ -186,13 +202,17 @@ impl RealGroup {
             Self::Frames => (256, &[1000.0], &[10.0]),
         };
         let amounts = if quick { quick_amounts } else { amounts };
-        let case = |&amount| RealCase {
-            group: self,
-            psf: RealPsf::Scattered,
-            side: side.min(sizes.iter().copied().max().unwrap_or(side)),
-            amount,
-        };
+        let side = side.min(largest.unwrap_or(side));
+        let case = |&amount| case(RealPsf::Scattered, side, amount);
         amounts.iter().map(case).collect()
+    }
+}
+
+impl RealCase {
+    /// The frame to which the field of the telescope is stretched.
+    fn field(&self) -> Result<FrameShape, PsfieldError> {
+        let factor = if self.group == RealGroup::Fields { FIELD } else { 1 };
+        Ok(FrameShape::new(factor * self.side, factor * self.side)?)
     }
 }
 
@@ -251,12 +271,12 @@ pub fn run_real_cases(
 ) -> Result<Vec<RealRow>, PsfieldError> {
     progress.start(cases.len() as u64);
     let mut rows = Vec::with_capacity(cases.len());
-    // Cases of one PSF and frame are neighbours in the list.
-    for cases in cases.chunk_by(|a, b| (a.psf, a.side) == (b.psf, b.side)) {
-        let frame = FrameShape::new(cases[0].side, cases[0].side)?;
+    // Cases of one PSF and field are neighbours in the list.
+    for cases in cases.chunk_by(|a, b| (a.psf, a.field().ok()) == (b.psf, b.field().ok())) {
         let mut rng = ChaCha8Rng::seed_from_u64(options.seed);
-        let record = cases[0].psf.record(grid, frame, &mut rng)?;
+        let record = cases[0].psf.record(grid, cases[0].field()?, &mut rng)?;
         for case in cases {
+            let frame = FrameShape::new(case.side, case.side)?;
             rows.push(measured(case, &record, frame, options)?);
             progress.advance(1);
         }
@@ -265,8 +285,10 @@ pub fn run_real_cases(
 }
 
 /// A simulator with the seconds of its runs.
-struct Timed {
+struct Timed<'a> {
     simulator: Simulator<f32>,
+    /// The PSFs of the frames in turn. Empty if all frames have that of the simulator.
+    fields: &'a [Psf],
     first: f64,
     later: Vec<f64>,
 }
@@ -278,6 +300,11 @@ fn measured(
     options: &BenchOptions,
 ) -> Result<RealRow, PsfieldError> {
     let scenes = Scenes::new(case, frame, options.seed)?;
+    // The PSFs of the frames in turn, if each has its own.
+    let fields = match case.group {
+        RealGroup::Fields => mirrored(record, case.field()?)?,
+        _ => Vec::new(),
+    };
     let last = scenes.get(scenes.count - 1)?;
     let mut image = conv_core::zeros((frame.ny(), frame.nx()));
     let auto = Contender::Auto {
@@ -297,11 +324,17 @@ fn measured(
 
     let memory = PeakMemory::start();
     let (psf, simulator, mut seconds_model, mut seconds_plan) = made()?;
-    let first = scenes.seconds(&simulator, &mut image)?;
+    let first = scenes.seconds(&simulator, &fields, &mut image)?;
     let peak_memory_bytes = memory.bytes();
 
     let pixels = scenes.pixels(options);
-    let exact = simulator.exact_at(&last, &pixels, &NoProgress)?;
+    let exact = match of_frame(&fields, scenes.count - 1) {
+        None => simulator.exact_at(&last, &pixels, &NoProgress)?,
+        Some(psf) => {
+            let simulator = simulator.for_other_field(psf, &NoProgress)?;
+            simulator.exact_at(&last, &pixels, &NoProgress)?
+        }
+    };
     let relative_l2 = relative_l2(&image, &pixels, &exact);
 
     for _ in 1..options.repeat {
@@ -309,21 +342,22 @@ fn measured(
         seconds_model = seconds_model.min(of_model);
         seconds_plan = seconds_plan.min(of_plan);
     }
-    let timed = |simulator, first| Timed {
+    let timed = |simulator, fields, first| Timed {
         simulator,
+        fields,
         first,
         later: Vec::new(),
     };
-    let mut all = vec![timed(simulator, first)];
+    let mut all = vec![timed(simulator, &fields[..], first)];
     if last.image().is_some() {
         let simulator = Contender::Single.simulator(record, &psf, frame, options)?;
-        let first = scenes.seconds(&simulator, &mut image)?;
-        all.push(timed(simulator, first));
+        let first = scenes.seconds(&simulator, &[], &mut image)?;
+        all.push(timed(simulator, &[], first));
     }
     for _ in 0..options.repeat.max(1) {
         for timed in all.iter_mut().filter(|timed| timed.first <= LONG_SECONDS) {
             for _ in 0..runs_per_turn(timed.first) {
-                let seconds = scenes.seconds(&timed.simulator, &mut image)?;
+                let seconds = scenes.seconds(&timed.simulator, timed.fields, &mut image)?;
                 timed.later.push(seconds);
             }
         }
@@ -349,6 +383,37 @@ fn measured(
         relative_l2,
         peak_memory_bytes,
     })
+}
+
+/// A PSF and its mirror images about the middle of a frame: along x, along y, and along both.
+fn mirrored(record: &PsfModelRecord, frame: FrameShape) -> Result<Vec<Psf>, PsfieldError> {
+    let last = [frame.nx(), frame.ny()].map(|pixels| (pixels - 1) as f64);
+    let along = |turned: bool, at: f64, last: f64| if turned { last - at } else { at };
+    let mirrored = |[x, y]: [bool; 2]| {
+        let positions = record.coefficients().positions().as_slice().iter();
+        let positions = positions.map(|p| Position::new(along(x, p.x(), last[0]), along(y, p.y(), last[1])));
+        let positions = SamplePositions::new(positions.collect::<Result<_, _>>()?, Some(frame))?;
+        let values = record.coefficients().values().to_owned();
+        let record = PsfModelRecord::new(
+            record.basis().clone(),
+            SampleCoefficients::new(values, positions)?,
+            record.interpolation(),
+            record.outside(),
+            record.normalisation(),
+        )?;
+        let psf = Psf::from(record);
+        psf.model()?;
+        Ok(psf)
+    };
+    [[false, false], [true, false], [false, true], [true, true]]
+        .map(mirrored)
+        .into_iter()
+        .collect()
+}
+
+/// The PSF of frame `k`, if the frames have their own.
+fn of_frame(fields: &[Psf], k: usize) -> Option<Psf> {
+    (!fields.is_empty()).then(|| fields[k % fields.len()].clone())
 }
 
 /// The number of frames that are simulated in one call.
@@ -392,7 +457,7 @@ impl Scenes {
                     .map(|_| galaxy(frame, &mut rng))
                     .collect::<Result<_, _>>()?;
             }
-            RealGroup::Frames => {
+            RealGroup::Frames | RealGroup::Fields => {
                 scenes.count = sources.len();
                 let rows = FrameShape::new(frame.nx(), frame.ny() + scenes.count - 1)?;
                 scenes.image = Some(lit_scene(rows, seed)?.into_pixels());
@@ -432,13 +497,30 @@ impl Scenes {
         pixels.collect()
     }
 
-    /// Makes the images of all scenes, the last in the array `image`. Returns the seconds of all
-    /// simulations.
-    fn seconds(&self, simulator: &Simulator<f32>, image: &mut Array2<f32>) -> Result<f64, PsfieldError> {
+    /// Makes the images of all scenes, the last in the array `image`. Scenes have the PSFs of `fields` in
+    /// turn, if there are any. Returns the seconds of all simulations, with those of the plans for
+    /// these PSFs.
+    fn seconds(
+        &self,
+        simulator: &Simulator<f32>,
+        fields: &[Psf],
+        image: &mut Array2<f32>,
+    ) -> Result<f64, PsfieldError> {
         if self.count == 1 {
             return Ok(timed_run(simulator, &self.get(0)?, image)?.seconds);
         }
         let mut seconds = 0.0;
+        if !fields.is_empty() {
+            for k in 0..self.count {
+                let (scene, psf) = (self.get(k)?, of_frame(fields, k).expect("a PSF"));
+                let clock = Instant::now();
+                image.fill(0.0);
+                let simulator = simulator.for_other_field(psf, &NoProgress)?;
+                simulator.simulate_into(&scene, image.view_mut(), &NoProgress)?;
+                seconds += clock.elapsed().as_secs_f64();
+            }
+            return Ok(seconds);
+        }
         let mut images = vec![image.clone(); AT_ONCE.min(self.count)];
         for first in (0..self.count).step_by(AT_ONCE) {
             let some = (first..self.count).take(AT_ONCE);
@@ -489,6 +571,7 @@ fn galaxy(frame: FrameShape, rng: &mut ChaCha8Rng) -> Result<SersicSource, Psfie
 #[cfg(test)]
 mod tests {
     use super::*;
+    use ndarray::Array3;
 
     fn scenes(group: RealGroup, amount: f64) -> Scenes {
         let case = RealCase {
@@ -518,13 +601,39 @@ mod tests {
     }
 
     #[test]
+    fn fields_are_mirror_images() {
+        let frame = FrameShape::new(30, 20).unwrap();
+        let corners = [(0.0, 0.0), (29.0, 0.0), (0.0, 19.0), (29.0, 19.0)];
+        let stamps = Array3::from_shape_fn((4, 3, 3), |(i, y, x)| {
+            let middle = if (y, x) == (1, 1) { 10.0 } else { 1.0 };
+            middle + (i * x) as f64 + (i * i * y) as f64
+        });
+        let psf = Psf::from_samples(stamps.view(), &corners).unwrap();
+        let fields = mirrored(psf.record().unwrap(), frame).unwrap();
+        let at = |k: usize, x: f64, y: f64| {
+            let psf = of_frame(&fields, k).unwrap();
+            let stamp = psf.model().unwrap().psf_at(Position::new(x, y).unwrap());
+            stamp.unwrap().values().to_owned()
+        };
+        for (k, (x, y)) in [(4.0, 6.0), (25.0, 6.0), (4.0, 13.0), (25.0, 13.0), (4.0, 6.0)]
+            .into_iter()
+            .enumerate()
+        {
+            let difference = at(k, x, y) - at(0, 4.0, 6.0);
+            assert!(difference.iter().all(|v| v.abs() < 1e-12), "{k}");
+        }
+        assert_ne!(at(1, 4.0, 6.0), at(0, 4.0, 6.0));
+        assert!(of_frame(&[], 3).is_none());
+    }
+
+    #[test]
     fn frames_are_no_larger_than_the_largest_size() {
         let sides = |sizes: &[usize]| {
             let cases = RealGroup::ALL.map(|group| group.cases(sizes, false));
             cases.map(|cases| cases.iter().map(|case| case.side).max().unwrap())
         };
-        assert_eq!(sides(&[1024, 9216]), [9216, 4096, 9216, 4096, 256]);
-        assert_eq!(sides(&[200, 100]), [200; 5]);
+        assert_eq!(sides(&[1024, 9216]), [9216, 4096, 9216, 4096, 256, 256]);
+        assert_eq!(sides(&[200, 100]), [200; 6]);
         let names = RealGroup::ALL.map(|group| group.to_string().parse::<RealGroup>());
         assert_eq!(names.map(Result::unwrap), RealGroup::ALL);
     }
