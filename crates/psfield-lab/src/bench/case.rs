@@ -64,14 +64,23 @@ const WAVE: f64 = 7.0;
 /// # Errors
 /// [`DataError`] if two samples at different positions move to one position.
 pub fn stretched(record: &PsfModelRecord, frame: FrameShape) -> Result<PsfModelRecord, DataError> {
-    let positions = record.coefficients().positions().as_slice();
-    let [x, y] = Position::bounds(positions);
+    let [x, y] = Position::bounds(record.coefficients().positions().as_slice());
     let (x, y) = (Stretch::new(x, frame.nx()), Stretch::new(y, frame.ny()));
-    let positions: Result<Vec<Position>, DataError> = positions
-        .iter()
-        .map(|p| Position::new(x.apply(p.x()), y.apply(p.y())))
-        .collect();
-    let positions = SamplePositions::new(positions?, Some(frame))?;
+    placed(record, frame, |p| [x.apply(p.x()), y.apply(p.y())])
+}
+
+/// Moves the samples of a model to other positions on a frame.
+pub(super) fn placed(
+    record: &PsfModelRecord,
+    frame: FrameShape,
+    place: impl Fn(Position) -> [f64; 2],
+) -> Result<PsfModelRecord, DataError> {
+    let positions = record.coefficients().positions().as_slice().iter();
+    let positions = positions.map(|&p| {
+        let [x, y] = place(p);
+        Position::new(x, y)
+    });
+    let positions = SamplePositions::new(positions.collect::<Result<_, _>>()?, Some(frame))?;
     let values = record.coefficients().values().to_owned();
     PsfModelRecord::new(
         record.basis().clone(),
@@ -80,6 +89,12 @@ pub fn stretched(record: &PsfModelRecord, frame: FrameShape) -> Result<PsfModelR
         record.outside(),
         record.normalisation(),
     )
+}
+
+/// Returns a random position on the frame.
+pub(super) fn random_position(frame: FrameShape, rng: &mut ChaCha8Rng) -> Result<Position, PsfieldError> {
+    let mut along = |pixels: usize| rng.random::<f64>() * (pixels - 1) as f64;
+    Ok(Position::new(along(frame.nx()), along(frame.ny()))?)
 }
 
 /// Maps the extent of the samples along an axis to the extent of the frame.

@@ -32,9 +32,12 @@
 mod case;
 mod contender;
 mod real;
+mod real_case;
+mod real_scenes;
 mod run;
 
 pub use case::{BenchCase, lit_scene, stretched};
 pub use contender::Contender;
-pub use real::{REAL_TOLERANCE, RealCase, RealGroup, RealPsf, RealRow, run_real_cases};
+pub use real::{REAL_TOLERANCE, RealRow, run_real_cases};
+pub use real_case::{RealCase, RealGroup, RealPsf};
 pub use run::{BenchOptions, BenchOutcome, BenchRow, Skipped, run};

@@ -1,0 +1,220 @@
+//! The cases of the benchmark of real work: groups, PSFs and frames.
+
+use std::fmt;
+
+use psf_types::{FrameShape, Interpolation, PsfModelRecord, named};
+use psfield::convert::to_psfex;
+use psfield::psf_basis::RankSelection;
+use psfield::{EvaluateOptions, FitOptions, Psf, PsfieldError, record_of_psfex};
+use rand_chacha::ChaCha8Rng;
+use serde::Serialize;
+
+use crate::bench::case::{random_position, stretched};
+
+/// Cases that differ in one amount. Written as the name in lower case.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+#[non_exhaustive]
+pub enum RealGroup {
+    /// Frames of several sizes through every PSF. Every pixel is lit.
+    Pixels,
+    /// Frames in which a part of the pixels is lit, chosen at random one by one. No part of the
+    /// frame is empty, unless the whole frame is.
+    Light,
+    /// Stars of a catalogue between pixels.
+    Stars,
+    /// Galaxies of a catalogue, with half-light radii that are log-normal about 1.5 pixels and
+    /// Sersic indices of 0.5 to 4.
+    Galaxies,
+    /// Many small frames with one plan. Every pixel is lit.
+    Frames,
+    /// Small frames, each with a PSF field of its own on one basis. They are parts of larger frames, with
+    /// four times their side. Every pixel is lit.
+    Fields,
+}
+
+/// The side of the frames of which those of [`RealGroup::Fields`] are a part, in sides of the parts.
+const FIELD: usize = 4;
+
+named!(
+    RealGroup, "group of cases", "pixels, light, stars, galaxies, frames or fields",
+    "pixels" => Pixels, "light" => Light, "stars" => Stars, "galaxies" => Galaxies, "frames" => Frames,
+    "fields" => Fields
+);
+
+/// A PSF over a frame, made from a model on a regular grid.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum RealPsf {
+    /// The model on its grid. It is interpolated bilinearly.
+    Grid,
+    /// The model on its grid, with bicubic interpolation.
+    Bicubic,
+    /// A PSFEx model of this degree, fitted to the PSFs on the grid.
+    Psfex(usize),
+    /// PSFs at 500 random positions (fewer if the grid has fewer), interpolated by natural
+    /// neighbours.
+    Scattered,
+}
+
+impl fmt::Display for RealPsf {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Grid => f.write_str("grid"),
+            Self::Bicubic => f.write_str("grid, bicubic"),
+            Self::Psfex(degree) => write!(f, "psfex, degree {degree}"),
+            Self::Scattered => f.write_str("scattered"),
+        }
+    }
+}
+
+/// The largest number of scattered samples.
+const SCATTERED: usize = 500;
+
+impl RealPsf {
+    /// Makes the model of this PSF over a frame. `grid` is stretched to the frame.
+    pub(super) fn record(
+        self,
+        grid: &PsfModelRecord,
+        frame: FrameShape,
+        rng: &mut ChaCha8Rng,
+    ) -> Result<PsfModelRecord, PsfieldError> {
+        let grid = stretched(grid, frame)?;
+        match self {
+            Self::Grid => Ok(grid),
+            Self::Bicubic => {
+                let (basis, coefficients) = (grid.basis().clone(), grid.coefficients().clone());
+                let (outside, normalisation) = (grid.outside(), grid.normalisation());
+                let bicubic = Interpolation::Bicubic;
+                Ok(PsfModelRecord::new(
+                    basis,
+                    coefficients,
+                    bicubic,
+                    outside,
+                    normalisation,
+                )?)
+            }
+            Self::Psfex(degree) => record_of_psfex(&to_psfex(&grid.into(), Some(degree))?.model),
+            Self::Scattered => {
+                let count = SCATTERED.min(grid.coefficients().positions().len());
+                let positions = (0..count).map(|_| random_position(frame, rng));
+                let positions = positions.collect::<Result<_, _>>()?;
+                let rank = grid.basis().rank();
+                let samples = Psf::from(grid).evaluate(positions, EvaluateOptions::default())?;
+                let options = FitOptions {
+                    rank: RankSelection::Full,
+                    interpolation: Interpolation::NaturalNeighbour,
+                    ..FitOptions::default()
+                };
+                Ok(Psf::new(samples, options).record()?.truncated(rank)?)
+            }
+        }
+    }
+}
+
+/// A case of the benchmark.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
+pub struct RealCase {
+    /// The group.
+    pub group: RealGroup,
+    /// The PSF.
+    pub psf: RealPsf,
+    /// Columns and rows of a frame.
+    pub side: usize,
+    /// The amount in which the cases of the group differ, in the [`unit`](RealGroup::unit) of the
+    /// group.
+    pub amount: f64,
+}
+
+impl RealGroup {
+    /// All groups.
+    pub const ALL: [Self; 6] = [
+        Self::Pixels,
+        Self::Light,
+        Self::Stars,
+        Self::Galaxies,
+        Self::Frames,
+        Self::Fields,
+    ];
+
+    /// The unit of [`RealCase::amount`].
+    pub fn unit(self) -> &'static str {
+        match self {
+            Self::Pixels => "pixels",
+            Self::Light => "% lit",
+            Self::Stars => "stars",
+            Self::Galaxies => "galaxies",
+            Self::Frames | Self::Fields => "frames",
+        }
+    }
+
+    /// The cases of the group. `sizes` are the sides of the frames of [`Pixels`](Self::Pixels). The
+    /// frames of the other groups are at most as large as the largest of them. `quick` chooses a
+    /// few small amounts.
+    pub fn cases(self, sizes: &[usize], quick: bool) -> Vec<RealCase> {
+        const PSFS: [RealPsf; 5] = [
+            RealPsf::Grid,
+            RealPsf::Bicubic,
+            RealPsf::Psfex(2),
+            RealPsf::Psfex(3),
+            RealPsf::Scattered,
+        ];
+        let largest = sizes.iter().copied().max();
+        let case = |psf, side, amount| RealCase {
+            group: self,
+            psf,
+            side,
+            amount,
+        };
+        let (side, amounts, quick_amounts): (usize, &[f64], &[f64]) = match self {
+            Self::Pixels => {
+                let of_psf = |psf| {
+                    let cases = sizes.iter();
+                    cases.map(move |&side| case(psf, side, (side * side) as f64))
+                };
+                return PSFS.into_iter().flat_map(of_psf).collect();
+            }
+            Self::Fields => {
+                let side = largest.map_or(256, |largest| largest.min(256));
+                let amount = if quick { 4.0 } else { 100.0 };
+                return PSFS.map(|psf| case(psf, side, amount)).to_vec();
+            }
+            Self::Light => (4096, &[0.0, 0.1, 1.0, 3.0, 10.0, 30.0, 100.0], &[0.0, 3.0, 100.0]),
+            Self::Stars => (9216, &[1e3, 1e4, 1e5, 1e6, 1e7], &[1e3]),
+            Self::Galaxies => (4096, &[1e3, 1e4, 1e5], &[10.0]),
+            Self::Frames => (256, &[1000.0], &[10.0]),
+        };
+        let amounts = if quick { quick_amounts } else { amounts };
+        let side = side.min(largest.unwrap_or(side));
+        let case = |&amount| case(RealPsf::Scattered, side, amount);
+        amounts.iter().map(case).collect()
+    }
+}
+
+impl RealCase {
+    /// Columns and rows of the frame to which the field of the telescope is stretched.
+    pub(super) fn field_side(&self) -> usize {
+        match self.group {
+            RealGroup::Fields => FIELD * self.side,
+            _ => self.side,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn frames_are_no_larger_than_the_largest_size() {
+        let sides = |sizes: &[usize]| {
+            let cases = RealGroup::ALL.map(|group| group.cases(sizes, false));
+            cases.map(|cases| cases.iter().map(|case| case.side).max().unwrap())
+        };
+        assert_eq!(sides(&[1024, 9216]), [9216, 4096, 9216, 4096, 256, 256]);
+        assert_eq!(sides(&[200, 100]), [200; 6]);
+        let names = RealGroup::ALL.map(|group| group.to_string().parse::<RealGroup>());
+        assert_eq!(names.map(Result::unwrap), RealGroup::ALL);
+    }
+}

@@ -1,0 +1,247 @@
+//! The scenes of a case of real work, and the PSFs of its frames.
+
+use std::time::Instant;
+
+use ndarray::{Array2, s};
+use psf_types::{
+    FrameShape, ImageView, NoProgress, PointSource, Position, PsfModelRecord, SersicProfile, SersicSource,
+};
+use psfield::{Psf, PsfieldError, Scene, Simulator};
+use rand::seq::IndexedRandom;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, LogNormal};
+
+use crate::bench::case::{lit_scene, placed, random_position};
+use crate::bench::contender::timed_run;
+use crate::bench::real_case::{RealCase, RealGroup};
+use crate::bench::run::BenchOptions;
+
+/// A PSF and its mirror images about the middle of a frame: along x, along y, and along both.
+pub(super) fn mirrored(record: &PsfModelRecord, frame: FrameShape) -> Result<Vec<Psf>, PsfieldError> {
+    let last = [frame.nx(), frame.ny()].map(|pixels| (pixels - 1) as f64);
+    let along = |turned: bool, at: f64, last: f64| if turned { last - at } else { at };
+    let mirrored = |[x, y]: [bool; 2]| {
+        let record = placed(record, frame, |p| {
+            [along(x, p.x(), last[0]), along(y, p.y(), last[1])]
+        })?;
+        let psf = Psf::from(record);
+        psf.model()?;
+        Ok(psf)
+    };
+    [[false, false], [true, false], [false, true], [true, true]]
+        .map(mirrored)
+        .into_iter()
+        .collect()
+}
+
+/// The PSF of frame `k`, if the frames have their own.
+pub(super) fn of_frame(fields: &[Psf], k: usize) -> Option<Psf> {
+    (!fields.is_empty()).then(|| fields[k % fields.len()].clone())
+}
+
+/// The number of frames that are simulated in one call.
+const AT_ONCE: usize = 128;
+
+/// The scenes of a case.
+pub(super) struct Scenes {
+    frame: FrameShape,
+    pub(super) count: usize,
+    /// Scene `k` has the rows of this image from `k` on. The image has `count - 1` rows more than a
+    /// frame.
+    image: Option<Array2<f32>>,
+    stars: Vec<PointSource>,
+    galaxies: Vec<SersicSource>,
+}
+
+impl Scenes {
+    pub(super) fn new(case: &RealCase, frame: FrameShape, seed: u64) -> Result<Self, PsfieldError> {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let mut scenes = Self {
+            frame,
+            count: 1,
+            image: None,
+            stars: Vec::new(),
+            galaxies: Vec::new(),
+        };
+        let sources = 0..case.amount as usize;
+        match case.group {
+            RealGroup::Pixels => scenes.image = Some(lit_scene(frame, seed)?.into_pixels()),
+            RealGroup::Light => {
+                let mut image = lit_scene(frame, seed)?.into_pixels();
+                let lit = case.amount / 100.0;
+                image.mapv_inplace(|v| if rng.random_bool(lit) { v } else { 0.0 });
+                scenes.image = Some(image);
+            }
+            RealGroup::Stars => {
+                scenes.stars = sources.map(|_| star(frame, &mut rng)).collect::<Result<_, _>>()?;
+            }
+            RealGroup::Galaxies => {
+                scenes.galaxies = sources
+                    .map(|_| galaxy(frame, &mut rng))
+                    .collect::<Result<_, _>>()?;
+            }
+            RealGroup::Frames | RealGroup::Fields => {
+                scenes.count = sources.len();
+                let rows = FrameShape::new(frame.nx(), frame.ny() + scenes.count - 1)?;
+                scenes.image = Some(lit_scene(rows, seed)?.into_pixels());
+            }
+        }
+        Ok(scenes)
+    }
+
+    pub(super) fn get(&self, k: usize) -> Result<Scene<'_, f32>, PsfieldError> {
+        let scene = match &self.image {
+            Some(image) => ImageView::new(image.slice(s![k..k + self.frame.ny(), ..]))?.into(),
+            None => Scene::dark(),
+        };
+        Ok(scene
+            .with_stars(&self.stars[..])
+            .with_galaxies(&self.galaxies[..]))
+    }
+
+    /// Chooses the pixels `(column, row)` at which the image of a scene is compared.
+    pub(super) fn pixels(&self, options: &BenchOptions) -> Vec<(usize, usize)> {
+        let mut rng = ChaCha8Rng::seed_from_u64(options.seed);
+        let stars = self.stars.iter().map(|star| star.position());
+        let galaxies = self.galaxies.iter().map(|galaxy| galaxy.position());
+        let sources: Vec<Position> = stars.chain(galaxies).collect();
+        let pixel = |rng: &mut ChaCha8Rng, near: Option<f64>, pixels: usize| match near {
+            Some(at) => (at.round() as usize + rng.random_range(0..=6))
+                .saturating_sub(3)
+                .min(pixels - 1),
+            None => rng.random_range(0..pixels),
+        };
+        let count = options.pixels.max(1);
+        let pixels = (0..count).map(|_| {
+            let source = sources.choose(&mut rng);
+            let x = pixel(&mut rng, source.map(|at| at.x()), self.frame.nx());
+            (x, pixel(&mut rng, source.map(|at| at.y()), self.frame.ny()))
+        });
+        pixels.collect()
+    }
+
+    /// Makes the images of all scenes, the last in the array `image`. Scenes have the PSFs of `fields` in
+    /// turn, if there are any. Returns the seconds of all simulations, with those of the plans for
+    /// these PSFs.
+    pub(super) fn seconds(
+        &self,
+        simulator: &Simulator<f32>,
+        fields: &[Psf],
+        image: &mut Array2<f32>,
+    ) -> Result<f64, PsfieldError> {
+        if self.count == 1 {
+            return Ok(timed_run(simulator, &self.get(0)?, image)?.seconds);
+        }
+        let mut seconds = 0.0;
+        if !fields.is_empty() {
+            for k in 0..self.count {
+                let (scene, psf) = (self.get(k)?, of_frame(fields, k).expect("a PSF"));
+                let clock = Instant::now();
+                image.fill(0.0);
+                let simulator = simulator.for_other_field(psf, &NoProgress)?;
+                simulator.simulate_into(&scene, image.view_mut(), &NoProgress)?;
+                seconds += clock.elapsed().as_secs_f64();
+            }
+            return Ok(seconds);
+        }
+        let mut images = vec![image.clone(); AT_ONCE.min(self.count)];
+        for first in (0..self.count).step_by(AT_ONCE) {
+            let some = (first..self.count).take(AT_ONCE);
+            let scenes = some.map(|k| self.get(k)).collect::<Result<Vec<_>, _>>()?;
+            let clock = Instant::now();
+            for image in &mut images {
+                image.fill(0.0);
+            }
+            let views = images[..scenes.len()].iter_mut().map(|image| image.view_mut());
+            simulator.simulate_many_into(&scenes, views.collect(), &NoProgress)?;
+            seconds += clock.elapsed().as_secs_f64();
+            image.assign(&images[scenes.len() - 1]);
+        }
+        Ok(seconds)
+    }
+}
+
+/// Returns a random flux between 10^2 and 10^5, each power of ten with equal probability.
+fn flux(rng: &mut ChaCha8Rng) -> f64 {
+    10f64.powf(rng.random_range(2.0..5.0))
+}
+
+fn star(frame: FrameShape, rng: &mut ChaCha8Rng) -> Result<PointSource, PsfieldError> {
+    Ok(PointSource::new(random_position(frame, rng)?, flux(rng))?)
+}
+
+fn galaxy(frame: FrameShape, rng: &mut ChaCha8Rng) -> Result<SersicSource, PsfieldError> {
+    let radius = LogNormal::new(1.5f64.ln(), 0.5).expect("a finite width");
+    let profile = SersicProfile::new(
+        radius.sample(rng).clamp(0.3, 8.0),
+        rng.random_range(0.5..4.0),
+        rng.random_range(0.2..1.0),
+        rng.random_range(0.0..180.0),
+    )?;
+    Ok(SersicSource::new(
+        random_position(frame, rng)?,
+        flux(rng),
+        profile,
+    )?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::bench::real_case::RealPsf;
+    use ndarray::Array3;
+
+    fn scenes(group: RealGroup, amount: f64) -> Scenes {
+        let case = RealCase {
+            group,
+            psf: RealPsf::Grid,
+            side: 60,
+            amount,
+        };
+        Scenes::new(&case, FrameShape::new(60, 60).unwrap(), 1).unwrap()
+    }
+
+    #[test]
+    fn scenes_have_the_amounts_of_their_cases() {
+        let lit = |percent| {
+            let scenes = scenes(RealGroup::Light, percent);
+            scenes.image.unwrap().iter().filter(|v| **v != 0.0).count()
+        };
+        assert_eq!((lit(0.0), lit(100.0)), (0, 3600));
+        // 360 pixels on average, with a standard deviation of 18.
+        assert!((270..450).contains(&lit(10.0)));
+        assert_eq!(scenes(RealGroup::Stars, 7.0).stars.len(), 7);
+        assert_eq!(scenes(RealGroup::Galaxies, 5.0).galaxies.len(), 5);
+        let frames = scenes(RealGroup::Frames, 3.0);
+        let pixels = |k| frames.get(k).unwrap().image().unwrap().pixels().to_owned();
+        assert_eq!((frames.count, pixels(2).dim()), (3, (60, 60)));
+        assert_ne!(pixels(0), pixels(2));
+    }
+
+    #[test]
+    fn fields_are_mirror_images() {
+        let frame = FrameShape::new(30, 20).unwrap();
+        let corners = [(0.0, 0.0), (29.0, 0.0), (0.0, 19.0), (29.0, 19.0)];
+        let stamps = Array3::from_shape_fn((4, 3, 3), |(i, y, x)| {
+            let middle = if (y, x) == (1, 1) { 10.0 } else { 1.0 };
+            middle + (i * x) as f64 + (i * i * y) as f64
+        });
+        let psf = Psf::from_samples(stamps.view(), &corners).unwrap();
+        let fields = mirrored(psf.record().unwrap(), frame).unwrap();
+        let at = |k: usize, x: f64, y: f64| {
+            let psf = of_frame(&fields, k).unwrap();
+            let stamp = psf.model().unwrap().psf_at(Position::new(x, y).unwrap());
+            stamp.unwrap().values().to_owned()
+        };
+        for (k, (x, y)) in [(4.0, 6.0), (25.0, 6.0), (4.0, 13.0), (25.0, 13.0), (4.0, 6.0)]
+            .into_iter()
+            .enumerate()
+        {
+            let difference = at(k, x, y) - at(0, 4.0, 6.0);
+            assert!(difference.iter().all(|v| v.abs() < 1e-12), "{k}");
+        }
+        assert_ne!(at(1, 4.0, 6.0), at(0, 4.0, 6.0));
+        assert!(of_frame(&[], 3).is_none());
+    }
+}
