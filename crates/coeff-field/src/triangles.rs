@@ -194,6 +194,8 @@ pub(crate) type GradientStencil = Vec<(usize, Point)>;
 
 /// The weight of the second derivatives themselves in the fit. It decides where neighbours do not.
 const FLAT: f64 = 1e-2;
+/// Neighbours closer than this fraction of the farthest neighbour's distance are left out.
+const CLUSTER: f64 = 1e-3;
 /// If squares along one direction are less than this fraction of those along the other, the slope
 /// along the first counts as 0.
 const LINE: f64 = 1e-6;
@@ -209,8 +211,10 @@ const LINE: f64 = 1e-6;
 /// squares. `Q` holds the second derivatives. So the gradient is exact for linear values, and for
 /// parabolas if there are enough neighbours.
 ///
-/// The weights favour near neighbours, but not within a tight cluster, where differences would be
-/// noise. If all neighbours nearly lie on a line, the slope across counts as 0.
+/// The weights favour near neighbours. But those closer than 0.001 of the distance of the farthest one
+/// are left out: differences within a tight cluster are noise, and a slope of that noise would change
+/// the field as far as the farthest neighbour. If all neighbours nearly lie on a line, the slope across
+/// counts as 0.
 pub(crate) fn gradient_stencil(triangles: &Triangles, vertex: FixedVertexHandle) -> GradientStencil {
     let around = |v: FixedVertexHandle| triangles.vertex(v).out_edges().map(|edge| edge.to().fix());
     let mut ring: Vec<FixedVertexHandle> = around(vertex).collect();
@@ -221,10 +225,13 @@ pub(crate) fn gradient_stencil(triangles: &Triangles, vertex: FixedVertexHandle)
             }
         }
     }
-    let point = |v: FixedVertexHandle| point_of(triangles.vertex(v).data());
     let sample = |v: FixedVertexHandle| sample_of(triangles.vertex(v).data());
-    let origin = point(vertex);
-    let mut offsets: Vec<Point> = ring.iter().map(|&v| sub(point(v), origin)).collect();
+    let point = |v: FixedVertexHandle| point_of(triangles.vertex(v).data());
+    let offset = |v: FixedVertexHandle| sub(point(v), point(vertex));
+    let square = |v: FixedVertexHandle| dot(offset(v), offset(v));
+    let farthest = ring.iter().map(|&v| square(v)).fold(0.0, f64::max);
+    ring.retain(|&v| square(v) >= CLUSTER * CLUSTER * farthest);
+    let mut offsets: Vec<Point> = ring.iter().map(|&v| offset(v)).collect();
     let mut squares: Vec<f64> = offsets.iter().map(|&d| dot(d, d)).collect();
     squares.sort_by(f64::total_cmp);
     let unit = squares[squares.len() / 2].sqrt();
@@ -329,9 +336,20 @@ mod tests {
 
     #[test]
     fn noise_between_clustered_samples_gives_no_slope() {
-        let points = [[0.0, 0.0], [1e-9, 0.0], [5.0, 1.0], [0.0, 4.0], [1.0, -4.0]];
-        let g = gradient(&points, 0, |p| if p == points[1] { 1.0 } else { 0.0 });
-        assert!(g[0].abs() < 1e-7 && g[1].abs() < 1e-7, "{g:?}");
+        let pair = [[0.0, 0.0], [1e-9, 0.0], [5.0, 1.0], [0.0, 4.0], [1.0, -4.0]];
+        // Most neighbours of the first point belong to its cluster.
+        let crowd = [
+            [0.0, 0.0],
+            [1e-9, 0.0],
+            [1e-9, 1e-9],
+            [0.0, 1e-9],
+            [5.0, 1.0],
+            [-4.0, 1.0],
+        ];
+        for points in [&pair[..], &crowd] {
+            let g = gradient(points, 0, |p| if p == points[1] { 1.0 } else { 0.0 });
+            assert!(g[0].abs() < 1e-7 && g[1].abs() < 1e-7, "{g:?}");
+        }
     }
 
     #[test]

@@ -102,6 +102,21 @@ proptest! {
     }
 }
 
+/// Four samples within 1e-9 of each other, far from two others. Slopes between the four are noise.
+#[test]
+fn a_tight_cluster_does_not_reach_far_samples() {
+    let positions = [
+        (0.0, 0.0),
+        (1.0, 0.0),
+        (6.000_000_000_537_027, 1.0),
+        (6.0, 1.000_000_000_711_277_3),
+        (6.0, 1.000_000_000_741_807_5),
+        (6.0, 1.0),
+    ]
+    .map(|(x, y)| at(x, y));
+    check_all(&["natural-neighbour", "auto"], &positions, &Picks::new()).unwrap();
+}
+
 fn check(
     name: &str,
     method: &dyn FieldInterpolation,
