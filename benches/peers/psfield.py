@@ -58,7 +58,8 @@ def real(args):
     """The report of `psfield bench --real`. Its table appears on the terminal."""
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "bench.json"
-        command = [args.psfield, "bench", f"--real={args.real}", "--threads", str(args.threads)]
+        groups = "--real" if args.real == "all" else f"--real={args.real}"
+        command = [args.psfield, "bench", groups, "--threads", str(args.threads)]
         command += ["--repeat", str(args.repeat), "--seed", str(args.seed), "--json", out]
         command += ["--pixels", str(args.pixels)]
         command += ["--quick"] if args.quick else []

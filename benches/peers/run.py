@@ -11,9 +11,6 @@ import sys
 from pathlib import Path
 
 
-GROUPS = "pixels,light,stars,galaxies,frames,fields"
-
-
 def arguments():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--size", type=int, default=1024, help="pixels along each axis of the frame (default 1024)")
@@ -22,7 +19,8 @@ def arguments():
     parser.add_argument("--repeat", type=int, default=3, help="timed runs of each method (default 3)")
     parser.add_argument("--methods", help="names separated by commas (default: all, with --stars all for stars)")
     parser.add_argument("--stars", action="store_true", help="2916 one-pixel stars instead of a scene")
-    parser.add_argument("--real", nargs="?", const=GROUPS, metavar="GROUP,...", help=f"real work (default {GROUPS})")
+    groups = "real work: groups of psfield bench --real (default all)"
+    parser.add_argument("--real", nargs="?", const="all", metavar="GROUP,...", help=groups)
     parser.add_argument("--sizes", help="with --real: sides of the frames, separated by commas")
     parser.add_argument("--quick", action="store_true", help="with --real: a small version of every case")
     parser.add_argument("--scene", type=Path, help="FITS image of size x size pixels (default: random, from --seed)")

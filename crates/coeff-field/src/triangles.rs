@@ -225,25 +225,27 @@ pub(crate) fn gradient_stencil(triangles: &Triangles, vertex: FixedVertexHandle)
             }
         }
     }
-    let sample = |v: FixedVertexHandle| sample_of(triangles.vertex(v).data());
-    let point = |v: FixedVertexHandle| point_of(triangles.vertex(v).data());
-    let offset = |v: FixedVertexHandle| sub(point(v), point(vertex));
-    let square = |v: FixedVertexHandle| dot(offset(v), offset(v));
-    let farthest = ring.iter().map(|&v| square(v)).fold(0.0, f64::max);
-    ring.retain(|&v| square(v) >= CLUSTER * CLUSTER * farthest);
-    let mut offsets: Vec<Point> = ring.iter().map(|&v| offset(v)).collect();
-    let mut squares: Vec<f64> = offsets.iter().map(|&d| dot(d, d)).collect();
+    let centre = *triangles.vertex(vertex).data();
+    let square = |d: Point| dot(d, d);
+    let neighbour = |v: FixedVertexHandle| {
+        let node = *triangles.vertex(v).data();
+        (sample_of(&node), sub(point_of(&node), point_of(&centre)))
+    };
+    let mut near: Vec<(usize, Point)> = ring.into_iter().map(neighbour).collect();
+    let farthest = near.iter().map(|&(_, d)| square(d)).fold(0.0, f64::max);
+    near.retain(|&(_, d)| square(d) >= CLUSTER * CLUSTER * farthest);
+    let mut squares: Vec<f64> = near.iter().map(|&(_, d)| square(d)).collect();
     squares.sort_by(f64::total_cmp);
     let unit = squares[squares.len() / 2].sqrt();
-    for d in &mut offsets {
+    for (_, d) in &mut near {
         *d = d.map(|v| v / unit);
     }
-    let weight = |d: Point| (1.0 + dot(d, d)).powi(-2);
+    let weight = |d: Point| (1.0 + square(d)).powi(-2);
     let slope = |d: Point| Vector2::from(d) * weight(d);
     let bend = |d: Point| Vector3::new(d[0] * d[0], d[0] * d[1], d[1] * d[1]) * weight(d);
     let (mut slopes, mut bends, mut mixed) =
         (Matrix2::zeros(), Matrix3::identity() * FLAT, Matrix2x3::zeros());
-    for &d in &offsets {
+    for &(_, d) in &near {
         slopes += slope(d) * slope(d).transpose();
         bends += bend(d) * bend(d).transpose();
         mixed += slope(d) * bend(d).transpose();
@@ -252,11 +254,11 @@ pub(crate) fn gradient_stencil(triangles: &Triangles, vertex: FixedVertexHandle)
     let solved = mixed * bends.try_inverse().unwrap_or_default();
     let left = slopes - solved * mixed.transpose();
     let inverse = left.pseudo_inverse(LINE * left.trace()).unwrap_or_default();
-    let mut stencil = vec![(sample(vertex), [0.0; 2])];
-    for (v, d) in ring.into_iter().zip(offsets) {
+    let mut stencil = vec![(sample_of(&centre), [0.0; 2])];
+    for (sample, d) in near {
         let g = inverse * (slope(d) - solved * bend(d)) * (weight(d) / unit);
         stencil[0].1 = sub(stencil[0].1, [g.x, g.y]);
-        stencil.push((sample(v), [g.x, g.y]));
+        stencil.push((sample, [g.x, g.y]));
     }
     stencil
 }
