@@ -225,6 +225,7 @@ fn real_work_has_rows_for_every_group_within_the_tolerance() {
         ("stars", 1),
         ("galaxies", 1),
         ("frames", 1),
+        ("fields", 5),
     ] {
         assert!(
             run.stdout.contains(&format!("\n{group} ")),
