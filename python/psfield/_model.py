@@ -110,6 +110,9 @@ class PsfModel:
         stamps: ArrayLike,
         positions: Any,
         *,
+        wavelengths_um: ArrayLike | None = None,
+        times_s: ArrayLike | None = None,
+        frame_numbers: ArrayLike | None = None,
         field_shape: tuple[int, int] | None = None,
         oversampling: float = DEFAULTS.oversampling,
         centre: Centre | None = None,
@@ -121,6 +124,8 @@ class PsfModel:
         interpolation: str | None = None,
         outside: Literal["nearest", "extend", "error"] | None = None,
         normalise: Literal["unit", "keep"] | None = None,
+        shift_copies: int | None = None,
+        basis: PsfModel | None = None,
         **american: Unpack[American],
     ) -> PsfModel:
         """Make a model from PSF stamps at positions of the field.
@@ -132,6 +137,10 @@ class PsfModel:
         positions : array_like or table
             Positions of the stamps in 0-based pixels of the frame: ``[sample, 2]``, x and y, or a
             table with columns x and y. For a single stamp also a pair ``(x, y)``.
+        wavelengths_um, times_s, frame_numbers : array_like, optional
+            One of them, if the PSF also depends on the wavelength (micrometres), the time (seconds)
+            or the frame: one value per stamp. All stamps get one basis. `at` chooses one
+            wavelength, time or frame.
         field_shape : (int, int), optional
             Rows and columns of the frame over which the PSF is known. Larger frames are refused.
         oversampling : float
@@ -161,6 +170,11 @@ class PsfModel:
             Policy for positions outside the area of the samples. Default: ``nearest``.
         normalise : {'unit', 'keep'}, optional
             ``unit`` (default) scales every PSF to unit flux, ``keep`` keeps the values.
+        shift_copies : int, optional
+            Number of copies of each stamp, shifted by up to half a pixel, from which the basis is
+            computed in addition to the stamps. Default: 0.
+        basis : PsfModel, optional
+            Keep the basis of this model, and find only the coefficients of the stamps.
 
         Returns
         -------
@@ -183,13 +197,25 @@ class PsfModel:
 
         >>> psfield.PsfModel.from_samples(narrow, (0, 0), center=(1, 1), normalize="unit")
         <PsfModel: 1 samples, stamps 3 x 3, oversampling 1>
+
+        A PSF that widens with the wavelength:
+
+        >>> colours = psfield.PsfModel.from_samples(
+        ...     [narrow, wide], [(0, 0), (0, 0)], wavelengths_um=[0.5, 0.7]
+        ... )
+        >>> colours.at(wavelength_um=0.6).evaluate(0, 0)[1].round(3).tolist()
+        [0.125, 0.375, 0.125]
         """
         cube = stack(stamps, "stamps", "[sample, y, x]")
         x, y = points(positions)
         grid = _grid(oversampling, centre, pixel_response_included, stamp_interpolation)
-        fit = _fit(rank, centring, noise, interpolation, outside, normalise)
+        fit = _fit(rank, centring, noise, interpolation, outside, normalise, shift_copies)
         field = shape_or_none(field_shape, "field_shape")
-        return cls._of(_native.PsfModel.from_samples(cube, x, y, field, grid, fit, False))
+        states = _states(wavelengths_um, times_s, frame_numbers)
+        given = None if basis is None else basis._handle
+        return cls._of(
+            _native.PsfModel.from_samples(cube, x, y, states, field, grid, fit, False, given)
+        )
 
     @classmethod
     @american
@@ -200,6 +226,9 @@ class PsfModel:
         coefficients: ArrayLike,
         positions: Any,
         *,
+        wavelengths_um: ArrayLike | None = None,
+        times_s: ArrayLike | None = None,
+        frame_numbers: ArrayLike | None = None,
         field_shape: tuple[int, int] | None = None,
         oversampling: float = DEFAULTS.oversampling,
         centre: Centre | None = None,
@@ -221,6 +250,8 @@ class PsfModel:
         coefficients : array_like
             Coefficients ``[position, component]``.
         positions : array_like or table
+            As for `from_samples`.
+        wavelengths_um, times_s, frame_numbers : array_like, optional
             As for `from_samples`.
         field_shape, oversampling, centre, pixel_response_included, stamp_interpolation
             As for `from_samples`.
@@ -251,6 +282,7 @@ class PsfModel:
             doubles(coefficients, "coefficients", "[position, component]"),
             x,
             y,
+            _states(wavelengths_um, times_s, frame_numbers),
             shape_or_none(field_shape, "field_shape"),
             grid,
             (
@@ -307,9 +339,11 @@ class PsfModel:
         x, y = points(np.asarray(model.grid_xypos, dtype=float), "grid_xypos")
         _, ny, nx = cube.shape
         grid = _grid(float(oversampling[0]), ((nx - 1) / 2, (ny - 1) / 2), True, "cubic-spline")
-        fit = _fit(None, None, None, interpolation, None, None)
+        fit = _fit(None, None, None, interpolation, None, None, None)
         field = shape_or_none(field_shape, "field_shape")
-        return cls._of(_native.PsfModel.from_samples(cube, x, y, field, grid, fit, True))
+        return cls._of(
+            _native.PsfModel.from_samples(cube, x, y, None, field, grid, fit, True, None)
+        )
 
     @classmethod
     @american
@@ -334,6 +368,7 @@ class PsfModel:
         interpolation: str | None = None,
         outside: Literal["nearest", "extend", "error"] | None = None,
         normalise: Literal["unit", "keep"] | None = None,
+        shift_copies: int | None = None,
         progress: Progress | None = None,
         **american: Unpack[American],
     ) -> PsfModel:
@@ -364,7 +399,7 @@ class PsfModel:
             Rows and columns of a regular grid of samples that replaces the refinement.
         oversampling, centre, pixel_response_included, stamp_interpolation
             Geometry of the stamps, as for `from_samples`.
-        rank, centring, noise, interpolation, outside, normalise
+        rank, centring, noise, interpolation, outside, normalise, shift_copies
             Fit of the samples, as for `from_samples`.
         progress : callable or tqdm bar, optional
             ``progress(done, total)`` with the number of PSFs drawn so far, and the number of PSFs
@@ -407,7 +442,7 @@ class PsfModel:
                 "max_samples": integer(max_samples, "max_samples", 1),
                 "uniform": shape_or_none(uniform, "uniform"),
             },
-            _fit(rank, centring, noise, interpolation, outside, normalise),
+            _fit(rank, centring, noise, interpolation, outside, normalise, shift_copies),
             as_callback(progress),
         )
         return cls._of(native, sampling)
@@ -423,6 +458,8 @@ class PsfModel:
         plane_order: str | None = None,
         skip_invalid: bool = False,
         wavelength_um: float | None = None,
+        time_s: float | None = None,
+        frame_number: int | None = None,
         pixel_scale_arcsec: float | None = None,
         field_centre: Centre | None = None,
         positions: Any = None,
@@ -435,6 +472,7 @@ class PsfModel:
         interpolation: str | None = None,
         outside: Literal["nearest", "extend", "error"] | None = None,
         normalise: Literal["unit", "keep"] | None = None,
+        shift_copies: int | None = None,
         **american: Unpack[American],
     ) -> PsfModel:
         """Read a PSF file. The format is recognised by the content of the file.
@@ -458,13 +496,16 @@ class PsfModel:
             Leave out planes without positive flux (STPSF, STDPSF) instead of raising an error. If
             the other planes do not form a regular grid, the default interpolation is natural
             neighbour.
-        wavelength_um, pixel_scale_arcsec, field_centre : optional
+        wavelength_um, time_s, frame_number : optional
+            Wavelength, time or frame to choose, if the PSF depends on it. As for `at`. In a file of
+            ScopeSim, the nearest wavelength is taken.
+        pixel_scale_arcsec, field_centre : optional
             Values that a file of ScopeSim does not state.
         positions : array_like or table, optional
             Positions of the stamps of a plain cube.
         oversampling, centre, pixel_response_included : optional
             Geometry of the stamps, for files that do not state it. As for `from_samples`.
-        rank, centring, noise, interpolation, outside, normalise
+        rank, centring, noise, interpolation, outside, normalise, shift_copies
             Fit of the samples, as for `from_samples`. Only ``outside`` and ``normalise`` apply to
             models. By default STPSF and STDPSF libraries are interpolated bilinearly and not
             scaled.
@@ -496,6 +537,8 @@ class PsfModel:
             "plane_order": text_or_none(plane_order, "plane_order"),
             "skip_invalid": boolean(skip_invalid, "skip_invalid"),
             "wavelength_um": real_or_none(wavelength_um, "wavelength_um"),
+            "time_s": real_or_none(time_s, "time_s"),
+            "frame_number": real_or_none(frame_number, "frame_number"),
             "pixel_scale_arcsec": real_or_none(pixel_scale_arcsec, "pixel_scale_arcsec"),
             "field_centre": pair_or_none(field_centre, "field_centre"),
             "positions": at,
@@ -507,7 +550,7 @@ class PsfModel:
                 else boolean(pixel_response_included, "pixel_response_included")
             ),
         }
-        fit = _fit(rank, centring, noise, interpolation, outside, normalise)
+        fit = _fit(rank, centring, noise, interpolation, outside, normalise, shift_copies)
         return cls._of(_native.PsfModel.read(os.fspath(path), file, fit))
 
     @property
@@ -613,6 +656,95 @@ class PsfModel:
         [[7.0, 5.0]]
         """
         return np.column_stack(self._handle.positions())
+
+    @property
+    def wavelengths_um(self) -> NDArray[np.float64] | None:
+        """Wavelength of each sample (micrometres), or None if the PSF does not depend on it.
+
+        Examples
+        --------
+        >>> import psfield
+        >>> psfield.PsfModel.from_samples([[1, 2, 1]], (7, 5)).wavelengths_um is None
+        True
+        """
+        return self._states_of("wavelength")
+
+    @property
+    def times_s(self) -> NDArray[np.float64] | None:
+        """Time of each sample (seconds), or None if the PSF does not depend on it.
+
+        Examples
+        --------
+        >>> import psfield
+        >>> psfield.PsfModel.from_samples([[1, 2, 1]], (7, 5), times_s=[60]).times_s.tolist()
+        [60.0]
+        """
+        return self._states_of("time")
+
+    @property
+    def frame_numbers(self) -> NDArray[np.float64] | None:
+        """Frame of each sample, or None if the PSF does not depend on it.
+
+        Examples
+        --------
+        >>> import psfield
+        >>> psfield.PsfModel.from_samples([[1, 2, 1]], (7, 5)).frame_numbers is None
+        True
+        """
+        return self._states_of("frame")
+
+    def _states_of(self, kind: str) -> NDArray[np.float64] | None:
+        states = self._handle.states()
+        return np.asarray(states[1]) if states is not None and states[0] == kind else None
+
+    def at(
+        self,
+        *,
+        wavelength_um: float | None = None,
+        time_s: float | None = None,
+        frame_number: int | None = None,
+    ) -> PsfModel:
+        """Return the PSF at a wavelength, a time or a frame. The basis stays the same.
+
+        Parameters
+        ----------
+        wavelength_um : float, optional
+            Wavelength in micrometres. Between the wavelengths of the samples, coefficients are
+            interpolated by cubics.
+        time_s : float, optional
+            Time in seconds. Interpolated like wavelengths.
+        frame_number : int, optional
+            Number of a frame. Frames are not interpolated.
+
+        Returns
+        -------
+        PsfModel
+
+        Raises
+        ------
+        ValueError
+            The PSF does not depend on this quantity, or is not known at this value.
+
+        Examples
+        --------
+        >>> import psfield
+        >>> stamps, at = [[[1, 2, 1]], [[2, 3, 2]]], [(0, 0), (0, 0)]
+        >>> model = psfield.PsfModel.from_samples(stamps, at, frame_numbers=[1, 2], noise=0)
+        >>> model.at(frame_number=1).evaluate(0, 0).round(3).tolist()
+        [[0.25, 0.5, 0.25]]
+        """
+        given = {
+            "wavelength": real_or_none(wavelength_um, "wavelength_um"),
+            "time": real_or_none(time_s, "time_s"),
+            "frame": real_or_none(frame_number, "frame_number"),
+        }
+        chosen = [(kind, value) for kind, value in given.items() if value is not None]
+        if len(chosen) != 1:
+            raise ValueError("give one of wavelength_um, time_s and frame_number")
+        kind, value = chosen[0]
+        if self._states_of(kind) is None:
+            raise ValueError(f"this PSF does not depend on the {kind}")
+        return PsfModel._of(self._handle.at_state(value), self._sampling)
 
     @property
     def rank(self) -> int:
@@ -1018,6 +1150,7 @@ def _fit(
     interpolation: str | None,
     outside: str | None,
     normalise: str | None,
+    shift_copies: int | None,
 ) -> dict[str, Any]:
     """Return the settings of the fit, as the native module accepts them."""
     return {
@@ -1027,4 +1160,26 @@ def _fit(
         "interpolation": text_or_none(british(interpolation), "interpolation"),
         "outside": text_or_none(outside, "outside"),
         "normalise": text_or_none(normalise, "normalise"),
+        "shift_copies": integer_or_none(shift_copies, "shift_copies"),
     }
+
+
+def _states(
+    wavelengths_um: ArrayLike | None, times_s: ArrayLike | None, frame_numbers: ArrayLike | None
+) -> tuple[str, list[float]] | None:
+    """Return the states of samples, as the native module accepts them."""
+    given = [
+        (kind, name, values)
+        for kind, name, values in (
+            ("wavelength", "wavelengths_um", wavelengths_um),
+            ("time", "times_s", times_s),
+            ("frame", "frame_numbers", frame_numbers),
+        )
+        if values is not None
+    ]
+    if not given:
+        return None
+    if len(given) > 1:
+        raise ValueError(f"give only one of {given[0][1]} and {given[1][1]}")
+    kind, name, values = given[0]
+    return kind, column(np.atleast_1d(plain(values, name)), name).tolist()

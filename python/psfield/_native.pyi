@@ -29,6 +29,7 @@ _Column = NDArray[np.float64]
 _Cube = NDArray[np.float64]
 _Callback = Callable[[int, int], object] | None
 _Shape = tuple[int, int]
+_States = tuple[str, list[float]] | None
 _Sources = dict[str, _Column | None] | None
 
 def set_threads(count: int) -> None: ...
@@ -60,10 +61,12 @@ class PsfModel:
         stamps: _Cube,
         x: _Column,
         y: _Column,
+        states: _States,
         field: _Shape | None,
         grid: dict[str, Any],
         fit: dict[str, Any],
         gridded_library: bool,
+        basis: PsfModel | None,
     ) -> PsfModel: ...
     @staticmethod
     def from_basis(
@@ -72,6 +75,7 @@ class PsfModel:
         coefficients: NDArray[np.float64],
         x: _Column,
         y: _Column,
+        states: _States,
         field: _Shape | None,
         grid: dict[str, Any],
         choices: tuple[str, str, str],
@@ -84,6 +88,8 @@ class PsfModel:
     def grid(self) -> dict[str, Any]: ...
     def stamp_shape(self) -> _Shape: ...
     def positions(self) -> tuple[_Column, _Column]: ...
+    def states(self) -> _States: ...
+    def at_state(self, value: float) -> PsfModel: ...
     def field(self) -> _Shape | None: ...
     def choices(self) -> tuple[str, str, str]: ...
     def basis(self) -> tuple[NDArray[np.float64] | None, _Cube, NDArray[np.float64]]: ...

@@ -356,3 +356,73 @@ class TestFiles:
 def test_models_are_made_by_name():
     with pytest.raises(TypeError, match="from_samples"):
         psfield.PsfModel()
+
+
+def coloured():
+    """Stamps at two positions and three wavelengths, their positions and wavelengths."""
+    y, x = np.mgrid[-7:8, -7:8]
+    positions, wavelengths, stamps = [], [], []
+    for wavelength in (0.5, 0.6, 0.8):
+        for px in (0.0, 40.0):
+            width = 1 + wavelength + px / 100
+            stamps.append(np.exp(-(x**2 + y**2) / (2 * width**2)))
+            positions.append((px, 0.0))
+            wavelengths.append(wavelength)
+    return np.array(stamps), positions, wavelengths
+
+
+def assert_near(found, expected, atol):
+    assert np.abs(found - expected).max() < atol
+
+
+def test_a_psf_of_several_wavelengths():
+    stamps, positions, wavelengths = coloured()
+    model = psfield.PsfModel.from_samples(
+        stamps, positions, wavelengths_um=wavelengths, rank="full", noise=0
+    )
+    assert model.wavelengths_um.tolist() == wavelengths
+    assert model.frame_numbers is None
+    blue = model.at(wavelength_um=0.5)
+    expected = stamps[1] / stamps[1].sum()
+    assert_near(blue.evaluate(40.0, 0.0), expected, atol=1e-12)
+    assert blue.wavelengths_um is None
+    # Between wavelengths: a parabola through three.
+    middle = model.at(wavelength_um=0.7).evaluate(0.0, 0.0)
+    units = stamps[::2] / stamps[::2].sum(axis=(1, 2), keepdims=True)
+    weights = np.array([-1 / 3, 1.0, 1 / 3])
+    assert_near(middle, np.tensordot(weights, units, 1), atol=1e-12)
+    for again in (pickle.loads(pickle.dumps(model)), pickle.loads(pickle.dumps(blue))):
+        assert again.wavelengths_um is None or again.wavelengths_um.tolist() == wavelengths
+    with pytest.raises(ValueError, match=r"0\.5 to 0\.8 um"):
+        model.at(wavelength_um=1.0)
+    with pytest.raises(ValueError, match="does not depend on the time"):
+        model.at(time_s=1.0)
+    with pytest.raises(ValueError, match="depends on the wavelength"):
+        model.evaluate(0.0, 0.0)
+    with pytest.raises(ValueError, match="give only one of"):
+        psfield.PsfModel.from_samples(stamps, positions, wavelengths_um=wavelengths, times_s=[1])
+
+
+def test_files_keep_the_wavelengths(tmp_path):
+    stamps, positions, wavelengths = coloured()
+    model = psfield.PsfModel.from_samples(stamps, positions, wavelengths_um=wavelengths, noise=0)
+    model.write(tmp_path / "model.fits")
+    again = psfield.PsfModel.read(tmp_path / "model.fits")
+    assert again.wavelengths_um.tolist() == wavelengths
+    chosen = psfield.PsfModel.read(tmp_path / "model.fits", wavelength_um=0.65)
+    expected = model.at(wavelength_um=0.65).evaluate(5.0, 0.0)
+    assert_near(chosen.evaluate(5.0, 0.0), expected, atol=1e-14)
+
+
+def test_a_given_basis_is_kept():
+    stamps, positions, _ = coloured()
+    model = psfield.PsfModel.from_samples(stamps[:4], [(0, 0), (1, 0), (2, 0), (3, 0)], noise=0)
+    other = psfield.PsfModel.from_samples(stamps[4:], positions[4:], basis=model)
+    assert np.array_equal(other.components, model.components)
+    unit = stamps[4:] / stamps[4:].sum(axis=(1, 2), keepdims=True)
+    products = np.tensordot(unit - model.mean, model.components, ([1, 2], [1, 2]))
+    assert_near(other.coefficients, products, atol=1e-12)
+    with pytest.raises(ValueError, match="the basis has stamps of 15 x 15 pixels"):
+        psfield.PsfModel.from_samples(
+            stamps[:, 1:, 1:], positions[:1] * 6, times_s=range(6), basis=model
+        )

@@ -282,6 +282,20 @@ fn points_between(lines: &Axis, cell: usize) -> Vec<f64> {
     if is_apart { points } else { Vec::new() }
 }
 
+/// The weights of ascending lines at a coordinate: those of a cubic interpolation, without the
+/// pieces of [`AxisWeights::cubic`]. Beyond the lines, the outermost line has weight 1.
+pub(crate) fn cubic_weights(lines: &[f64], v: f64) -> Vec<(usize, f64)> {
+    let last = lines.len() - 1;
+    let above = lines.partition_point(|&line| line <= v);
+    if above == 0 || above > last {
+        return vec![(above.min(last), 1.0)];
+    }
+    let stencil = Stencil::around(lines, above - 1, &[v]);
+    let weights = stencil.weights(lines, v).into_iter().enumerate();
+    let nonzero = weights.filter(|(_, w)| *w != 0.0);
+    nonzero.map(|(i, w)| (stencil.first + i, w)).collect()
+}
+
 /// Neighbouring lines. Their weights evaluate the polynomial that passes through the values at
 /// these lines.
 #[derive(Debug, Clone, Copy)]

@@ -1,6 +1,6 @@
 //! Errors of preparing an interpolator and of evaluating it.
 
-use psf_types::{Interpolation, OutsidePolicy, Position};
+use psf_types::{DataError, FieldError, Interpolation, OutsidePolicy, Position, StateKind};
 use thiserror::Error;
 
 /// The reason why coefficients cannot be interpolated. All indices are 0-based.
@@ -42,6 +42,26 @@ pub enum CoeffFieldError {
     WeightOverflow {
         /// The requested position.
         position: Position,
+    },
+    /// Samples of several states, such as wavelengths, where samples of one state are needed.
+    #[error("the samples belong to {count} values of the {kind}: choose one, or mix them")]
+    SeveralStates {
+        /// The quantity that differs.
+        kind: StateKind,
+        /// Number of states.
+        count: usize,
+    },
+    /// States whose samples are at different positions, with an interpolation that needs a grid.
+    #[error(
+        "the samples of different values of the {kind} lie at different positions, and the interpolation {interpolation} \
+         needs a regular grid: choose another interpolation, such as natural-neighbour, or take all samples at the same \
+         positions"
+    )]
+    DifferentGrids {
+        /// The quantity that differs.
+        kind: StateKind,
+        /// The interpolation.
+        interpolation: Interpolation,
     },
     /// Samples that do not fill a regular grid.
     #[error(
@@ -123,6 +143,12 @@ pub enum CoeffFieldError {
     /// An outside policy that this version does not know.
     #[error("outside policy {0} is not provided by this version")]
     UnknownOutsidePolicy(OutsidePolicy),
+    /// Data that breaks a rule of its type.
+    #[error(transparent)]
+    Data(#[from] DataError),
+    /// An interpolation that has no value at a position of a sample.
+    #[error(transparent)]
+    NoValue(#[from] FieldError),
     /// A number of values, nodes or components that does not match the interpolator or the samples.
     #[error("{what}: expected {expected}, got {got}")]
     CountMismatch {

@@ -25,6 +25,9 @@ use crate::polynomial::Polynomial;
 /// * A single sample: nearest.
 /// * Otherwise: natural neighbour. It interpolates collinear samples along their line.
 ///
+/// Of samples in several states, such as wavelengths, the positions of each state count. If they
+/// suit different methods, natural neighbour is taken.
+///
 /// ```
 /// use coeff_field::resolve;
 /// use psf_types::{Interpolation, Position, SamplePositions};
@@ -38,6 +41,23 @@ use crate::polynomial::Polynomial;
 pub fn resolve(choice: Interpolation, positions: &SamplePositions) -> Interpolation {
     if choice != Interpolation::Auto {
         return choice;
+    }
+    if positions.states().is_some() {
+        let of_states = (0..positions.state_count()).map(|state| {
+            let of_state = positions.select(&positions.samples_of_state(state));
+            resolve(
+                choice,
+                &of_state.expect("a state has samples, at distinct positions"),
+            )
+        });
+        let agreed = of_states.reduce(|a, b| {
+            if a == b {
+                a
+            } else {
+                Interpolation::NaturalNeighbour
+            }
+        });
+        return agreed.expect("at least one state");
     }
     if positions.len() == 1 {
         return Interpolation::Nearest;
@@ -142,13 +162,18 @@ impl InterpolatedField {
     /// Prepares `method` for the samples and stores their values.
     ///
     /// # Errors
-    /// [`CoeffFieldError`] when the method does not suit the samples' positions, when the values at
-    /// its nodes overflow, or when the method returns a wrong number of node values.
+    /// [`CoeffFieldError`] when the method does not suit the samples' positions, when the samples
+    /// belong to several states, when the values at the nodes overflow, or when the method returns a
+    /// wrong number of node values.
     pub fn new(
         samples: &SampleCoefficients,
         method: &dyn FieldInterpolation,
         outside: OutsidePolicy,
     ) -> Result<Self, CoeffFieldError> {
+        if let Some(states) = samples.positions().states() {
+            let (kind, count) = (states.kind(), states.values().len());
+            return Err(CoeffFieldError::SeveralStates { kind, count });
+        }
         let weights = method.prepare(samples.positions(), outside)?;
         let nodes = weights.node_values(samples.values())?;
         let nodes = if nodes.is_standard_layout() {

@@ -401,7 +401,7 @@ impl LeaveOneOut {
     }
 }
 
-/// Predicts every sample from all others by [`FieldInterpolation::leave_one_out`].
+/// Predicts every sample from all others of its state by [`FieldInterpolation::leave_one_out`].
 ///
 /// # Errors
 /// [`CoeffFieldError`] when the method does not work for these samples at all.
@@ -410,7 +410,21 @@ pub fn leave_one_out(
     method: &dyn FieldInterpolation,
     outside: OutsidePolicy,
 ) -> Result<LeaveOneOut, CoeffFieldError> {
-    method.leave_one_out(samples, outside)
+    let positions = samples.positions();
+    if positions.states().is_none() {
+        return method.leave_one_out(samples, outside);
+    }
+    let mut outcomes: Vec<Option<LeftOut>> = (0..positions.len()).map(|_| None).collect();
+    for state in 0..positions.state_count() {
+        let found = method.leave_one_out(&samples.of_state(state), outside)?;
+        for (sample, outcome) in positions.samples_of_state(state).into_iter().zip(found.outcomes) {
+            outcomes[sample] = Some(outcome);
+        }
+    }
+    let every = outcomes
+        .into_iter()
+        .map(|outcome| outcome.expect("every sample has a state"));
+    Ok(LeaveOneOut::new(every.collect()))
 }
 
 /// The error of predicting a sample by a method prepared without this sample.

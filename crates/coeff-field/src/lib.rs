@@ -65,6 +65,11 @@
 //! and their frame, and under the policy extend half of their extent beyond. Farther outside, the
 //! policies are those of a grid ([`Bilinear`]).
 //!
+//! # Wavelengths, times and frames
+//! A PSF may also depend on a wavelength, a time or a frame: its *state*. A field belongs to one
+//! state. [`mix_states`] makes the coefficients of a wavelength between two samples, or the mean over
+//! a spectrum, because both are weighted sums of the states' coefficients ([`state_weights`]).
+//!
 //! # Measuring the error
 //! [`leave_one_out`] predicts every sample from all others.
 //!
@@ -106,6 +111,7 @@ mod mesh;
 mod neighbours;
 mod polynomial;
 mod search_tree;
+mod states;
 mod triangles;
 
 pub use bilinear::{Bicubic, Bilinear};
@@ -118,3 +124,4 @@ pub use interpolation::{
 };
 pub use neighbours::{InverseDistance, Nearest};
 pub use polynomial::Polynomial;
+pub use states::{mix_states, state_weights};

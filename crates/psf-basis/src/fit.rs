@@ -46,10 +46,7 @@ impl BasisFit {
         let coefficients = SampleCoefficients::new(coefficients, samples.positions().clone())?;
         let what = "coefficients, one for each component of the basis";
         DataError::check_count(what, basis.rank(), coefficients.component_count())?;
-        if basis.grid() != samples.grid() {
-            let (expected, got) = (samples.grid().dim(), basis.grid().dim());
-            return Err(DataError::StampShape { expected, got }.into());
-        }
+        check_grid(samples, &basis)?;
         let rows = rows_of(samples.stamps());
         let errors = truncation_errors(rows, mean_of(&basis), &norms(rows), &basis, coefficients.values());
         Ok(Self {
@@ -182,13 +179,32 @@ impl GivenStamps {
 impl BasisMethod for GivenStamps {
     fn fit(&self, samples: &PsfSamples) -> Result<BasisFit, BasisError> {
         let basis = PsfBasis::new(self.mean.clone(), self.stamps.clone(), samples.grid())?;
-        let mut rows = rows_of(samples.stamps()).to_owned();
-        if let Some(mean) = mean_of(&basis) {
-            rows -= &mean;
-        }
-        let coefficients = rows.dot(&rows_of(basis.components()).t());
-        BasisFit::new(samples, basis, coefficients, None)
+        project(samples, basis)
     }
+}
+
+/// Finds the coefficients of samples in a basis, `a_jk = <h_j - B_0, B_k>`, the least-squares
+/// solution. The basis is unchanged.
+///
+/// # Errors
+/// [`BasisError::Data`] when the samples' stamps have another grid than the basis.
+pub fn project(samples: &PsfSamples, basis: PsfBasis) -> Result<BasisFit, BasisError> {
+    check_grid(samples, &basis)?;
+    let components = rows_of(basis.components());
+    let mut coefficients = rows_of(samples.stamps()).dot(&components.t());
+    if let Some(mean) = mean_of(&basis) {
+        coefficients -= &components.dot(&mean);
+    }
+    BasisFit::new(samples, basis, coefficients, None)
+}
+
+/// Checks that samples have the stamp grid of a basis.
+fn check_grid(samples: &PsfSamples, basis: &PsfBasis) -> Result<(), BasisError> {
+    if basis.grid() == samples.grid() {
+        return Ok(());
+    }
+    let (expected, got) = (samples.grid().dim(), basis.grid().dim());
+    Err(DataError::StampShape { expected, got }.into())
 }
 
 /// The choice whether to subtract the mean stamp before the decomposition.

@@ -34,6 +34,6 @@ mod noise;
 mod rank;
 
 pub use decomposition::{BasisError, orthonormal};
-pub use fit::{BasisFit, BasisMethod, Centring, GivenStamps, Svd};
+pub use fit::{BasisFit, BasisMethod, Centring, GivenStamps, Svd, project};
 pub use noise::PixelNoise;
 pub use rank::{RankSelection, Spectrum};

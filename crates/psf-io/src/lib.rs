@@ -65,6 +65,7 @@ mod error;
 mod fits;
 mod output;
 mod psf;
+mod units;
 
 pub use catalogue::columns::{CatalogColumns, CatalogOptions};
 pub use catalogue::sky_coordinates::SkyCoordinates;

@@ -6,7 +6,7 @@ use ndarray::{Array2, Array3};
 use psf_io::{Card, FileKind, IoError, IoErrorKind, detect, read_model, read_model_file, write_model};
 use psf_types::{
     FrameShape, Interpolation, Normalisation, OutsidePolicy, Position, PsfBasis, PsfModelRecord,
-    SampleCoefficients, SamplePositions, StampGrid,
+    SampleCoefficients, SamplePositions, SampleStates, StampGrid, StateKind,
 };
 use support::{Scratch, assert_error, chain, names};
 
@@ -88,6 +88,43 @@ fn models_come_back_bit_by_bit() {
 }
 
 #[test]
+fn a_model_with_states_is_version_2_and_others_are_version_1() {
+    let scratch = Scratch::new();
+    let version = |path: &std::path::Path| psf_io::read_header(path).unwrap().get("PSFMODEL").cloned();
+    let plain = model(2, true, None);
+    let path = scratch.path("plain.fits");
+    write_model(&path, &plain, &[], &[], false).unwrap();
+    assert_eq!(
+        version(&path),
+        Some(Card::new("PSFMODEL", 1, "version of this layout").unwrap())
+    );
+    for (rank, kind) in [(2, StateKind::Wavelength), (0, StateKind::Frame)] {
+        let one_state = model(rank, true, None);
+        let states = SampleStates::new(kind, &[1.0 / 3.0, 2.0, 1.0 / 3.0]).unwrap();
+        let at = one_state.coefficients().positions().as_slice().to_vec();
+        let positions = SamplePositions::with_states(at, None, Some(states)).unwrap();
+        let coefficients =
+            SampleCoefficients::new(one_state.coefficients().values().to_owned(), positions).unwrap();
+        let model = PsfModelRecord::new(
+            one_state.basis().clone(),
+            coefficients,
+            Interpolation::Nearest,
+            OutsidePolicy::Extend,
+            Normalisation::Unit,
+        )
+        .unwrap();
+        let path = scratch.path(&format!("{kind}.fits"));
+        write_model(&path, &model, &[], &[], false).unwrap();
+        assert_eq!(
+            version(&path),
+            Some(Card::new("PSFMODEL", 2, "version of this layout").unwrap())
+        );
+        assert_eq!(read_model(&path).unwrap(), model);
+        assert_eq!(bits(&read_model(&path).unwrap()), bits(&model));
+    }
+}
+
+#[test]
 fn equal_models_give_equal_bytes() {
     let scratch = Scratch::new();
     let (a, b) = (scratch.path("a.fits"), scratch.path("b.fits"));
@@ -130,8 +167,8 @@ fn edited(from: &str, to: &str) -> IoError {
 
 #[test]
 fn errors_describe_the_defect_of_a_model() {
-    let version = edited("PSFMODEL=                    1", "PSFMODEL=                    2");
-    let newer = ": this is a psf-model file of version 2, but the newest version that this psfield reads is 1: update psfield if the file is newer";
+    let version = edited("PSFMODEL=                    1", "PSFMODEL=                    3");
+    let newer = ": this is a psf-model file of version 3, but the newest version that this psfield reads is 2: update psfield if the file is newer";
     let refused = |error: IoError, kind, part| assert_error(Err::<(), _>(error), kind, part);
     refused(version, IoErrorKind::Format, newer);
     let missing = edited("PSFMODEL=", "PSFMODEX=");

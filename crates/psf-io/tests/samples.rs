@@ -8,7 +8,9 @@ use ndarray::Array3;
 use psf_io::{
     Card, FileKind, IoError, IoErrorKind, Place, Precision, detect, read_header, read_samples, write_samples,
 };
-use psf_types::{DataError, FrameShape, Position, PsfSamples, SamplePositions, StampGrid};
+use psf_types::{
+    DataError, FrameShape, Position, PsfSamples, SamplePositions, SampleStates, StampGrid, StateKind,
+};
 use support::{IMAGE, SIMPLE, Scratch, assert_error, chain, f32s, f64s, i16s, image, names, table};
 
 /// Samples whose numbers need all bits of a double.
@@ -312,4 +314,63 @@ fn keywords_of_the_wrong_type_and_missing_parts_are_named() {
         };
         assert_error(file.read(&scratch), kind, part);
     }
+}
+
+#[test]
+fn states_come_back_bit_by_bit() {
+    let scratch = Scratch::new();
+    for kind in [
+        StateKind::Wavelength,
+        StateKind::Time,
+        StateKind::Frame,
+        StateKind::Spectrum,
+    ] {
+        let path = scratch.path(&format!("{kind}.fits"));
+        let states = SampleStates::new(kind, &[0.9, 1.0 / 3.0, 0.9]).unwrap();
+        let plain = samples();
+        let at = plain.positions().as_slice().to_vec();
+        let positions = SamplePositions::with_states(at, None, Some(states)).unwrap();
+        let samples = PsfSamples::new(plain.stamps().to_owned(), positions, plain.grid()).unwrap();
+        write_samples(&path, &samples, &[], Precision::Double, false).unwrap();
+        assert_eq!(read_samples(&path).unwrap(), samples);
+    }
+}
+
+/// A file of two samples, with a third column of doubles.
+fn with_column(scratch: &Scratch, name: &str, unit: &str, values: [f64; 2]) -> Result<PsfSamples, IoError> {
+    let bytes: Vec<f64> = values.iter().flat_map(|&v| [1.0, 2.0, v]).collect();
+    let unit = format!("TUNIT3  = '{unit}'");
+    let columns = [("X", "D"), ("Y", "D"), (name, "D")];
+    let rows = table("POSITIONS", &columns, 2, &[&unit], &f64s(&bytes));
+    let cube = image(SIMPLE, -32, &[2, 2, 2], &[], &f32s(&[1.0; 8]));
+    read_samples(scratch.put("states.fits", &[cube, rows].concat()))
+}
+
+#[test]
+fn wavelengths_have_any_unit_of_length_but_need_one() {
+    let scratch = Scratch::new();
+    for (unit, factor) in [("um", 1.0), ("nm", 1e-3), ("Angstrom", 1e-4), ("m", 1e6)] {
+        let samples = with_column(&scratch, "WAVELENGTH", unit, [0.5 / factor, 0.75 / factor]).unwrap();
+        let states = samples.positions().states().unwrap();
+        for (found, expected) in states.values().iter().zip([0.5, 0.75]) {
+            assert!((found - expected).abs() < 1e-15, "{unit}: {found}");
+        }
+    }
+    let found = with_column(&scratch, "time", "min", [2.0, 1.0]).unwrap();
+    assert_eq!(found.positions().states().unwrap().values(), [60.0, 120.0]);
+    for (unit, part) in [("", "has no unit"), ("Hz", "has the unit \"Hz\"")] {
+        let refused = with_column(&scratch, "WAVELENGTH", unit, [0.5, 0.6]);
+        assert_error(refused, IoErrorKind::Table, part);
+    }
+    assert_error(
+        with_column(&scratch, "WAVELENGTH", "um", [0.5, -0.6]),
+        IoErrorKind::Data,
+        "above 0",
+    );
+    let twice = with_column(&scratch, "FRAME", "", [3.0, 3.0]);
+    assert_error(
+        twice,
+        IoErrorKind::Data,
+        "share the position (1, 2) and the frame 3",
+    );
 }

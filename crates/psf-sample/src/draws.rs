@@ -319,8 +319,8 @@ impl ShiftAugmentation {
         })
     }
 
-    /// The shifts of one sample.
-    fn shifts(self, sample: usize) -> impl Iterator<Item = (f64, f64)> {
+    /// The shifts `(dx, dy)` of the copies of one sample, in frame pixels.
+    pub fn shifts(self, sample: usize) -> impl Iterator<Item = (f64, f64)> {
         let mut rng = ChaCha8Rng::seed_from_u64(self.seed);
         rng.set_stream(sample as u64);
         let mut uniform = move || (2.0 * unit(&mut rng) - 1.0) * self.max_shift_px;

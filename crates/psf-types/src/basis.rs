@@ -1,11 +1,11 @@
 //! Orthonormal basis stamps, and the samples' coefficients in the basis.
 
-use ndarray::{Array2, Array3, ArrayView2, ArrayView3};
+use ndarray::{Array2, Array3, ArrayView2, ArrayView3, Axis};
 use serde::{Deserialize, Serialize};
 
 use crate::frame::{DataError, Quantity, read_through_new};
 use crate::image::{finite2, finite3, row_major};
-use crate::samples::SamplePositions;
+use crate::sample_positions::SamplePositions;
 use crate::stamp::StampGrid;
 
 /// Orthonormal stamps `B_k` `[component, y, x]`, and the mean stamp `B_0` if the basis is
@@ -139,5 +139,21 @@ impl SampleCoefficients {
     /// The number of components.
     pub fn component_count(&self) -> usize {
         self.values.ncols()
+    }
+
+    /// The coefficients of the samples in one state.
+    ///
+    /// # Panics
+    /// When there is no such state.
+    #[must_use]
+    pub fn of_state(&self, state: usize) -> Self {
+        let samples = self.positions.samples_of_state(state);
+        Self {
+            values: self.values.select(Axis(0), &samples),
+            positions: self
+                .positions
+                .select(&samples)
+                .expect("a state has samples, at distinct positions"),
+        }
     }
 }

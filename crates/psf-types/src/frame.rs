@@ -418,6 +418,20 @@ pub enum DataError {
         /// Their position.
         position: Position,
     },
+    /// Two samples of one state, such as a wavelength, at one position.
+    #[error(
+        "samples {first} and {second} (0-based) share the position {position} and the {state}: remove one, or average them"
+    )]
+    DuplicateState {
+        /// The earlier of the two.
+        first: usize,
+        /// The later one.
+        second: usize,
+        /// Their position.
+        position: Position,
+        /// Their state, such as "wavelength 0.5 um".
+        state: String,
+    },
     /// A sample more than one pixel outside the field.
     #[error(
         "sample {sample} (0-based) at {position} lies outside the field of {field} pixels (the centre of the first pixel is at (0, 0))"

@@ -303,6 +303,18 @@ impl PsfModel {
         })
     }
 
+    /// A model with the stamps of this one, which it shares, and another field.
+    ///
+    /// # Errors
+    /// [`DataError::CountMismatch`] when the field does not return one coefficient per component.
+    pub fn with_field(&self, field: Arc<dyn CoefficientField>) -> Result<Self, DataError> {
+        check_components(self.rank(), field.component_count())?;
+        Ok(Self {
+            field,
+            ..self.clone()
+        })
+    }
+
     /// Removes the scaling to unit flux if the samples' coefficients `[sample, component]` show
     /// that it is not needed. This is so if the mean has unit flux and the components change the
     /// flux at no sample. Every interpolation is linear in the samples' coefficients, so the

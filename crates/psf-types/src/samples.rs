@@ -1,13 +1,12 @@
 //! Sources that draw the PSF at any position, and PSF samples: stamps at known positions.
 
-use std::collections::HashMap;
-
 use ndarray::{Array3, ArrayView2, ArrayView3, ArrayViewMut2, Axis};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use crate::frame::{DataError, FrameShape, Position, Quantity, read_through_new};
 use crate::image::{finite3, row_major};
+use crate::sample_positions::SamplePositions;
 use crate::stamp::{Stamp, StampGrid};
 
 /// A PSF that can be drawn at every position of a field, such as an optical model, an analytic
@@ -88,7 +87,7 @@ pub enum SourceError {
 
 /// PSF stamps `[sample, y, x]` on one grid, each with its position.
 ///
-/// There is one stamp per position. Every value is finite and every stamp has positive, finite
+/// There is one stamp per position, or per position and state ([`SamplePositions`]). Every value is finite and every stamp has positive, finite
 /// flux. Negative pixels are kept.
 ///
 /// ```
@@ -184,69 +183,5 @@ impl PsfSamples {
             stamp.mapv_inplace(|v| v / flux);
         }
         self
-    }
-}
-
-/// The distinct positions of the samples, in order, and the shape of their field if it is known.
-///
-/// There is at least one position, and no two positions are equal. If the field is known, all
-/// positions lie on it.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(try_from = "RawSamplePositions")]
-pub struct SamplePositions {
-    positions: Vec<Position>,
-    field: Option<FrameShape>,
-}
-
-read_through_new!(RawSamplePositions => SamplePositions { positions: Vec<Position>, field: Option<FrameShape> });
-
-impl SamplePositions {
-    /// Positions of samples, on a field of the given shape if it is known. Positions may lie up to
-    /// one pixel outside the field ([`FrameShape::is_near`]).
-    ///
-    /// # Errors
-    /// [`DataError::NoSamples`], [`DataError::DuplicatePosition`] or [`DataError::OutsideField`].
-    pub fn new(positions: Vec<Position>, field: Option<FrameShape>) -> Result<Self, DataError> {
-        if positions.is_empty() {
-            return Err(DataError::NoSamples);
-        }
-        if let Some(field) = field
-            && let Some(sample) = positions.iter().position(|&p| !field.is_near(p))
-        {
-            return Err(DataError::OutsideField {
-                sample,
-                position: positions[sample],
-                field,
-            });
-        }
-        // Adding 0.0 turns -0.0 into 0.0, so that equal coordinates have equal bits.
-        let bits = |p: Position| ((p.x() + 0.0).to_bits(), (p.y() + 0.0).to_bits());
-        let mut seen = HashMap::with_capacity(positions.len());
-        for (second, &position) in positions.iter().enumerate() {
-            if let Some(first) = seen.insert(bits(position), second) {
-                return Err(DataError::DuplicatePosition {
-                    first,
-                    second,
-                    position,
-                });
-            }
-        }
-        Ok(Self { positions, field })
-    }
-
-    /// The positions, in sample order.
-    pub fn as_slice(&self) -> &[Position] {
-        &self.positions
-    }
-
-    /// Number of samples, at least 1.
-    #[allow(clippy::len_without_is_empty, reason = "never empty")]
-    pub fn len(&self) -> usize {
-        self.positions.len()
-    }
-
-    /// The shape of the field, if it is known.
-    pub fn field(&self) -> Option<FrameShape> {
-        self.field
     }
 }

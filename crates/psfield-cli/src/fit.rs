@@ -4,8 +4,7 @@ use std::path::PathBuf;
 
 use anyhow::Context as _;
 use psf_io::FileKind;
-use psfield::FitReport;
-use psfield::convert::PsfFormat;
+use psfield::{FitOptions, FitReport, Psf};
 
 use super::context::{Context, signature};
 use crate::files::OutputFile;
@@ -20,8 +19,11 @@ pub(crate) struct FitCommandArgs {
     ///
     /// PSF samples are a FITS file with a cube and a table POSITIONS. Files of STPSF and STDPSF
     /// also hold stamps at positions. For a plain cube, --psf-positions gives the positions.
-    #[arg(value_name = "SAMPLES.fits")]
-    samples: PathBuf,
+    ///
+    /// Several files get one basis. If their samples have no wavelength, time or frame, each file is
+    /// a frame, numbered from 0 in the given order: `--psf-frame N` then chooses one.
+    #[arg(value_name = "SAMPLES.fits", required = true)]
+    samples: Vec<PathBuf>,
     /// Model to write
     #[arg(short, long, value_name = "MODEL.fits")]
     output: OutputFile,
@@ -36,6 +38,23 @@ pub(crate) struct FitCommandArgs {
     /// drop components below this noise. 0: no noise.
     #[arg(long, value_name = "SIGMA", value_parser = at_least_zero, help_heading = FIT_HEADING)]
     sample_noise: Option<f64>,
+    /// Compute the basis also from N copies of each sample, shifted by up to half a pixel [default: 0]
+    ///
+    /// Such a basis also represents stars between pixels, as in the paper. psfield itself does not
+    /// need it: it shifts stamps when it draws stars.
+    #[arg(long, value_name = "N", help_heading = FIT_HEADING)]
+    shift_augment: Option<usize>,
+    /// Keep the basis of this model, and find only the coefficients of the samples
+    ///
+    /// The mean and the components are unchanged, so that models of many frames share them. The
+    /// stamps of the samples must have the pixels of the model's stamps.
+    #[arg(
+        long,
+        value_name = "MODEL.fits",
+        conflicts_with_all = ["rank", "centring", "sample_noise", "shift_augment"],
+        help_heading = FIT_HEADING
+    )]
+    basis: Option<PathBuf>,
 }
 
 /// Shows in the short help the options that this command needs most, and hides the options that it
@@ -56,23 +75,26 @@ const WORTH_A_COMPONENT: f64 = 1e-6;
 impl FitCommandArgs {
     pub(crate) fn run(mut self, context: &Context) -> anyhow::Result<()> {
         self.fit.fit.sample_noise = self.sample_noise;
+        self.fit.fit.shift_copies = self.shift_augment;
         let spinner = context.spinner("fitting");
-        let psf = self.fit.open(&self.samples, context)?;
-        let in_file = || format!("in {}", self.samples.display());
-        let fitted = match (psf.fit().with_context(in_file)?, psf.kind()) {
-            (Some(fitted), _) => fitted,
-            (None, Some(kind)) if kind != FileKind::PsfModel => anyhow::bail!(
-                "{} holds {kind}, which needs no fit: give it directly to simulate or evaluate, or convert it to a model file \
-                 (psfield convert --to psf-model)",
-                self.samples.display()
-            ),
-            (None, _) => anyhow::bail!(
-                "{} is a fitted model already: give it to simulate or evaluate, or fit its samples again",
-                self.samples.display()
-            ),
+        let psf = self.open(context)?;
+        let in_file = || match &self.samples[..] {
+            [file] => format!("in {}", file.display()),
+            files => format!("in {} and {} more files", files[0].display(), files.len() - 1),
+        };
+        let (samples, options) = psf.samples().expect("PSF samples were opened");
+        let own_fit;
+        let fitted = match &self.basis {
+            None => psf.fit().with_context(in_file)?.expect("samples have a fit"),
+            Some(model) => {
+                let model = Psf::open(model)?;
+                own_fit = psfield::fit_in_basis(samples.clone(), model.record()?.basis(), options)
+                    .with_context(in_file)?;
+                &own_fit
+            }
         };
         let report = fitted.report().with_context(in_file)?;
-        psf.write(&self.output, &PsfFormat::Model, &signature(), self.overwrite)?;
+        fitted.write(&self.output, &signature(), self.overwrite)?;
         drop(spinner);
         if report.rank == 0 && report.max_error > WORTH_A_COMPONENT {
             context.warn(&format!(
@@ -82,6 +104,38 @@ impl FitCommandArgs {
             ));
         }
         context.report(&report, || text(&report, &self.output.display().to_string()))
+    }
+
+    /// Opens the samples of all files.
+    fn open(&self, context: &Context) -> anyhow::Result<Psf> {
+        let mut opened = Vec::with_capacity(self.samples.len());
+        for path in &self.samples {
+            let psf = self.fit.open(path, context)?;
+            if psf.samples().is_none() {
+                match psf.kind() {
+                    Some(kind) if kind != FileKind::PsfModel => anyhow::bail!(
+                        "{} holds {kind}, which needs no fit: give it directly to simulate or evaluate, or convert it to a model file \
+                         (psfield convert --to psf-model)",
+                        path.display()
+                    ),
+                    _ => anyhow::bail!(
+                        "{} is a fitted model already: give it to simulate or evaluate, or fit its samples again",
+                        path.display()
+                    ),
+                }
+            }
+            opened.push(psf);
+        }
+        if let [_] = &opened[..] {
+            return Ok(opened.remove(0));
+        }
+        let (samples, options): (Vec<_>, Vec<&FitOptions>) = opened.iter().filter_map(Psf::samples).unzip();
+        let names: Vec<_> = self
+            .samples
+            .iter()
+            .map(|path| path.display().to_string())
+            .collect();
+        Ok(Psf::new(psfield::join_samples(&samples, &names)?, *options[0]))
     }
 }
 
@@ -98,8 +152,17 @@ fn text(report: &FitReport, output: &str) -> String {
         ),
         _ => "not measured, because no sample lies between others".to_owned(),
     };
+    let of_states = match (&report.depends_on, &report.states[..]) {
+        (Some(kind), [first, .., last]) => {
+            format!(
+                " at {} values of the {kind} ({first} to {last})",
+                report.states.len()
+            )
+        }
+        _ => String::new(),
+    };
     format!(
-        "{output}: {} samples, {} components (elbow at {}), {} interpolation\n\
+        "{output}: {} samples{of_states}, {} components (elbow at {}), {} interpolation\n\
          noise:          {noise}\n\
          fit error:      largest {:.2e}, r.m.s. {:.2e} (relative L2 of a sample)\n\
          leave-one-out:  {interpolation_error} (relative L2; each sample is left out and interpolated over about twice the spacing)\n",

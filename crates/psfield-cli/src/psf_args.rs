@@ -36,6 +36,9 @@ pub(crate) struct FitArgs {
     /// The noise of the samples. Only `psfield fit` has an option for it.
     #[arg(skip)]
     pub(crate) sample_noise: Option<f64>,
+    /// The number of shifted copies of each sample. Only `psfield fit` has an option for it.
+    #[arg(skip)]
+    pub(crate) shift_copies: Option<usize>,
     /// Interpolation of the coefficients over the field [default: auto]
     ///
     /// auto, delaunay, natural-neighbour, idw, idw=POWER (inverse distance weighting),
@@ -81,6 +84,7 @@ impl FitArgs {
             interpolation: self.interpolation,
             outside: self.outside,
             normalisation: self.normalise,
+            shift_copies: self.shift_copies,
         }
     }
 
@@ -147,10 +151,20 @@ pub(crate) struct PsfFileArgs {
     /// natural-neighbour.
     #[arg(long, hide_short_help = true)]
     psf_skip_invalid: bool,
-    /// ScopeSim: use the PSFs nearest to this wavelength (micrometres, required if the file has
-    /// several wavelengths)
+    /// Use the PSF at this wavelength (micrometres, required if the PSF depends on the wavelength)
+    ///
+    /// PSF samples and models: between the wavelengths of the samples, the PSF is interpolated.
+    /// ScopeSim: the nearest wavelength of the file is taken.
     #[arg(long, value_name = "UM", value_parser = above_zero, hide_short_help = true)]
     psf_wavelength: Option<f64>,
+    /// Use the PSF at this time (seconds, required if the PSF depends on the time)
+    #[arg(long, value_name = "S", allow_hyphen_values = true, hide_short_help = true)]
+    psf_time: Option<f64>,
+    /// Use the PSF of this frame (its number, required if the PSF depends on the frame)
+    ///
+    /// `psfield fit` numbers its sample files from 0.
+    #[arg(long, value_name = "N", hide_short_help = true)]
+    psf_frame: Option<u32>,
     /// ScopeSim: size of a frame pixel (arcsec, required)
     #[arg(long, value_name = "ARCSEC", value_parser = above_zero, hide_short_help = true)]
     pixel_scale: Option<f64>,
@@ -212,6 +226,8 @@ impl PsfFileArgs {
             plane_order: self.psf_order,
             skip_invalid: self.psf_skip_invalid,
             wavelength_um: self.psf_wavelength,
+            time_s: self.psf_time,
+            frame_number: self.psf_frame.map(f64::from),
             pixel_scale_arcsec: self.pixel_scale,
             field_centre: self.field_centre.map(|point| point.0),
             positions: self

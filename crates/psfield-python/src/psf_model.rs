@@ -9,10 +9,12 @@ use psfield::convert::{PsfFormat, SamplesAt, to_gridded};
 use psfield::psf_basis::PixelNoise;
 use psfield::psf_io::Precision;
 use psfield::psf_types::{
-    FrameShape, PsfBasis, PsfModelRecord, PsfSamples, SampleCoefficients, SamplePositions,
+    FrameShape, PsfBasis, PsfModelRecord, PsfSamples, SampleCoefficients, SamplePositions, SampleStates,
+    StateKind,
 };
 use psfield::{
-    EvaluateOptions, Fit, FitOptions, OutputGrid, Psf, PsfieldError, evaluate_stamps, provenance_cards,
+    EvaluateOptions, Fit, FitOptions, OutputGrid, Psf, PsfieldError, evaluate_stamps, fit_in_basis,
+    provenance_cards,
 };
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -33,6 +35,8 @@ type Cube<'py> = Bound<'py, PyArray3<f64>>;
 type Basis<'py> = (Option<Plane<'py>>, Cube<'py>, Plane<'py>);
 /// The names of the interpolation, the outside policy and the normalisation.
 type Choices = (String, String, String);
+/// The name of the quantity on which the PSF depends besides the position, and its values.
+type States = Option<(String, Vec<f64>)>;
 /// Columns x and y.
 type Points<'py> = (Bound<'py, PyArray1<f64>>, Bound<'py, PyArray1<f64>>);
 
@@ -63,14 +67,16 @@ impl PsfModel {
         stamps: PyReadonlyArray3<'_, f64>,
         x: PyReadonlyArray1<'_, f64>,
         y: PyReadonlyArray1<'_, f64>,
+        states: States,
         field: Option<(usize, usize)>,
         grid: GridSettings,
         fit: FitSettings,
         gridded_library: bool,
+        basis: Option<&PsfModel>,
     ) -> PyResult<Self> {
         let (count, ny, nx) = stamps.as_array().dim();
         let grid = grid.grid((ny, nx))?;
-        let positions = sample_positions(&x, &y, field)?;
+        let positions = sample_positions(&x, &y, states, field)?;
         let defaults = match count {
             _ if gridded_library => FitOptions::of_gridded_library(&positions),
             1 => FitOptions::of_single_stamp(),
@@ -81,7 +87,13 @@ impl PsfModel {
         let samples = py
             .detach(|| PsfSamples::new(stamps.to_owned(), positions, grid))
             .map_err(Failure::from)?;
-        Ok(Self(Psf::new(samples, options)))
+        let Some(basis) = basis else {
+            return Ok(Self(Psf::new(samples, options)));
+        };
+        let fitted = basis.apart(py, move |psf| {
+            fit_in_basis(samples, psf.record()?.basis(), &options)
+        })?;
+        Ok(Self(Psf::from(fitted.into_record())))
     }
 
     /// Makes a model from a mean stamp, components `[component, y, x]` and their coefficients
@@ -93,13 +105,14 @@ impl PsfModel {
         coefficients: PyReadonlyArray2<'_, f64>,
         x: PyReadonlyArray1<'_, f64>,
         y: PyReadonlyArray1<'_, f64>,
+        states: States,
         field: Option<(usize, usize)>,
         grid: GridSettings,
         choices: Choices,
     ) -> PyResult<Self> {
         let (_, ny, nx) = components.as_array().dim();
         let grid = grid.grid((ny, nx))?;
-        let positions = sample_positions(&x, &y, field)?;
+        let positions = sample_positions(&x, &y, states, field)?;
         let (interpolation, outside, normalise) =
             (parsed(&choices.0)?, parsed(&choices.1)?, parsed(&choices.2)?);
         let mean = mean.map(|mean| mean.as_array().to_owned());
@@ -135,13 +148,14 @@ impl PsfModel {
         if let Some((samples, options)) = self.0.samples() {
             let stamps = samples.stamps().to_owned().into_pyarray(py);
             let fit = fit_settings(py, options)?;
-            let state = (stamps, x, y, field, grid, fit, false);
+            let state = (stamps, x, y, self.states(), field, grid, fit, false, None::<Self>);
             return Ok(("from_samples", state.into_pyobject(py)?.into_any()));
         }
         let record = self.record(py)?;
         let (mean, components, coefficients) = arrays_of(py, record);
         let choices = choices_of(record);
-        let state = (mean, components, coefficients, x, y, field, grid, choices);
+        let states = self.states();
+        let state = (mean, components, coefficients, x, y, states, field, grid, choices);
         Ok(("from_basis", state.into_pyobject(py)?.into_any()))
     }
 
@@ -170,6 +184,18 @@ impl PsfModel {
     /// coefficients are given.
     fn positions<'py>(&self, py: Python<'py>) -> Points<'py> {
         points(py, self.0.positions())
+    }
+
+    /// The name of the quantity on which the PSF depends besides the position, and its value for
+    /// every sample.
+    fn states(&self) -> States {
+        let states = self.0.states()?;
+        Some((states.kind().to_string(), states.per_sample().collect()))
+    }
+
+    /// Returns the PSF at a wavelength, a time or a frame.
+    fn at_state(&self, py: Python<'_>, value: f64) -> PyResult<Self> {
+        self.apart(py, move |psf| psf.at_state(value)).map(Self)
     }
 
     /// (ny, nx) of the field, if it is known.
@@ -252,11 +278,18 @@ impl PsfModel {
 fn sample_positions(
     x: &PyReadonlyArray1<'_, f64>,
     y: &PyReadonlyArray1<'_, f64>,
+    states: States,
     field: Option<(usize, usize)>,
 ) -> PyResult<SamplePositions> {
     let field: Option<FrameShape> = field.map(frame_shape).transpose()?;
     let made = positions(&x.as_array().to_vec(), &y.as_array().to_vec())?;
-    Ok(SamplePositions::new(made, field).map_err(Failure::from)?)
+    let states = match states {
+        Some((kind, values)) => {
+            Some(SampleStates::new(parsed::<StateKind>(&kind)?, &values).map_err(Failure::from)?)
+        }
+        None => None,
+    };
+    Ok(SamplePositions::with_states(made, field, states).map_err(Failure::from)?)
 }
 
 fn points<'py>(py: Python<'py>, of: &SamplePositions) -> Points<'py> {
@@ -276,6 +309,7 @@ fn fit_settings<'py>(py: Python<'py>, options: &FitOptions) -> PyResult<Bound<'p
     settings.set_item("interpolation", options.interpolation.to_string())?;
     settings.set_item("outside", options.outside.to_string())?;
     settings.set_item("normalise", options.normalisation.to_string())?;
+    settings.set_item("shift_copies", options.shift_copies)?;
     Ok(settings)
 }
 

@@ -38,6 +38,7 @@ pub(crate) struct FitSettings {
     interpolation: Option<String>,
     outside: Option<String>,
     normalise: Option<String>,
+    shift_copies: Option<usize>,
 }
 
 impl FitSettings {
@@ -53,6 +54,7 @@ impl FitSettings {
             interpolation: chosen(self.interpolation.as_deref())?,
             outside: chosen(self.outside.as_deref())?,
             normalisation: chosen(self.normalise.as_deref())?,
+            shift_copies: self.shift_copies,
         })
     }
 }
@@ -94,6 +96,8 @@ pub(crate) struct FileSettings {
     plane_order: Option<String>,
     skip_invalid: bool,
     wavelength_um: Option<f64>,
+    time_s: Option<f64>,
+    frame_number: Option<f64>,
     pixel_scale_arcsec: Option<f64>,
     field_centre: Option<(f64, f64)>,
     positions: Option<(Vec<f64>, Vec<f64>)>,
@@ -111,6 +115,8 @@ impl FileSettings {
             plane_order: chosen(self.plane_order.as_deref())?,
             skip_invalid: self.skip_invalid,
             wavelength_um: self.wavelength_um,
+            time_s: self.time_s,
+            frame_number: self.frame_number,
             pixel_scale_arcsec: self.pixel_scale_arcsec,
             field_centre: position(self.field_centre).map_err(Failure::from)?,
             positions: self.positions.map(|(x, y)| positions(&x, &y)).transpose()?,

@@ -1,18 +1,24 @@
 //! Fits a model to PSF samples. The model gives the PSF at every position.
 
+use std::path::Path;
 use std::sync::Arc;
 
 use coeff_field::{FieldInterpolation, InterpolatedField, LeftOut};
+use conv_core::StampInterpolator;
 use metrics::Summary;
-use ndarray::{Array3, s};
+use ndarray::{Array3, ArrayView2, Axis, s};
 use psf_basis::{BasisFit, BasisMethod, Centring, PixelNoise, RankSelection, Spectrum, Svd};
+use psf_io::Card;
+use psf_sample::ShiftAugmentation;
 use psf_types::{
-    Interpolation, Normalisation, OutsidePolicy, PsfModel, PsfModelRecord, PsfSamples, SampleCoefficients,
-    SamplePositions,
+    Interpolation, Normalisation, OutsidePolicy, PsfBasis, PsfModel, PsfModelRecord, PsfSamples,
+    SampleCoefficients, SamplePositions, StampGrid,
 };
+use rayon::prelude::*;
 use serde::Serialize;
 
-use crate::PsfieldError;
+use crate::stack_size::check_stack;
+use crate::{ErrorKind, PsfieldError};
 
 /// Options for fitting a model to samples. The command line has the same defaults: rank `auto`,
 /// mean-centred, interpolation `auto`, nearest outside, unit flux.
@@ -31,6 +37,9 @@ pub struct FitOptions {
     pub outside: OutsidePolicy,
     /// The scaling of samples and PSFs: to unit flux, or none.
     pub normalisation: Normalisation,
+    /// The number of copies of each sample, shifted by up to half a pixel, from which the basis is
+    /// computed in addition to the samples. Such a basis also represents stars between pixels.
+    pub shift_copies: usize,
 }
 
 impl FitOptions {
@@ -77,6 +86,12 @@ pub struct Fit {
 pub struct FitReport {
     /// Number of samples.
     pub samples: usize,
+    /// The quantity on which the PSF depends besides the position, such as "wavelength". None if it
+    /// depends on the position only.
+    pub depends_on: Option<String>,
+    /// The values of this quantity that samples have, ascending (micrometres, seconds, or numbers of
+    /// frames).
+    pub states: Vec<f64>,
     /// Number of components kept, without the mean.
     pub rank: usize,
     /// Number of components at the elbow of the cumulative weights ([`psf_basis`] defines it).
@@ -133,13 +148,91 @@ pub struct LeaveOneOutReport {
 /// Fits a model to samples. Computes the basis by SVD, and interpolates the coefficients by a
 /// method of `coeff-field`.
 ///
+/// Samples of several states, such as wavelengths or frames, get one basis.
+///
 /// # Errors
 /// [`ErrorKind::Fit`](crate::ErrorKind::Fit) when the basis cannot be computed, for example because
-/// the samples do not have the requested rank. An interpolation that does not suit the positions is
+/// the samples do not have the requested rank. [`ErrorKind::TooLarge`](crate::ErrorKind::TooLarge)
+/// if the shifted copies would fill too much memory. An interpolation that does not suit the positions is
 /// an error of [`Fit::into_model`] and [`Fit::report`], not of the fit.
 pub fn fit(samples: PsfSamples, options: &FitOptions) -> Result<Fit, PsfieldError> {
-    let (ny, nx) = samples.grid().dim();
-    fit_trained(samples, Array3::zeros((0, ny, nx)), options)
+    let copies = shifted_copies(&samples, options.shift_copies)?;
+    fit_trained(samples, copies, options)
+}
+
+/// Copies of every sample, shifted by up to half a frame pixel along each axis, `[stamp, y, x]`. The
+/// shifts are pseudo-random, and always the same.
+fn shifted_copies(samples: &PsfSamples, copies: usize) -> Result<Array3<f64>, PsfieldError> {
+    const LARGEST_SHIFT: f64 = 0.5;
+    const SEED: u64 = 0;
+    let grid = samples.grid();
+    let count = samples.len().saturating_mul(copies);
+    check_stack(count, grid)?;
+    let mut stamps = Array3::zeros((count, grid.ny(), grid.nx()));
+    if copies == 0 {
+        return Ok(stamps);
+    }
+    let augmentation = ShiftAugmentation::new(copies, LARGEST_SHIFT, SEED)?;
+    let blocks: Vec<_> = stamps.axis_chunks_iter_mut(Axis(0), copies).collect();
+    blocks
+        .into_par_iter()
+        .enumerate()
+        .for_each(|(sample, mut block)| {
+            let between = StampInterpolator::new(samples.stamp(sample), grid);
+            for (mut stamp, shift) in block.outer_iter_mut().zip(augmentation.shifts(sample)) {
+                stamp.assign(&between.resample(shift, grid));
+            }
+        });
+    Ok(stamps)
+}
+
+/// Finds the coefficients of samples in a given basis, `a_jk = <h_j - B_0, B_k>`, which is the
+/// least-squares solution. The rank, the centring, the noise and the shifted copies of `options` do
+/// not apply.
+///
+/// # Errors
+/// [`ErrorKind::Data`](crate::ErrorKind::Data) for samples whose stamps have other pixels than the
+/// basis.
+pub fn fit_in_basis(
+    samples: PsfSamples,
+    basis: &PsfBasis,
+    options: &FitOptions,
+) -> Result<Fit, PsfieldError> {
+    let (own, of_basis) = (samples.grid(), basis.grid());
+    if own != of_basis {
+        let describe = |grid: StampGrid| {
+            format!(
+                "{} x {} pixels, oversampling {}, centre ({}, {}), {} the pixel response",
+                grid.nx(),
+                grid.ny(),
+                grid.oversampling(),
+                grid.centre_x(),
+                grid.centre_y(),
+                if grid.pixel_response_included() {
+                    "with"
+                } else {
+                    "without"
+                }
+            )
+        };
+        let message = format!(
+            "the samples have stamps of {}, but the basis has stamps of {}: sample the PSF as for the basis",
+            describe(own),
+            describe(of_basis)
+        );
+        return Err(PsfieldError::new(ErrorKind::Data, message));
+    }
+    let interpolation = coeff_field::resolve(options.interpolation, samples.positions());
+    let samples = normalised(samples, options.normalisation);
+    let norms = norms_of(&samples);
+    let fit = psf_basis::project(&samples, basis.clone())?;
+    Fit::of_parts(fit, norms, interpolation, options)
+}
+
+fn norms_of(samples: &PsfSamples) -> Vec<f64> {
+    let stamps = samples.stamps();
+    let norm = |stamp: ArrayView2<'_, f64>| stamp.iter().map(|v| v * v).sum::<f64>().sqrt();
+    stamps.outer_iter().map(norm).collect()
 }
 
 /// Fits a model to samples. The basis is computed from the samples and from the stamps in
@@ -162,11 +255,7 @@ pub fn fit_trained(
         .with_centring(options.centring)
         .with_noise(options.noise);
     let samples = normalised(samples, options.normalisation);
-    let norms = samples
-        .stamps()
-        .outer_iter()
-        .map(|s| s.iter().map(|v| v * v).sum::<f64>().sqrt())
-        .collect();
+    let norms = norms_of(&samples);
     if options.normalisation != Normalisation::Keep {
         for mut stamp in training.outer_iter_mut() {
             let flux = samples.grid().flux_of_sum(stamp.sum());
@@ -174,21 +263,7 @@ pub fn fit_trained(
         }
     }
     let fit = method.fit_augmented(samples, training.view())?;
-    let (spectrum, errors) = (fit.spectrum().cloned(), fit.errors().to_vec());
-    let (basis, coefficients) = fit.into_parts();
-    let record = PsfModelRecord::new(
-        basis,
-        coefficients,
-        interpolation,
-        options.outside,
-        options.normalisation,
-    )?;
-    Ok(Fit {
-        record,
-        spectrum,
-        errors,
-        norms,
-    })
+    Fit::of_parts(fit, norms, interpolation, options)
 }
 
 /// Fits a model with any basis method and any interpolation. The caller may implement both.
@@ -213,10 +288,34 @@ pub fn fit_with(
 /// that the record names.
 ///
 /// # Errors
-/// [`PsfieldError`] when the interpolation does not suit the positions.
+/// [`PsfieldError`] when the interpolation does not suit the positions, or when the record has
+/// several states.
 pub fn model_of(record: PsfModelRecord) -> Result<PsfModel, PsfieldError> {
     let field = field_of(record.coefficients(), record.interpolation(), record.outside())?;
     Ok(record.into_model(Arc::new(field))?)
+}
+
+/// Makes the models of all states of a record, in the order of their values. They share their
+/// stamps.
+///
+/// # Errors
+/// The errors of [`model_of`].
+pub(crate) fn models_of(record: &PsfModelRecord) -> Result<Vec<PsfModel>, PsfieldError> {
+    let coefficients = record.coefficients();
+    if coefficients.positions().states().is_none() {
+        return Ok(vec![model_of(record.clone())?]);
+    }
+    let field = |state| {
+        field_of(
+            &coefficients.of_state(state),
+            record.interpolation(),
+            record.outside(),
+        )
+    };
+    let first = record.clone().into_model(Arc::new(field(0)?))?;
+    let others = 1..coefficients.positions().state_count();
+    let others = others.map(|state| Ok(first.with_field(Arc::new(field(state)?))?));
+    std::iter::once(Ok(first.clone())).chain(others).collect()
 }
 
 fn field_of(
@@ -240,14 +339,52 @@ fn normalised(samples: PsfSamples, normalisation: Normalisation) -> PsfSamples {
 }
 
 impl Fit {
+    /// A fit of samples with these norms.
+    fn of_parts(
+        fit: BasisFit,
+        norms: Vec<f64>,
+        interpolation: Interpolation,
+        options: &FitOptions,
+    ) -> Result<Self, PsfieldError> {
+        let (spectrum, errors) = (fit.spectrum().cloned(), fit.errors().to_vec());
+        let (basis, coefficients) = fit.into_parts();
+        let record = PsfModelRecord::new(
+            basis,
+            coefficients,
+            interpolation,
+            options.outside,
+            options.normalisation,
+        )?;
+        Ok(Self {
+            record,
+            spectrum,
+            errors,
+            norms,
+        })
+    }
+
     /// The record that a model file stores.
     pub fn record(&self) -> &PsfModelRecord {
         &self.record
     }
 
+    /// Returns the record without a copy.
+    pub fn into_record(self) -> PsfModelRecord {
+        self.record
+    }
+
     /// The singular values that were computed, in descending order ([`psf_basis::Spectrum`]).
     pub fn singular_values(&self) -> &[f64] {
         self.spectrum.as_ref().map_or(&[], |s| &s.singular_values)
+    }
+
+    /// Writes the model to a file, with `cards` added to its header.
+    ///
+    /// # Errors
+    /// [`ErrorKind::Io`] if the file cannot be written, or if it exists and `overwrite` is false.
+    pub fn write(&self, path: impl AsRef<Path>, cards: &[Card], overwrite: bool) -> Result<(), PsfieldError> {
+        let values = self.singular_values();
+        Ok(psf_io::write_model(path, &self.record, values, cards, overwrite)?)
     }
 
     /// Truncates the fit to its first `rank` components, or keeps all if there are fewer. The error
@@ -293,10 +430,14 @@ impl Fit {
     pub fn report(&self) -> Result<FitReport, PsfieldError> {
         let record = &self.record;
         let interpolation = coeff_field::interpolation(record.interpolation())?;
-        let left_out = interpolation.leave_one_out(record.coefficients(), record.outside())?;
+        let left_out =
+            coeff_field::leave_one_out(record.coefficients(), interpolation.as_ref(), record.outside())?;
         let spectrum = self.spectrum.as_ref();
+        let states = record.coefficients().positions().states();
         Ok(FitReport {
             samples: record.coefficients().positions().len(),
+            depends_on: states.map(|states| states.kind().to_string()),
+            states: states.map_or_else(Vec::new, |states| states.values().to_vec()),
             rank: record.basis().rank(),
             elbow: spectrum.map(|s| s.elbow),
             noise_sigma: spectrum.and_then(|s| s.noise_sigma),

@@ -66,6 +66,7 @@ mod scene;
 mod simulate_options;
 mod simulator;
 mod spot_check;
+mod stack_size;
 
 pub use {
     coeff_field, conv_core, detector, metrics, psf_basis, psf_io, psf_optics, psf_sample, psf_stars,
@@ -80,16 +81,19 @@ pub use evaluate::{
     EvaluateOptions, OutputGrid, check_frame_on_field, check_on_field, evaluate, evaluate_stamps,
 };
 pub use exposure_files::{ExposureFiles, exposure_cards, read_bad_pixel_mask};
-pub use fit::{Fit, FitOptions, FitReport, LeaveOneOutReport, fit, fit_trained, fit_with, model_of};
+pub use fit::{
+    Fit, FitOptions, FitReport, LeaveOneOutReport, fit, fit_in_basis, fit_trained, fit_with, model_of,
+};
 pub use image_cards::{JOB_KEYWORD, PSF_FILE_KEYWORD, provenance_cards, utc_now};
 pub use light_on_pixels::light_on_pixels;
 pub use measure::{MEASUREMENT_COLUMNS, MeasureOptions, Measurement};
-pub use psf::{Extrapolation, FitChoices, Note, Psf, PsfFileOptions, check_stack, record_of_psfex};
+pub use psf::{Extrapolation, FitChoices, Note, Psf, PsfFileOptions, join_samples, record_of_psfex};
 pub use readable::readable;
 pub use scene::Scene;
 pub use simulate_options::{Device, Method, ScenePixels, SimulateOptions};
 pub use simulator::{OwnMethodBuilder, Preparation, SimulationWarning, Simulator, SimulatorBuilder};
 pub use spot_check::{PickedPixel, PixelPicker, SpotCheck};
+pub use stack_size::check_stack;
 
 /// The names that most programs need.
 pub mod prelude {

@@ -4,6 +4,7 @@ mod extrapolation;
 mod format_records;
 mod open;
 mod resample;
+mod states;
 
 use std::path::PathBuf;
 use std::sync::{Arc, OnceLock};
@@ -16,13 +17,14 @@ use psf_types::{
     StampGrid,
 };
 
-use crate::fit::{Fit, fit, model_of};
+use crate::fit::{Fit, fit, models_of};
 use crate::{ErrorKind, FitOptions, PsfieldError};
 
 pub use extrapolation::Extrapolation;
 pub use format_records::record_of_psfex;
 pub use open::{FitChoices, PsfFileOptions};
 pub(crate) use resample::native_grid_of;
+pub use states::join_samples;
 
 /// A PSF over a field, from samples, a model, or a PSF file of any format. Samples are fitted when
 /// the model is first needed, and the fit is kept. Cloning is cheap: clones share the fit.
@@ -49,7 +51,7 @@ struct Inner {
     origin: Origin,
     source: SourceFile,
     fit: OnceLock<Fit>,
-    model: OnceLock<PsfModel>,
+    models: OnceLock<Vec<PsfModel>>,
 }
 
 /// A note for the user on how a PSF file was read.
@@ -158,7 +160,7 @@ impl Psf {
             origin,
             source,
             fit: OnceLock::new(),
-            model: OnceLock::new(),
+            models: OnceLock::new(),
         }))
     }
 
@@ -257,11 +259,25 @@ impl Psf {
     /// The model on the stamps' own grid, made when it is first needed.
     ///
     /// # Errors
-    /// [`PsfieldError`] when the fit or the interpolator fails.
+    /// [`PsfieldError`] when the fit or the interpolator fails. [`ErrorKind::Setting`] for a PSF
+    /// with several states ([`states`](Self::states)).
     pub fn model(&self) -> Result<&PsfModel, PsfieldError> {
+        match self.models()? {
+            [model] => Ok(model),
+            _ => Err(self.several_states()),
+        }
+    }
+
+    /// The models of all states ([`states`](Self::states)), in the order of their values, made when
+    /// they are first needed. They share their stamps. A PSF that depends on the position only has
+    /// one model.
+    ///
+    /// # Errors
+    /// [`PsfieldError`] when the fit or the interpolator fails.
+    pub fn models(&self) -> Result<&[PsfModel], PsfieldError> {
         match &self.0.origin {
-            Origin::Model(model, _) => Ok(model),
-            _ => get_or_make(&self.0.model, || model_of(self.record()?.clone())),
+            Origin::Model(model, _) => Ok(std::slice::from_ref(model)),
+            _ => Ok(get_or_make(&self.0.models, || models_of(self.record()?))?),
         }
     }
 
@@ -273,29 +289,6 @@ impl Psf {
         let own = grid.nx().max(grid.ny()) as f64 / grid.oversampling();
         stamp_size.unwrap_or(own.ceil() as usize).saturating_add(1)
     }
-}
-
-/// The largest stack of stamps that is allowed: 16 GiB.
-const MAX_STACK_BYTES: usize = 16 << 30;
-
-/// Checks that a stack of stamps is not larger than 16 GiB.
-///
-/// # Errors
-/// [`ErrorKind::TooLarge`].
-pub fn check_stack(stamps: usize, grid: StampGrid) -> Result<(), PsfieldError> {
-    let bytes = stamps
-        .saturating_mul(grid.pixel_count())
-        .saturating_mul(size_of::<f64>());
-    if bytes > MAX_STACK_BYTES {
-        let message = format!(
-            "PSF stamps ({stamps} of {} x {} pixels) would fill more than {} GiB: ask for fewer or smaller stamps",
-            grid.nx(),
-            grid.ny(),
-            MAX_STACK_BYTES >> 30
-        );
-        return Err(PsfieldError::new(ErrorKind::TooLarge, message));
-    }
-    Ok(())
 }
 
 /// Returns the kept value. Makes it first if it does not exist yet.

@@ -55,6 +55,19 @@ impl<'a> Table<'a> {
         Ok(&self.columns[find(self.hdu.path(), names, name)?])
     }
 
+    /// Returns whether there is a column with this name, in upper or lower case.
+    pub(crate) fn has(&self, name: &str) -> bool {
+        self.columns
+            .iter()
+            .any(|column| column.name.eq_ignore_ascii_case(name))
+    }
+
+    /// The unit of a column (`TUNITn`). Empty if the file does not state it.
+    pub(crate) fn unit(&self, name: &str) -> Result<String, IoError> {
+        let keyword = format!("TUNIT{}", self.column(name)?.number);
+        Ok(self.hdu.text(&keyword).unwrap_or_default())
+    }
+
     /// Reads a column that has `repeat` numbers in each row. NaN and infinities are errors.
     pub(crate) fn read(&self, name: &str, repeat: usize) -> Result<Vec<f64>, IoError> {
         self.read_with(name, repeat, Nans::Refused)

@@ -4,6 +4,7 @@ pub(crate) mod detect;
 pub(crate) mod gridded;
 pub(crate) mod gridded_out;
 pub mod model;
+pub(crate) mod position_table;
 pub mod psfex;
 pub mod samples;
 pub mod scopesim;

@@ -1,22 +1,24 @@
-//! PSF models: the `psf-model` layout, version 1.
+//! PSF models: the `psf-model` layout.
 //!
 //! # Layout
 //!
 //! | HDU | content |
 //! |---|---|
 //! | 0, primary | double cube `[plane, y, x]`: the mean stamp if `CENTRED` is `T`, then the `NCOMP` orthonormal basis stamps |
-//! | `COEFFS`, binary table | columns `X`, `Y` (doubles, 0-based pixels of the frame) and `A` (`NCOMP` doubles; absent for `NCOMP = 0`): one row per sample |
+//! | `COEFFS`, binary table | columns `X`, `Y` (doubles, 0-based pixels of the frame) and `A` (`NCOMP` doubles; absent for `NCOMP = 0`): one row per sample. Version 2: a column `WAVELENGTH`, `TIME`, `FRAME` or `SPECTRUM` as in [`psf-samples`](crate::samples), after `Y` |
 //! | `SINGULAR`, binary table | optional: column `S`, the leading singular values of the fit (doubles) |
 //!
 //! | keyword of HDU 0 | meaning |
 //! |---|---|
-//! | `PSFMODEL` | version of the layout, 1 |
+//! | `PSFMODEL` | version of the layout: 1, or 2 if the PSF depends on more than the position |
 //! | `NCOMP` | number of components `K` |
 //! | `CENTRED` | `T` if plane 0 is the mean stamp, `F` (default) if there is none |
 //! | `INTERPOL` | `auto`, `delaunay`, `natural-neighbour`, `idw`, `idw=POWER` (the last three on a tree of cells, see the crate `coeff-field`), `bilinear`, `bicubic`, `polynomial=DEGREE` or `nearest` |
 //! | `OUTSIDE` | policy outside the area that the samples cover: `nearest`, `extend` or `error` |
 //! | `NORMALIS` | `unit` (every PSF is scaled to unit flux) or `keep` |
 //! | `OVERSAMP`, `CENX`, `CENY`, `PIXCONV`, `STAMPINT`, `FIELDNX`, `FIELDNY` | as in [`psf-samples`](crate::samples) |
+//!
+//! A model whose PSF depends on the position only is always written as version 1.
 //!
 //! The PSF at a sample is `mean + sum_k A[k] * basis[k]`, scaled to unit flux if `NORMALIS` is
 //! `unit`. Without a mean stamp, `mean` is 0. Every number is read back bit by bit, because doubles
@@ -37,7 +39,7 @@
 use std::path::Path;
 
 use ndarray::{Array2, Axis, s};
-use psf_types::{Interpolation, PsfBasis, PsfModelRecord, SampleCoefficients, SamplePositions};
+use psf_types::{Interpolation, PsfBasis, PsfModelRecord, SampleCoefficients};
 
 use crate::error::{IoError, IoErrorKind, Row, invalid};
 use crate::fits::card::{Card, CardValue};
@@ -46,12 +48,13 @@ use crate::fits::header_cards::HeaderCards;
 use crate::fits::image::{read_stack, stack_shape};
 use crate::fits::image_out::{cards, write_fits, write_image_hdu};
 use crate::fits::structure::FitsStructure;
-use crate::psf::samples::{field, grid_cards, read_positions_of, stamp_grid, write_positions_of};
+use crate::psf::position_table::{position_columns, read_positions_of, write_positions_of};
+use crate::psf::samples::{field, grid_cards, stamp_grid};
 
 /// The keyword that identifies a PSF model.
 const VERSION_KEYWORD: &str = "PSFMODEL";
-/// The newest version of the layout that this crate can read. It also writes this version.
-pub const MODEL_VERSION: i64 = 1;
+/// The newest version of the layout that this crate can read.
+pub const MODEL_VERSION: i64 = 2;
 const COEFFICIENTS: &str = "COEFFS";
 const SINGULAR_VALUES: &str = "SINGULAR";
 
@@ -135,7 +138,7 @@ pub fn read_model_file(path: impl AsRef<Path>) -> Result<ModelFile, IoError> {
 
     let needed = "binary table COEFFS with the positions X and Y and the coefficients A of the samples";
     let table = Table::new(structure.needed_table(COEFFICIENTS, needed)?)?;
-    let positions = SamplePositions::new(read_positions_of(&table, path)?, field).map_err(invalid(path))?;
+    let positions = read_positions_of(&table, path, field)?;
     let values = if rank == 0 {
         Vec::new()
     } else {
@@ -198,8 +201,10 @@ pub fn write_model(
         _ => "interpolation of the coefficients",
     };
     let centred = basis.mean().is_some();
+    // Older versions of psfield read version 1.
+    let version = if positions.states().is_some() { 2 } else { 1 };
     let own = [
-        (VERSION_KEYWORD, MODEL_VERSION.into(), "version of this layout"),
+        (VERSION_KEYWORD, version.into(), "version of this layout"),
         ("NCOMP", rank.into(), "number of components"),
         ("CENTRED", centred.into(), "plane 0 is the mean stamp"),
         ("INTERPOL", interpolation, of_interpolation),
@@ -217,19 +222,17 @@ pub fn write_model(
     let shape = [rank + usize::from(mean.is_some()), grid.ny(), grid.nx()];
     write_fits(path, overwrite, |fits| {
         write_image_hdu(fits, &shape, &planes, &header)?;
-        let mut columns = vec![("X", "D".to_owned()), ("Y", "D".to_owned())];
+        let mut columns = position_columns(positions);
         if rank > 0 {
             columns.push(("A", format!("{rank}D")));
         }
         fits.create_table(COEFFICIENTS, positions.len(), &columns)?;
         write_positions_of(fits, positions)?;
         if rank > 0 {
+            let values = coefficients.values();
             fits.write_column(
-                3,
-                coefficients
-                    .values()
-                    .as_slice()
-                    .expect("coefficients are row-major"),
+                columns.len(),
+                values.as_slice().expect("coefficients are row-major"),
             )?;
         }
         if !singular_values.is_empty() {

@@ -5,7 +5,7 @@
 //! | HDU | content |
 //! |---|---|
 //! | 0, primary | float cube `[sample, y, x]` (`NAXIS1` = x, `NAXIS3` = samples), any `BITPIX`; an image `[y, x]` is one sample |
-//! | `POSITIONS`, binary table | columns `X`, `Y`: one row per sample, doubles; 0-based pixels of the frame, where a whole number is the centre of a pixel |
+//! | `POSITIONS`, binary table | columns `X`, `Y`: one row per sample, doubles; 0-based pixels of the frame, where a whole number is the centre of a pixel. Optional: one of the columns `WAVELENGTH`, `TIME`, `FRAME` |
 //!
 //! | keyword of HDU 0 | meaning | default |
 //! |---|---|---|
@@ -24,6 +24,20 @@
 //! compressed image: the first image with pixels is read. Other columns, HDUs and keywords are
 //! ignored.
 //!
+//! # Wavelengths, times and frames
+//!
+//! If the PSF also depends on a wavelength, a time or a frame, `POSITIONS` has one of these columns:
+//!
+//! | column | content | unit (`TUNITn`, required) |
+//! |---|---|---|
+//! | `WAVELENGTH` | wavelength of the light, above 0 | `um`, `nm`, `Angstrom`, `mm` or `m` |
+//! | `TIME` | time since the series began | `s`, `min`, `h` or `d` |
+//! | `FRAME` | number of the exposure | none |
+//!
+//! Rows may be in any order, and the positions may differ from one wavelength (time, frame) to the
+//! next. No two rows of one wavelength have equal positions. Stamps are centred at every wavelength:
+//! a shift of the PSF with the wavelength, such as that of atmospheric dispersion, is applied later.
+//!
 //! Such a file is written by six lines of astropy:
 //!
 //! ```python
@@ -32,22 +46,24 @@
 //! primary.header["OVERSAMP"] = 1.0
 //! primary.header["FIELDNX"], primary.header["FIELDNY"] = 1024, 1024
 //! columns = [fits.Column("X", "D", array=x), fits.Column("Y", "D", array=y)]   # 0-based pixels
+//! # if the PSF depends on the wavelength:
+//! # columns.append(fits.Column("WAVELENGTH", "D", unit="um", array=wavelength))
 //! fits.HDUList([primary, fits.BinTableHDU.from_columns(columns, name="POSITIONS")]).writeto("samples.fits")
 //! ```
 
 use std::path::Path;
 
-use psf_types::{DataError, FrameShape, Position, PsfSamples, SamplePositions, StampGrid};
+use psf_types::{DataError, FrameShape, PsfSamples, StampGrid};
 
 use crate::error::{IoError, invalid};
 use crate::fits::card::{Card, CardValue};
-use crate::fits::cfitsio::Fits;
-use crate::fits::columns::{Table, positions};
+use crate::fits::columns::Table;
 use crate::fits::hdu::Hdu;
 use crate::fits::header_cards::HeaderCards;
 use crate::fits::image::{read_stack, squeezed, stack_shape};
 use crate::fits::image_out::{in_single_precision, write_fits, write_image_hdu};
 use crate::fits::structure::FitsStructure;
+use crate::psf::position_table::{position_columns, read_positions_of, write_positions_of};
 
 /// The name of the table with the positions of the samples.
 const POSITIONS: &str = "POSITIONS";
@@ -91,8 +107,7 @@ pub fn read_samples(path: impl AsRef<Path>) -> Result<PsfSamples, IoError> {
     let what = "stamps in the cube, one per row of the table POSITIONS";
     DataError::check_count(what, table.rows, shape.0).map_err(invalid(path))?;
     let grid = stamp_grid(hdu, shape.2, shape.1)?;
-    let positions =
-        SamplePositions::new(read_positions_of(&table, path)?, field(hdu)?).map_err(invalid(path))?;
+    let positions = read_positions_of(&table, path, field(hdu)?)?;
     PsfSamples::new(read_stack(hdu, shape)?, positions, grid).map_err(invalid(path))
 }
 
@@ -140,22 +155,9 @@ pub fn write_samples(
                 write_image_hdu(fits, shape, &in_single_precision(path, values)?, &cards)?;
             }
         }
-        fits.create_table(POSITIONS, samples.len(), &[("X", "D".into()), ("Y", "D".into())])?;
+        fits.create_table(POSITIONS, samples.len(), &position_columns(positions))?;
         write_positions_of(fits, positions)
     })
-}
-
-/// Reads positions from the columns X and Y.
-pub(crate) fn read_positions_of(table: &Table<'_>, path: &Path) -> Result<Vec<Position>, IoError> {
-    positions(path, table.read("X", 1)?, table.read("Y", 1)?)
-}
-
-/// Writes X and Y as the first two columns of the table just created.
-pub(crate) fn write_positions_of(fits: &mut Fits, positions: &SamplePositions) -> Result<(), IoError> {
-    let coordinate =
-        |of: fn(Position) -> f64| positions.as_slice().iter().map(|&p| of(p)).collect::<Vec<_>>();
-    fits.write_column(1, &coordinate(Position::x))?;
-    fits.write_column(2, &coordinate(Position::y))
 }
 
 /// The grid of stamps of `nx` by `ny` pixels, from `OVERSAMP`, `CENX`, `CENY`, `PIXCONV` and

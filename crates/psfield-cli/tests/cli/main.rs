@@ -23,4 +23,5 @@ mod sampling;
 mod simulation;
 mod simulation_input;
 mod stars;
+mod states;
 mod usage;

@@ -6,7 +6,7 @@ use psf_basis::{Centring, PixelNoise, RankSelection};
 use psf_io::{FileKind, HduChoice, PlaneOrder, ScopesimOptions, StampCubeOptions};
 use psf_types::{
     Interpolation, Normalisation, OutsidePolicy, Position, PsfBasis, PsfModelRecord, PsfSamples,
-    SamplePositions,
+    SamplePositions, StateKind,
 };
 
 use super::format_records::{record_of_psfex, record_of_scopesim};
@@ -28,8 +28,13 @@ pub struct PsfFileOptions {
     /// STDPSF). If the other planes do not form a regular grid, the default interpolation is that
     /// of scattered positions.
     pub skip_invalid: bool,
-    /// Chooses one of several wavelengths, in micrometres (ScopeSim).
+    /// Chooses a wavelength, in micrometres. In PSF samples and models, it may lie between those of
+    /// the samples. In a file of ScopeSim, the nearest is taken.
     pub wavelength_um: Option<f64>,
+    /// Chooses a time, in seconds (PSF samples and models with times).
+    pub time_s: Option<f64>,
+    /// Chooses a frame (PSF samples and models with frames).
+    pub frame_number: Option<f64>,
     /// The size of a frame pixel in arcseconds (ScopeSim).
     pub pixel_scale_arcsec: Option<f64>,
     /// The position of the centre of the field on the frame (ScopeSim).
@@ -45,14 +50,26 @@ pub struct PsfFileOptions {
 }
 
 impl PsfFileOptions {
+    /// The chosen state, and the name of the setting that chose it.
+    fn state(&self) -> Option<(StateKind, f64, &'static str)> {
+        let given = [
+            (StateKind::Wavelength, self.wavelength_um, "wavelength_um"),
+            (StateKind::Time, self.time_s, "time_s"),
+            (StateKind::Frame, self.frame_number, "frame_number"),
+        ];
+        let mut given = given.into_iter();
+        given.find_map(|(kind, value, setting)| value.map(|value| (kind, value, setting)))
+    }
+
     /// Returns the first given field that does not apply to a format, and the formats to which it
     /// applies.
     pub(crate) fn unknown_to(&self, kind: FileKind) -> Option<(&'static str, &'static str)> {
-        use FileKind::{Cube, Image, Psfex, Scopesim, Stdpsf, Stpsf};
+        use FileKind::{Cube, Image, PsfModel, PsfSamples, Psfex, Scopesim, Stdpsf, Stpsf};
         const SCOPESIM: &str = "field-varying PSFs of ScopeSim";
         const CHOSEN: &str = "PSFEx models, STPSF and STDPSF libraries, and plain stamps";
         const PLAIN: &str = "cubes and single stamps without a table POSITIONS";
         const CUBES: &str = "cubes without positions";
+        const WITH_STATES: &str = "PSF samples and PSF models";
         const SEVERAL: &[FileKind] = &[Psfex, Stpsf, Stdpsf, Cube, Image];
         let stamps = &[Cube, Image][..];
         let table = [
@@ -72,9 +89,21 @@ impl PsfFileOptions {
             ),
             (
                 self.wavelength_um.is_some(),
-                &[Scopesim],
+                &[Scopesim, PsfSamples, PsfModel],
                 "wavelength_um",
-                SCOPESIM,
+                "PSF samples, PSF models and field-varying PSFs of ScopeSim",
+            ),
+            (
+                self.time_s.is_some(),
+                &[PsfSamples, PsfModel],
+                "time_s",
+                WITH_STATES,
+            ),
+            (
+                self.frame_number.is_some(),
+                &[PsfSamples, PsfModel],
+                "frame_number",
+                WITH_STATES,
             ),
             (
                 self.pixel_scale_arcsec.is_some(),
@@ -118,6 +147,8 @@ pub struct FitChoices {
     /// The scaling of samples and PSFs: to unit flux, or none. This choice also applies to a stored
     /// model.
     pub normalisation: Option<Normalisation>,
+    /// The number of shifted copies of each sample.
+    pub shift_copies: Option<usize>,
 }
 
 impl FitChoices {
@@ -131,6 +162,7 @@ impl FitChoices {
             interpolation: self.interpolation.unwrap_or(defaults.interpolation),
             outside: self.outside.unwrap_or(defaults.outside),
             normalisation: self.normalisation.unwrap_or(defaults.normalisation),
+            shift_copies: self.shift_copies.unwrap_or(defaults.shift_copies),
         }
     }
 
@@ -146,6 +178,7 @@ impl FitChoices {
             (self.centring.is_some(), "centring"),
             (self.noise.is_some(), "noise"),
             (self.interpolation.is_some(), "interpolation"),
+            (self.shift_copies.is_some(), "shift_copies"),
         ];
         given
             .into_iter()
@@ -163,6 +196,7 @@ impl From<FitOptions> for FitChoices {
             interpolation: Some(options.interpolation),
             outside: Some(options.outside),
             normalisation: Some(options.normalisation),
+            shift_copies: Some(options.shift_copies),
         }
     }
 }
@@ -190,7 +224,10 @@ impl Psf {
     /// | cube without positions | unit flux | all of `choices`; `file.positions`, `file.oversampling`, `file.centre`, `file.extension` |
     /// | single stamp: one PSF everywhere | unit flux | all of `choices` (by default nearest interpolation); `file.oversampling`, `file.centre`, `file.extension` |
     ///
-    /// `file.pixel_response_included` applies to all formats.
+    /// `file.pixel_response_included` applies to all formats. If PSF samples or a model depend on a
+    /// wavelength, a time or a frame, `file.wavelength_um`, `file.time_s` or `file.frame_number`
+    /// chooses one ([`at_state`](Self::at_state)). Without a choice, the PSF has all of them
+    /// ([`states`](Self::states)).
     ///
     /// ```no_run
     /// use psfield::{FitChoices, Psf, PsfFileOptions};
@@ -240,7 +277,11 @@ impl Psf {
             }
             model @ Origin::Model(..) => model,
         };
-        Ok(Self::with_source(origin, source))
+        let psf = Self::with_source(origin, source);
+        match file.state().filter(|_| kind != FileKind::Scopesim) {
+            Some((chosen, value, setting)) => psf.at_chosen_state(chosen, value, setting),
+            None => Ok(psf),
+        }
     }
 
     /// Returns this PSF with other options for the fit of its samples. A PSF that was not made from

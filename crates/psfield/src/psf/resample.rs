@@ -6,7 +6,8 @@ use psf_types::{
     Anchor, FrameShape, Position, PsfModelRecord, PsfSamples, SampleCoefficients, SamplePositions, StampGrid,
 };
 
-use super::{Origin, Psf, check_stack};
+use super::{Origin, Psf};
+use crate::stack_size::check_stack;
 use crate::{ErrorKind, PsfieldError};
 
 impl Psf {
@@ -340,7 +341,11 @@ fn finer_positions(
         .field()
         .map(|field| FrameShape::new(finer * field.nx(), finer * field.ny()))
         .transpose()?;
-    Ok(SamplePositions::new(moved, field)?)
+    Ok(SamplePositions::with_states(
+        moved,
+        field,
+        positions.states().cloned(),
+    )?)
 }
 
 #[cfg(test)]

@@ -1,0 +1,245 @@
+//! Mixtures of states: coefficients between wavelengths or times, and means over a spectrum.
+
+use std::collections::{HashMap, HashSet};
+
+use ndarray::{Array2, ArrayView2};
+use psf_types::{
+    Interpolation, OutsidePolicy, Position, SampleCoefficients, SamplePositions, SampleStates, StateKind,
+};
+
+use crate::axis_weights::cubic_weights;
+use crate::error::CoeffFieldError;
+use crate::field::interpolation;
+use crate::interpolation::WeightList;
+
+/// The weights `l_s(v)` of states, such as wavelengths, at a value `v` between them: pairs of a state
+/// and its weight. Their sum is 1. `values` are the states' own values, ascending.
+///
+/// The interpolation is cubic, through the two states on either side (at an end, through the four
+/// outermost ones). With uneven distances at which a cubic would oscillate, and with fewer than four
+/// states, the degree is lower. Beyond the first and the last state, the PSF stays that of this
+/// state.
+///
+/// ```
+/// use coeff_field::state_weights;
+/// assert_eq!(state_weights(&[0.5, 0.75], 0.625), [(0, 0.5), (1, 0.5)]);
+/// assert_eq!(state_weights(&[0.5, 0.75], 0.9), [(1, 1.0)]);
+/// ```
+///
+/// # Panics
+/// When there are no states.
+pub fn state_weights(values: &[f64], v: f64) -> Vec<(usize, f64)> {
+    cubic_weights(values, v)
+}
+
+/// The coefficients of mixtures of states: `v_p = sum_s W_ps v_s`. `mixtures` are the weights `W`
+/// `[mixture, state]`. The result has one state for each mixture, of the given kind and value. If
+/// `labels` is None, there is one mixture, and the result has no states.
+///
+/// If the samples of all states that a mixture needs are at the same positions, so are those of the
+/// result. Otherwise each state is interpolated to the positions of all of them.
+///
+/// # Errors
+/// [`CoeffFieldError::DifferentGrids`] when states differ in their positions and `method` needs a
+/// regular grid. The errors of [`FieldInterpolation::prepare`](crate::FieldInterpolation::prepare).
+///
+/// # Panics
+/// When `mixtures` does not have one column per state, or `labels` not one value per mixture.
+pub fn mix_states(
+    samples: &SampleCoefficients,
+    (method, outside): (Interpolation, OutsidePolicy),
+    mixtures: ArrayView2<'_, f64>,
+    labels: Option<(StateKind, &[f64])>,
+) -> Result<SampleCoefficients, CoeffFieldError> {
+    let all = samples.positions();
+    assert_eq!(mixtures.ncols(), all.state_count(), "one weight per state");
+    assert_eq!(
+        mixtures.nrows(),
+        labels.map_or(1, |(_, values)| values.len()),
+        "one label per mixture"
+    );
+    let used: Vec<usize> = (0..all.state_count())
+        .filter(|&state| mixtures.column(state).iter().any(|w| *w != 0.0))
+        .collect();
+    let at = positions_of(all, &used);
+    // [state, node, component]
+    let on_nodes = used
+        .iter()
+        .map(|&state| on_positions(samples, state, &at, (method, outside)));
+    let on_nodes = on_nodes.collect::<Result<Vec<_>, _>>()?;
+    let (nodes, components) = (at.len(), samples.component_count());
+    let mut values = Array2::zeros((mixtures.nrows() * nodes, components));
+    for (weights, mut block) in mixtures
+        .outer_iter()
+        .zip(values.exact_chunks_mut((nodes, components)))
+    {
+        for (&state, of_state) in used.iter().zip(&on_nodes) {
+            block.scaled_add(weights[state], of_state);
+        }
+    }
+    let positions = match labels {
+        None => SamplePositions::new(at, all.field()),
+        Some((kind, of_mixtures)) => {
+            let per_sample: Vec<f64> = of_mixtures.iter().flat_map(|&v| vec![v; nodes]).collect();
+            let states = SampleStates::new(kind, &per_sample)?;
+            SamplePositions::with_states(at.repeat(of_mixtures.len()), all.field(), Some(states))
+        }
+    };
+    Ok(SampleCoefficients::new(values, positions?)?)
+}
+
+/// The distinct positions of the samples of some states, in the order of their first appearance.
+fn positions_of(all: &SamplePositions, states: &[usize]) -> Vec<Position> {
+    let mut seen = HashSet::new();
+    let samples = states.iter().flat_map(|&state| all.samples_of_state(state));
+    let positions = samples.map(|sample| all.as_slice()[sample]);
+    positions
+        .filter(|&position| seen.insert(bits(position)))
+        .collect()
+}
+
+/// Equal positions have equal bits.
+fn bits(p: Position) -> (u64, u64) {
+    // Adding 0.0 turns -0.0 into 0.0.
+    ((p.x() + 0.0).to_bits(), (p.y() + 0.0).to_bits())
+}
+
+/// The coefficients of one state at these positions, `[position, component]`. They are interpolated
+/// only where the state has no sample.
+fn on_positions(
+    samples: &SampleCoefficients,
+    state: usize,
+    at: &[Position],
+    (method, outside): (Interpolation, OutsidePolicy),
+) -> Result<Array2<f64>, CoeffFieldError> {
+    let own = samples.positions().samples_of_state(state);
+    let positions = samples.positions().as_slice();
+    let known: HashMap<_, _> = own
+        .iter()
+        .map(|&sample| (bits(positions[sample]), sample))
+        .collect();
+    let mut values = Array2::zeros((at.len(), samples.component_count()));
+    let mut unknown = Vec::new();
+    for (node, &position) in at.iter().enumerate() {
+        match known.get(&bits(position)) {
+            Some(&sample) => values.row_mut(node).assign(&samples.values().row(sample)),
+            None => unknown.push(node),
+        }
+    }
+    if unknown.is_empty() {
+        return Ok(values);
+    }
+    if let Some(states) = samples.positions().states()
+        && matches!(method, Interpolation::Bilinear | Interpolation::Bicubic)
+    {
+        let (kind, interpolation) = (states.kind(), method);
+        return Err(CoeffFieldError::DifferentGrids { kind, interpolation });
+    }
+    let of_state = samples.of_state(state);
+    let prepared = interpolation(method)?.prepare(of_state.positions(), outside)?;
+    let nodes = prepared.node_values(of_state.values())?;
+    let mut weights = WeightList::new();
+    for node in unknown {
+        prepared.weights_into(at[node], &mut weights)?;
+        for &(from, weight) in &weights {
+            values.row_mut(node).scaled_add(weight, &nodes.row(from));
+        }
+    }
+    Ok(values)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Rounding of sums of a few terms of order 10.
+    const ROUNDING: f64 = 1e-13;
+
+    /// Samples of `f(x, y, wavelength)` in states 1, 2, 4 and 5, at the corners of a square and, in
+    /// some states, at a point inside.
+    fn samples(f: impl Fn(f64, f64, f64) -> f64, with_inner: &[f64]) -> SampleCoefficients {
+        let corners = [(0, 0), (8, 0), (0, 8), (8, 8)].map(|(x, y)| Position::of_pixel(x, y));
+        let (mut at, mut states) = (Vec::new(), Vec::new());
+        for state in [4.0, 1.0, 2.0, 5.0] {
+            let inner = with_inner.contains(&state).then(|| Position::of_pixel(3, 5));
+            for position in corners.into_iter().chain(inner) {
+                at.push(position);
+                states.push(state);
+            }
+        }
+        let values = at.iter().zip(&states).map(|(p, &s)| f(p.x(), p.y(), s)).collect();
+        let values = Array2::from_shape_vec((at.len(), 1), values).unwrap();
+        let states = SampleStates::new(StateKind::Wavelength, &states).unwrap();
+        SampleCoefficients::new(
+            values,
+            SamplePositions::with_states(at, None, Some(states)).unwrap(),
+        )
+        .unwrap()
+    }
+
+    fn row_at(values: &[f64], v: f64) -> Array2<f64> {
+        let mut row = Array2::zeros((1, values.len()));
+        for (state, weight) in state_weights(values, v) {
+            row[(0, state)] += weight;
+        }
+        row
+    }
+
+    #[test]
+    fn cubics_of_the_wavelength_are_exact_at_equal_positions() {
+        let f = |x: f64, y: f64, w: f64| (1.0 + x) * w.powi(3) / 50.0 - y * w;
+        let samples = samples(f, &[1.0, 2.0, 4.0, 5.0]);
+        let states = samples.positions().states().unwrap().values().to_vec();
+        for v in [1.0, 1.7, 3.3, 5.0] {
+            let mixed = mix_states(
+                &samples,
+                (Interpolation::Bilinear, OutsidePolicy::Nearest),
+                row_at(&states, v).view(),
+                None,
+            )
+            .unwrap();
+            assert_eq!((mixed.positions().len(), mixed.positions().states()), (5, None));
+            for (p, row) in mixed
+                .positions()
+                .as_slice()
+                .iter()
+                .zip(mixed.values().outer_iter())
+            {
+                assert!((row[0] - f(p.x(), p.y(), v)).abs() < ROUNDING * 10.0, "{v}");
+            }
+        }
+    }
+
+    #[test]
+    fn states_at_different_positions_are_interpolated_to_all_of_them() {
+        // Linear in the position, so that every state knows its value at the inner point.
+        let f = |x: f64, y: f64, w: f64| x * w - y;
+        let samples = samples(f, &[2.0]);
+        let weights = ndarray::array![[0.25, 0.75, 0.0, 0.0], [0.0, 0.0, 0.5, 0.5]];
+        let mixed = |method| {
+            let labels = Some((StateKind::Spectrum, &[0.0, 1.0][..]));
+            mix_states(&samples, (method, OutsidePolicy::Nearest), weights.view(), labels)
+        };
+        let found = mixed(Interpolation::NaturalNeighbour).unwrap();
+        assert_eq!(
+            (found.positions().len(), found.positions().state_count()),
+            (10, 2)
+        );
+        for (mixture, mean) in [1.75, 4.5].into_iter().enumerate() {
+            let of_state = found.of_state(mixture);
+            for (p, row) in of_state
+                .positions()
+                .as_slice()
+                .iter()
+                .zip(of_state.values().outer_iter())
+            {
+                assert!((row[0] - f(p.x(), p.y(), mean)).abs() < ROUNDING * 10.0);
+            }
+        }
+        let message = mixed(Interpolation::Bilinear).unwrap_err().to_string();
+        assert!(
+            message.contains("wavelength") && message.contains("natural-neighbour"),
+            "{message}"
+        );
+    }
+}

@@ -1,0 +1,24 @@
+//! Units of wavelengths and times in files.
+
+/// A unit of wavelengths, in micrometres. None for any other unit.
+pub(crate) fn wavelength_in_um(unit: &str) -> Option<f64> {
+    match unit.trim().to_ascii_lowercase().as_str() {
+        "um" | "micron" | "micrometer" | "micrometre" => Some(1.0),
+        "nm" | "nanometer" | "nanometre" => Some(1e-3),
+        "angstrom" | "angstroms" | "0.1 nm" => Some(1e-4),
+        "mm" => Some(1e3),
+        "m" => Some(1e6),
+        _ => None,
+    }
+}
+
+/// A unit of times, in seconds. None for any other unit.
+pub(crate) fn time_in_s(unit: &str) -> Option<f64> {
+    match unit.trim().to_ascii_lowercase().as_str() {
+        "s" | "sec" => Some(1.0),
+        "min" => Some(60.0),
+        "h" => Some(3600.0),
+        "d" | "day" => Some(86400.0),
+        _ => None,
+    }
+}

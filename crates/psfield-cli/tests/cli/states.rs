@@ -1,0 +1,165 @@
+//! PSFs that depend on a wavelength or a frame: `fit` of several files, and the choice of a state.
+
+use ndarray::concatenate;
+use psfield::psf_types::{PsfSamples, SamplePositions, SampleStates, StateKind};
+use serde_json::json;
+
+use crate::desk::{Desk, difference, points, samples};
+
+/// Rounding of images in f32, relative to the peak.
+const SINGLE: f64 = 1e-6;
+
+/// Samples at two wavelengths: the desk's PSF, and one that is sheared to (x, x).
+fn coloured() -> PsfSamples {
+    let red = samples(3, 1);
+    let mut blue = red.stamps().to_owned();
+    blue.swap_axes(1, 2);
+    let blue = blue.as_standard_layout().to_owned();
+    let stamps = concatenate(ndarray::Axis(0), &[red.stamps(), blue.view()]).unwrap();
+    let at = red.positions().as_slice();
+    let wavelengths: Vec<f64> = [0.9, 0.5].into_iter().flat_map(|w| vec![w; at.len()]).collect();
+    let states = SampleStates::new(StateKind::Wavelength, &wavelengths).unwrap();
+    let positions = SamplePositions::with_states(at.repeat(2), red.positions().field(), Some(states));
+    PsfSamples::new(stamps, positions.unwrap(), red.grid()).unwrap()
+}
+
+#[test]
+fn a_wavelength_is_chosen_from_samples_and_from_models() {
+    let desk = Desk::new();
+    desk.write_samples("colour.fits", &coloured());
+    desk.write_image("point.fits", points(&[(20, 20, 1000.0)]));
+    let report = desk
+        .done("fit colour.fits -o colour_model.fits --rank full --json")
+        .json();
+    assert_eq!(
+        (&report["depends_on"], &report["states"]),
+        (&json!("wavelength"), &json!([0.5, 0.9]))
+    );
+    let text = desk.run("fit colour.fits -o again.fits").stdout;
+    assert!(
+        text.contains("18 samples at 2 values of the wavelength (0.5 to 0.9)"),
+        "{text}"
+    );
+    let image = |psf: &str, name: &str| {
+        desk.done(&format!(
+            "simulate point.fits --psf {psf} -o {name} --tolerance 1e-6"
+        ));
+        desk.image(name)
+    };
+    let red = image("samples.fits --rank full", "red.fits");
+    let chosen = image("colour_model.fits --psf-wavelength 0.9", "chosen.fits");
+    assert!(difference(&chosen, &red) < SINGLE * 10.0);
+    let direct = image("colour.fits --rank full --psf-wavelength 0.9", "direct.fits");
+    assert!(difference(&direct, &red) < SINGLE * 10.0);
+    let blue = image("colour_model.fits --psf-wavelength 0.5", "blue.fits");
+    assert!(difference(&blue, &red) > 1e-3);
+    let between = image("colour_model.fits --psf-wavelength 0.7", "between.fits");
+    assert!(difference(&between, &((&red + &blue) / 2.0)) < SINGLE * 10.0);
+    for (arguments, code, needles) in [
+        (
+            "--psf colour_model.fits",
+            1,
+            &[
+                "colour_model.fits",
+                "depends on the wavelength",
+                "--psf-wavelength",
+            ][..],
+        ),
+        (
+            "--psf colour_model.fits --psf-wavelength 1.2",
+            2,
+            &["colour_model.fits", "0.5 to 0.9 um", "--psf-wavelength"],
+        ),
+        (
+            "--psf colour_model.fits --psf-frame 1",
+            2,
+            &["colour_model.fits", "wavelength", "--psf-frame"],
+        ),
+        (
+            "--psf samples.fits --psf-wavelength 0.9",
+            2,
+            &["samples.fits", "position only", "--psf-wavelength"],
+        ),
+    ] {
+        desk.refused(
+            &format!("simulate point.fits {arguments} -o no.fits"),
+            code,
+            needles,
+        );
+    }
+}
+
+#[test]
+fn files_of_several_frames_get_one_basis() {
+    let desk = Desk::new();
+    let turned = coloured();
+    let plane = turned.len() / 2;
+    let positions = samples(3, 1).positions().clone();
+    let stamps = turned
+        .stamps()
+        .slice_move(ndarray::s![plane.., .., ..])
+        .to_owned();
+    desk.write_samples(
+        "second.fits",
+        &PsfSamples::new(stamps, positions, turned.grid()).unwrap(),
+    );
+    desk.write_image("point.fits", points(&[(20, 20, 1000.0)]));
+    let report = desk
+        .done("fit samples.fits second.fits -o frames.fits --rank full --json")
+        .json();
+    assert_eq!(
+        (&report["depends_on"], &report["states"]),
+        (&json!("frame"), &json!([0.0, 1.0]))
+    );
+    let image = |psf: &str, name: &str| {
+        desk.done(&format!(
+            "simulate point.fits --psf {psf} -o {name} --tolerance 1e-6"
+        ));
+        desk.image(name)
+    };
+    let own = image("second.fits --rank full", "own.fits");
+    assert!(difference(&image("frames.fits --psf-frame 1", "one.fits"), &own) < SINGLE * 10.0);
+
+    // A given basis finds the same coefficients for a single file.
+    let report = desk
+        .done("fit second.fits -o in_basis.fits --basis frames.fits --json")
+        .json();
+    assert!(report["max_error"].as_f64().unwrap() < 1e-6);
+    assert_eq!(report["singular_values"], json!([]));
+    assert!(difference(&image("in_basis.fits", "two.fits"), &own) < SINGLE * 10.0);
+
+    // Shifted copies need more components.
+    let rank = |options: &str| {
+        let fitted =
+            format!("fit samples.fits -o shifted.fits --rank error=1e-4 --overwrite --json {options}");
+        desk.done(&fitted).json()["rank"].as_u64().unwrap()
+    };
+    assert!(rank("--shift-augment 4") > rank(""));
+
+    for (arguments, code, needles) in [
+        (
+            "samples.fits frames.fits",
+            1,
+            &["frames.fits", "fitted model already"][..],
+        ),
+        (
+            "samples.fits colour.fits",
+            1,
+            &["colour.fits", "another quantity"],
+        ),
+        (
+            "second.fits --basis frames.fits --rank 3",
+            2,
+            &["--basis", "--rank"],
+        ),
+        (
+            "fine.fits --basis frames.fits",
+            1,
+            &["fine.fits", "oversampling 2", "oversampling 1"],
+        ),
+    ] {
+        desk.write_samples("colour.fits", &turned);
+        desk.write_samples("fine.fits", &samples(3, 2));
+        desk.refused(&format!("fit {arguments} -o no.fits"), code, needles);
+    }
+}
