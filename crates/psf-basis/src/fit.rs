@@ -1,8 +1,9 @@
 //! Fits a basis to samples. There are two methods: [`Svd`] computes the basis from the samples, and
 //! [`GivenStamps`] uses stamps from elsewhere.
 
-use ndarray::{Array2, Array3, ArrayView1, ArrayView2, ArrayView3, Axis};
+use ndarray::{Array2, Array3, ArrayView1, ArrayView2, ArrayView3, Axis, concatenate};
 use psf_types::{DataError, PsfBasis, PsfSamples, SampleCoefficients, named};
+use rayon::prelude::*;
 
 use crate::components::{Components, Krylov, is_large};
 use crate::decomposition::{BasisError, ROUNDING_UNITS, fix_signs};
@@ -131,20 +132,23 @@ fn truncation_errors(
     coefficients: ArrayView2<'_, f64>,
 ) -> Vec<f64> {
     let components = rows_of(basis.components());
-    let mut errors = Vec::with_capacity(norms.len());
-    for (block, weights) in rows
+    let blocks: Vec<_> = rows
         .axis_chunks_iter(Axis(0), BLOCK)
         .zip(coefficients.axis_chunks_iter(Axis(0), BLOCK))
-    {
+        .zip(norms.chunks(BLOCK))
+        .collect();
+    let errors = blocks.into_par_iter().flat_map_iter(|((block, weights), norms)| {
         let mut residual = &block - &weights.dot(&components);
         if let Some(mean) = mean {
             residual -= &mean;
         }
-        for rest in residual.outer_iter() {
-            errors.push(rest.dot(&rest).sqrt() / norms[errors.len()]);
-        }
-    }
-    errors
+        let errors = residual
+            .outer_iter()
+            .zip(norms)
+            .map(|(rest, norm)| rest.dot(&rest).sqrt() / norm);
+        errors.collect::<Vec<_>>()
+    });
+    errors.collect()
 }
 
 /// A basis of given, mutually orthogonal stamps, with an optional mean stamp. It is for bases from
@@ -191,7 +195,14 @@ impl BasisMethod for GivenStamps {
 pub fn project(samples: &PsfSamples, basis: PsfBasis) -> Result<BasisFit, BasisError> {
     check_grid(samples, &basis)?;
     let components = rows_of(basis.components());
-    let mut coefficients = rows_of(samples.stamps()).dot(&components.t());
+    let rows = rows_of(samples.stamps());
+    let blocks: Vec<_> = rows.axis_chunks_iter(Axis(0), BLOCK).collect();
+    let products: Vec<_> = blocks
+        .into_par_iter()
+        .map(|block| block.dot(&components.t()))
+        .collect();
+    let views: Vec<_> = products.iter().map(|block| block.view()).collect();
+    let mut coefficients = concatenate(Axis(0), &views).expect("equal numbers of components");
     if let Some(mean) = mean_of(&basis) {
         coefficients -= &components.dot(&mean);
     }

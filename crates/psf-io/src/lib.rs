@@ -68,6 +68,7 @@ mod psf;
 mod units;
 
 pub use catalogue::columns::{CatalogColumns, CatalogOptions};
+pub use catalogue::curves::read_curve;
 pub use catalogue::sky_coordinates::SkyCoordinates;
 pub use catalogue::table_file::{read_columns, write_csv};
 pub use catalogue::world_header::WorldCoordinatesError;

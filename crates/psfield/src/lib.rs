@@ -51,6 +51,7 @@
 //! ([`Device`]). Without this feature, everything runs on the processor, and no GPU library is
 //! compiled.
 
+mod colours;
 pub mod convert;
 mod device;
 mod error;
@@ -70,9 +71,10 @@ mod stack_size;
 
 pub use {
     coeff_field, conv_core, detector, metrics, psf_basis, psf_io, psf_optics, psf_sample, psf_stars,
-    psf_types, sersic,
+    psf_types, sersic, spectra,
 };
 
+pub use colours::{open_bandpass, open_spectrum};
 pub use device::{
     CpuReason, GpuSeconds, MIN_SECONDS_FOR_GPU, Placement, PredictedSeconds, forget_gpus, open_gpu,
 };

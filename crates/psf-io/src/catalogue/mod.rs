@@ -41,6 +41,7 @@ use columns::{CatalogColumns, CatalogOptions, Picked, Role};
 use table_file::TableFile;
 
 pub(crate) mod columns;
+pub(crate) mod curves;
 
 pub(crate) mod sky_coordinates;
 pub(crate) mod table_file;

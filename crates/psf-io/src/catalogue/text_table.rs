@@ -81,6 +81,39 @@ impl TextTable {
         })
     }
 
+    /// Returns this table with its first line as a row, if this line holds numbers instead of names.
+    /// The columns are then named by their numbers.
+    pub(crate) fn with_first_row(mut self) -> Self {
+        if !self.names.is_empty() && self.names.iter().all(|name| name.parse::<f64>().is_ok()) {
+            let before = &self.text[..self.rows_from];
+            self.rows_from = before
+                .iter()
+                .rposition(|&byte| byte == b'\n')
+                .map_or(0, |end| end + 1);
+            self.names = (1..=self.names.len())
+                .map(|number| format!("column {number}"))
+                .collect();
+        }
+        self
+    }
+
+    /// The unit of a column, as the header of an ECSV file states it.
+    pub(crate) fn ecsv_unit(&self, name: &str) -> Option<String> {
+        let comments =
+            lines(&self.text).filter_map(|(_, start, end)| self.text[start..end].strip_prefix(b"#"));
+        comments.map(String::from_utf8_lossy).find_map(|comment| {
+            let entry = comment.trim().strip_prefix("- {")?.strip_suffix('}')?.to_owned();
+            let value_of = |key: &str| {
+                let pairs = entry.split(',').filter_map(|pair| pair.split_once(':'));
+                let mut found = pairs.filter(|(k, _)| k.trim() == key);
+                found
+                    .next()
+                    .map(|(_, v)| v.trim().trim_matches(['\'', '"']).to_owned())
+            };
+            value_of("unit").filter(|_| value_of("name").as_deref() == Some(name))
+        })
+    }
+
     /// The error for a choice among the tables of this file.
     pub(crate) fn has_no_hdus(&self) -> IoError {
         const TEXT: &str = "a text file holds only one table: a table can be chosen only in a FITS file";
