@@ -32,7 +32,7 @@ struct BlockSteps<T: ConvReal> {
 impl<T: ConvReal> BlockSteps<T> {
     /// The steps for a region of a model's field, with each step done once.
     fn new(model: &PsfModel, region: PixelRegion, tolerance: f64) -> Self {
-        let space = PsfSpace::new(model, ToleranceOn::default());
+        let space = PsfSpace::new(std::slice::from_ref(model), ToleranceOn::default());
         let (cells, _, modes) = LocalModes::of_region(&space, region, tolerance);
         let (role, _) = FluxRole::of(model, &modes, &modes.at_corners(&cells));
         Self {

@@ -18,7 +18,7 @@ fn of<T: ConvReal>() {
     black_box(Engine::<T>::run as fn(_, _, _, _, _, _) -> _);
     black_box(Engine::<T>::execute_many as fn(_, _, _, _, _) -> _);
     black_box(Plan::<T>::for_region as fn(_, _, _, _, _, _) -> _);
-    black_box(Plan::<T>::of_whole as fn(_, _, _, _, _) -> _);
+    black_box(Plan::<T>::of_whole as fn(_, _, _, _) -> _);
     black_box(StarPlan::<T>::new as fn(_, _, _) -> _);
     black_box(StarPlan::<T>::draw_into as fn(_, _, _, _, _, _) -> _);
     black_box(GalaxyPlan::<T>::new as fn(_, _, _) -> _);

@@ -162,12 +162,49 @@ impl<T: ConvReal> Engine<T> {
         into: ArrayViewMut2<'_, T>,
         progress: &dyn Progress,
     ) -> Result<TileCounts, ConvError> {
+        self.check_layers(1)?;
         let (from, into) = self.parts(operation, from, into)?;
         let rows = 0..self.plan().tiling.rows.len();
         progress.start(rows.len() as u64);
         with_rows_in_memory(into, |into| {
-            self.run(rows, (from, 0), (into, 0), operation, progress)
+            self.run(rows, (vec![from], 0), (into, 0), operation, progress)
         })
+    }
+
+    /// Convolves several arrays of light, the layers of the plan ([`Plan::of_layers`]), and adds the sum
+    /// of their images to the array `into`. Otherwise as [`execute`](Self::execute).
+    ///
+    /// # Errors
+    /// As for [`execute`](Self::execute), and [`ConvError::Layers`] unless there is one array for each
+    /// layer of the plan.
+    pub fn execute_layers(
+        &self,
+        from: &[ImageView<'_, T>],
+        into: ArrayViewMut2<'_, T>,
+        progress: &dyn Progress,
+    ) -> Result<TileCounts, ConvError> {
+        self.check_layers(from.len())?;
+        let plan = self.plan();
+        check_shape(plan.region().shape(), into.dim())?;
+        let parts = from.iter().map(|from| {
+            let [columns, rows] = plan.light_part(from.shape())?;
+            Ok(from.pixels().slice_move(s![rows, columns]))
+        });
+        let light = parts.collect::<Result<Vec<_>, ConvError>>()?;
+        let rows = 0..plan.tiling.rows.len();
+        progress.start(rows.len() as u64);
+        with_rows_in_memory(into, |into| {
+            self.run(rows, (light, 0), (into, 0), Operation::Convolve, progress)
+        })
+    }
+
+    fn check_layers(&self, got: usize) -> Result<(), ConvError> {
+        if got == self.plan().models().len() {
+            return Ok(());
+        }
+        Err(ConvError::Layers(
+            "the light must have as many layers as the plan",
+        ))
     }
 
     /// Applies the operation to several arrays and adds each result to its own array, as
@@ -189,6 +226,7 @@ impl<T: ConvReal> Engine<T> {
         progress: &dyn Progress,
     ) -> Result<TileCounts, ConvError> {
         assert_eq!(from.len(), into.len(), "an array for each result");
+        self.check_layers(1)?;
         progress.start(from.len() as u64);
         let rows_in_memory = |into: &ArrayViewMut2<'_, T>| into.strides()[1] == 1;
         #[cfg(feature = "gpu")]
@@ -207,7 +245,8 @@ impl<T: ConvReal> Engine<T> {
         let parts = from.iter().zip(into).map(|(from, into)| {
             let (light, output) = self.parts(operation, from, into)?;
             let rows = 0..self.plan().tiling.rows.len();
-            Ok((self.pass(rows, (light, 0), 0, operation, progress), output))
+            let light = (vec![light], 0);
+            Ok((self.pass(rows, light, 0, 0, operation, progress), output))
         });
         let passes = parts.collect::<Result<_, ConvError>>()?;
         T::dispatch(Many { passes })
@@ -262,7 +301,9 @@ impl<T: ConvReal> Engine<T> {
         for first in (0..rows_of_blocks).step_by(tiling.band()) {
             let band = first..(first + tiling.band()).min(rows_of_blocks);
             let [light_rows, reached] = self.rows_of(&band);
-            let light = self.read(stream, light_rows.clone())?;
+            let layers = 0..self.plan().models().len();
+            let light = layers.map(|layer| self.read(stream, layer, light_rows.clone()));
+            let light = light.collect::<Result<Vec<_>, _>>()?;
             let next = if band.end < rows_of_blocks {
                 self.rows_of(&(band.end..band.end + 1))[1].start
             } else {
@@ -277,7 +318,8 @@ impl<T: ConvReal> Engine<T> {
             // also write to rows around them, so they get all rows in memory.
             let into = if self.gathers() { reached } else { written..end };
             let output = image.slice_mut(s![into.start - written..into.end - written, ..]);
-            let (light, output) = ((light.view(), light_rows.start), (output, into.start));
+            let light = light.iter().map(|layer| layer.view()).collect();
+            let (light, output) = ((light, light_rows.start), (output, into.start));
             counts += self.run(band, light, output, Operation::Convolve, progress)?;
             pending = image.slice(s![next - written.., ..]).to_owned();
             if next > written {
@@ -291,18 +333,31 @@ impl<T: ConvReal> Engine<T> {
     }
 
     /// Executes the plan for some rows of blocks on the engine's device: applies the operation to
-    /// `light` and adds the result to `output`. Both arrays hold whole rows of pixels, and come
-    /// with the index of their first row.
+    /// `light`, one array for each layer, and adds the result to `output`. All arrays hold whole rows
+    /// of pixels, and come with the index of their first row.
     #[inline(never)]
     pub(crate) fn run(
         &self,
         rows: Range<usize>,
-        (light, first_light): (ArrayView2<'_, T>, usize),
-        (output, first_output): (ArrayViewMut2<'_, T>, usize),
+        (mut light, first_light): (Vec<ArrayView2<'_, T>>, usize),
+        (mut output, first_output): (ArrayViewMut2<'_, T>, usize),
         operation: Operation,
         progress: &dyn Progress,
     ) -> Result<TileCounts, ConvError> {
-        let pass = self.pass(rows, (light, first_light), first_output, operation, progress);
+        let of_layers = |layer, light| {
+            let light = (light, first_light);
+            self.pass(rows.clone(), light, layer, first_output, operation, progress)
+        };
+        if light.len() > 1 && self.gathers() {
+            // Layers are weighted after their transforms, so each has its own.
+            let mut counts = TileCounts::default();
+            for (layer, light) in light.drain(..).enumerate() {
+                let (pass, output) = (of_layers(layer, vec![light]), output.view_mut());
+                counts += T::dispatch(Gather { pass, output })?;
+            }
+            return Ok(counts);
+        }
+        let pass = of_layers(0, light);
         #[cfg(feature = "gpu")]
         if let Some(gpu) = &self.gpu {
             let direct_sums = false;
@@ -314,11 +369,12 @@ impl<T: ConvReal> Engine<T> {
         }
     }
 
-    /// An execution on the processor.
+    /// An execution on the processor, for the light of some layers, from `layer` on.
     fn pass<'a>(
         &'a self,
         rows: Range<usize>,
-        (light, first_light): (ArrayView2<'a, T>, usize),
+        (light, first_light): (Vec<ArrayView2<'a, T>>, usize),
+        layer: usize,
         first_output: usize,
         operation: Operation,
         progress: &'a dyn Progress,
@@ -326,6 +382,7 @@ impl<T: ConvReal> Engine<T> {
         LightPass {
             processor: &self.processor,
             rows,
+            layers: layer..layer + light.len(),
             light,
             first_light,
             first_output,
@@ -355,11 +412,16 @@ impl<T: ConvReal> Engine<T> {
         }
     }
 
-    fn read<R: RowStream<T>>(&self, stream: &mut R, rows: Range<usize>) -> Result<Array2<T>, R::Error> {
+    fn read<R: RowStream<T>>(
+        &self,
+        stream: &mut R,
+        layer: usize,
+        rows: Range<usize>,
+    ) -> Result<Array2<T>, R::Error> {
         let [columns, light] = self.plan().light.clone();
         let mut whole = Array2::zeros((rows.len(), self.plan().scene_shape().nx()));
         let rows = light.start + rows.start..light.start + rows.end;
-        stream.read(rows, whole.view_mut())?;
+        stream.read(layer, rows, whole.view_mut())?;
         Ok(if columns.len() == whole.ncols() {
             whole
         } else {
@@ -373,11 +435,17 @@ pub trait RowStream<T> {
     /// The error of reading or writing.
     type Error: From<ConvError>;
 
-    /// Fills `light` with the given rows of the whole light, in all columns.
+    /// Fills `light` with the given rows of the whole light, in all columns. `layer` is 0 unless the
+    /// plan has several layers ([`Plan::of_layers`]).
     ///
     /// # Errors
     /// Errors of the source.
-    fn read(&mut self, rows: Range<usize>, light: ArrayViewMut2<'_, T>) -> Result<(), Self::Error>;
+    fn read(
+        &mut self,
+        layer: usize,
+        rows: Range<usize>,
+        light: ArrayViewMut2<'_, T>,
+    ) -> Result<(), Self::Error>;
 
     /// Writes the next rows of the image, in order from the first.
     ///

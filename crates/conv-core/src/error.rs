@@ -63,6 +63,9 @@ pub enum ConvError {
         /// The shape of the light.
         got: FrameShape,
     },
+    /// The models of layers do not belong together, or a plan has another number of layers.
+    #[error("layers of light: {0}")]
+    Layers(&'static str),
     /// The region reaches beyond the frame.
     #[error(
         "the region of {} pixels at ({}, {}) reaches beyond the frame of {frame} pixels",
@@ -137,6 +140,9 @@ pub enum GpuError {
         /// The plan's precision.
         precision: &'static str,
     },
+    /// The plan is for several layers of light, which only the processor convolves together.
+    #[error("a plan for several layers of light cannot run on a GPU: use the CPU")]
+    Layers,
     /// The plan's transforms are too large.
     #[error("{adapter} supports transforms of length {most} at most, but the plan needs {size}: use the CPU")]
     TransformSize {

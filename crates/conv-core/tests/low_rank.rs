@@ -527,6 +527,7 @@ impl RowStream<f64> for Rows<'_> {
     type Error = ConvError;
     fn read(
         &mut self,
+        _layer: usize,
         rows: std::ops::Range<usize>,
         mut light: ndarray::ArrayViewMut2<'_, f64>,
     ) -> Result<(), ConvError> {

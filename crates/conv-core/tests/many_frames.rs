@@ -129,7 +129,7 @@ fn another_field_keeps_the_tolerance() {
         let of = |model: &PsfModel| Plan::<f64>::new(model, shape(), shape().region(), options).unwrap();
         let (first, other) = (of(&model(Arc::new(Waves))), model(Arc::new(Other)));
         let kept = first
-            .for_other_field(&other, 1 << 28, &NoProgress)
+            .for_other_fields(std::slice::from_ref(&other), 1 << 28, &NoProgress)
             .unwrap()
             .unwrap();
         assert_eq!(kept.summary().tile, first.summary().tile);
@@ -149,7 +149,9 @@ fn another_field_keeps_the_tolerance() {
             );
         }
         let larger = model_with(Arc::new(Waves), (25, 18), (11, 9), false, Normalisation::Keep);
-        let refused = of(&other).for_other_field(&larger, 1 << 28, &NoProgress).unwrap();
+        let refused = of(&other)
+            .for_other_fields(&[larger], 1 << 28, &NoProgress)
+            .unwrap();
         assert!(refused.is_none(), "stamps of another size");
     }
 }

@@ -26,6 +26,14 @@ pub(crate) fn place<T: ConvReal>(
     plan: Plan<T>,
     options: &SimulateOptions,
 ) -> Result<(Engine<T>, Placement), PsfieldError> {
+    if plan.models().len() > 1 {
+        if options.device == Device::Gpu {
+            const LAYERS: &str =
+                "images of several spectra are convolved on the CPU: choose the device cpu or auto";
+            return Err(PsfieldError::of_setting("device", LAYERS));
+        }
+        return Ok((Engine::new(plan), Placement::cpu(CpuReason::Spectra)));
+    }
     let predicted = || plan.summary().predicted_seconds / rayon::current_num_threads().max(1) as f64;
     let reason = match options.device {
         Device::Gpu => return place_on_gpu(plan, options),

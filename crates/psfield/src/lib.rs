@@ -93,7 +93,9 @@ pub use psf::{Extrapolation, FitChoices, Note, Psf, PsfFileOptions, join_samples
 pub use readable::readable;
 pub use scene::Scene;
 pub use simulate_options::{Device, Method, ScenePixels, SimulateOptions};
-pub use simulator::{OwnMethodBuilder, Preparation, SimulationWarning, Simulator, SimulatorBuilder};
+pub use simulator::{
+    ColourSimulator, OwnMethodBuilder, Preparation, SimulationWarning, Simulator, SimulatorBuilder,
+};
 pub use spot_check::{PickedPixel, PixelPicker, SpotCheck};
 pub use stack_size::check_stack;
 

@@ -36,6 +36,9 @@ pub struct Scene<'a, T = f64> {
     galaxies: Cow<'a, [SersicSource]>,
 }
 
+/// Stars and galaxies.
+pub(crate) type SceneSources<'a> = (&'a [PointSource], &'a [SersicSource]);
+
 impl<'a, T: Real> Scene<'a, T> {
     /// A scene with only an image.
     ///
@@ -85,6 +88,11 @@ impl<'a, T: Real> Scene<'a, T> {
     /// The galaxies.
     pub fn galaxies(&self) -> &[SersicSource] {
         &self.galaxies
+    }
+
+    /// The stars and the galaxies.
+    pub(crate) fn sources(&self) -> SceneSources<'_> {
+        (&self.stars, &self.galaxies)
     }
 }
 

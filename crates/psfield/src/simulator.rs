@@ -3,6 +3,7 @@
 mod both_precisions;
 mod builder;
 mod check;
+mod colours;
 mod derived;
 mod flux;
 mod geometry;
@@ -20,13 +21,14 @@ use conv_core::{
 };
 use ndarray::{Array2, ArrayViewMut2};
 use psf_types::{
-    DataError, FrameShape, Image, ImageView, LightProfile, NoProgress, PixelRegion, PointSource, Progress,
-    PsfModel, SersicSource,
+    DataError, FrameShape, Image, ImageView, LightProfile, NoProgress, PixelRegion, Progress, PsfModel,
+    SersicSource,
 };
 use sersic::SersicLight;
 
 use crate::device::{self, CpuReason, GpuSeconds, Placement};
 use crate::psf::get_or_make;
+use crate::scene::SceneSources;
 use crate::{Device, ErrorKind, Psf, PsfieldError, Scene, ScenePixels, SimulateOptions};
 
 use flux::check_flux;
@@ -34,6 +36,7 @@ use geometry::Geometry;
 
 pub use builder::{OwnMethodBuilder, SimulatorBuilder};
 pub use check::SimulationWarning;
+pub use colours::ColourSimulator;
 
 /// The start of the error message for a region with a method that makes no plan
 /// ([`PsfieldError::needs_plan`]).
@@ -235,8 +238,7 @@ impl<T: ConvReal> Simulator<T> {
             let (light, _) = self.light(of_scene, progress)?;
             counts = self.convolve_into(convolver, &light, image.view_mut(), progress)?;
         }
-        let sources = (scene.stars(), scene.galaxies());
-        self.draw_sources_into(sources, self.geometry.region, image, progress)?;
+        self.draw_sources_into(scene.sources(), self.geometry.region, image, progress)?;
         Ok(counts)
     }
 
@@ -411,15 +413,7 @@ impl<T: ConvReal> Simulator<T> {
         let (psf, options) = (self.psf(), &self.options);
         let (model, seconds) = get_or_make(&self.shared.image_model, || {
             let clock = Instant::now();
-            let psf = match options.oversample {
-                1 => psf.native(options.stamp_size)?,
-                finer => psf.for_finer_scene(finer, options.stamp_size, options.anchor)?,
-            };
-            let psf = match options.scene_pixels {
-                ScenePixels::Point => psf,
-                ScenePixels::Integrated => psf.without_scene_pixel()?,
-            };
-            let model = psf.model()?.clone();
+            let model = on_scene_pixels(psf, options)?.model()?.clone();
             Ok::<_, PsfieldError>((model, clock.elapsed().as_secs_f64()))
         })?;
         Ok((model, *seconds))
@@ -496,7 +490,7 @@ impl<T: ConvReal> Simulator<T> {
         &self,
         convolver: &Convolver<T>,
         light: &ImageView<'_, T>,
-        mut image: ArrayViewMut2<'_, T>,
+        image: ArrayViewMut2<'_, T>,
         progress: &dyn Progress,
     ) -> Result<TileCounts, PsfieldError> {
         let Some(engine) = &convolver.engine else {
@@ -510,13 +504,25 @@ impl<T: ConvReal> Simulator<T> {
             self.geometry.add_sampled(fine.pixels(), image);
             return Ok(TileCounts::default());
         };
+        self.add_executed(engine, image, |image| {
+            engine.execute(Operation::Convolve, light, image, progress)
+        })
+    }
+
+    /// Adds the result of an execution of a plan to `image`. The result of a finer scene is sampled.
+    fn add_executed(
+        &self,
+        engine: &Engine<T>,
+        image: ArrayViewMut2<'_, T>,
+        execute: impl FnOnce(ArrayViewMut2<'_, T>) -> Result<TileCounts, ConvError>,
+    ) -> Result<TileCounts, PsfieldError> {
         if self.geometry.oversample == 1 {
-            return Ok(engine.execute(Operation::Convolve, light, image, progress)?);
+            return Ok(execute(image)?);
         }
         let shape = engine.plan().region().shape();
         let mut fine = conv_core::zeros((shape.ny(), shape.nx()));
-        let counts = engine.execute(Operation::Convolve, light, fine.view_mut(), progress)?;
-        self.geometry.add_sampled(fine.view(), image.view_mut());
+        let counts = execute(fine.view_mut())?;
+        self.geometry.add_sampled(fine.view(), image);
         Ok(counts)
     }
 
@@ -524,7 +530,7 @@ impl<T: ConvReal> Simulator<T> {
     #[inline(never)]
     fn draw_sources_into(
         &self,
-        (stars, galaxies): (&[PointSource], &[SersicSource]),
+        (stars, galaxies): SceneSources<'_>,
         region: PixelRegion,
         mut image: ArrayViewMut2<'_, T>,
         progress: &dyn Progress,
@@ -551,6 +557,18 @@ impl<T: ConvReal> Simulator<T> {
     fn painter<'a>(&self, model: &'a PsfModel) -> Result<StarPainter<'a>, PsfieldError> {
         let (frame, anchor) = (self.geometry.frame, self.options.anchor);
         Ok(StarPainter::new(model, frame, anchor, self.options.stamp_size)?)
+    }
+}
+
+/// The PSF on the pixels of a scene's image, for its convolution.
+fn on_scene_pixels(psf: &Psf, options: &SimulateOptions) -> Result<Psf, PsfieldError> {
+    let psf = match options.oversample {
+        1 => psf.native(options.stamp_size)?,
+        finer => psf.for_finer_scene(finer, options.stamp_size, options.anchor)?,
+    };
+    match options.scene_pixels {
+        ScenePixels::Point => Ok(psf),
+        ScenePixels::Integrated => psf.without_scene_pixel(),
     }
 }
 

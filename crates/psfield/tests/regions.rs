@@ -221,6 +221,7 @@ impl<T: ConvReal> RowStream<T> for Rows<'_, T> {
     type Error = PsfieldError;
     fn read(
         &mut self,
+        _layer: usize,
         rows: std::ops::Range<usize>,
         mut light: ndarray::ArrayViewMut2<'_, T>,
     ) -> Result<(), PsfieldError> {

@@ -49,8 +49,10 @@ pub(crate) struct LightPass<'a, T: ConvReal> {
     pub(crate) processor: &'a Processor<T>,
     /// The rows of the plan's grid of blocks that are executed (not rows of pixels).
     pub(crate) rows: Range<usize>,
-    /// Whole rows of the side that the light comes from.
-    pub(crate) light: ArrayView2<'a, T>,
+    /// The plan's layers of which this execution takes the light.
+    pub(crate) layers: Range<usize>,
+    /// For each of these layers, whole rows of the side that the light comes from.
+    pub(crate) light: Vec<ArrayView2<'a, T>>,
     /// The index of the first of these rows.
     pub(crate) first_light: usize,
     /// The index of the first row of the output.
@@ -114,19 +116,23 @@ impl<'a, T: ConvReal> BlockKernels<'a, T> {
             .values()
     }
 
-    /// Returns an error if a pixel of a tile needs a PSF but has none. The error names the first
-    /// such pixel. `needed(column, row)` counts from the tile's first pixel.
+    /// Returns an error if a pixel of a tile needs a PSF of some layers but has none. The error names
+    /// the first such pixel. `needed(layer, column, row)` counts from the first of these layers and
+    /// from the tile's first pixel.
     pub(crate) fn check(
         &self,
         part: TilePart,
-        needed: impl Fn(usize, usize) -> bool,
+        layers: &Range<usize>,
+        needed: impl Fn(usize, usize, usize) -> bool,
     ) -> Result<(), FieldError> {
-        self.table().check(&self.plan.model, |row, column| {
-            let (row, column) = (
-                row.wrapping_sub(part.corner.1),
+        let height = self.table().region.shape().ny();
+        self.table().check(self.plan.models(), |row, column| {
+            let (layer, row, column) = (
+                (row / height).wrapping_sub(layers.start),
+                (row % height).wrapping_sub(part.corner.1),
                 column.wrapping_sub(part.corner.0),
             );
-            row < part.size.1 && column < part.size.0 && needed(column, row)
+            layer < layers.len() && row < part.size.1 && column < part.size.0 && needed(layer, column, row)
         })
     }
 

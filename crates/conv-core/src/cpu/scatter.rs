@@ -104,7 +104,7 @@ pub(super) fn scatter_block<T: ConvReal, S: Lanes<T>>(
                     }
                 });
             } else {
-                (first, size) = reached(&treatment.drawn, engine.geometry.stamp);
+                (first, size) = reached(&treatment.drawn, local.part.size.1, engine.geometry.stamp);
             }
             let (pitch, plane) = (engine.fft.pitch(), workspace.weighted.get_mut());
             if !treatment.drawn.is_empty() {
@@ -131,13 +131,18 @@ pub(super) fn scatter_block<T: ConvReal, S: Lanes<T>>(
 }
 
 /// The rectangle that the stamps of some pixels reach: its first column and row, counted from the first
-/// pixel that the tile reaches, and its columns and rows.
-fn reached<T>(pixels: &[LitPixel<T>], stamp: (usize, usize)) -> ((usize, usize), (usize, usize)) {
-    let along = |coordinate: fn(&LitPixel<T>) -> usize, stamp: usize| {
+/// pixel that the tile reaches, and its columns and rows. A layer of the tile has `rows` rows.
+fn reached<T>(
+    pixels: &[LitPixel<T>],
+    rows: usize,
+    stamp: (usize, usize),
+) -> ((usize, usize), (usize, usize)) {
+    let along = |coordinate: &dyn Fn(&LitPixel<T>) -> usize, stamp: usize| {
         let first = pixels.iter().map(coordinate).min().unwrap_or(0);
         let last = pixels.iter().map(coordinate).max().unwrap_or(0);
         (first, last - first + stamp)
     };
-    let (x, y) = (along(|pixel| pixel.1, stamp.0), along(|pixel| pixel.0, stamp.1));
+    let x = along(&|pixel| pixel.1, stamp.0);
+    let y = along(&|pixel| pixel.0 % rows, stamp.1);
     ((x.0, y.0), (x.1, y.1))
 }

@@ -7,7 +7,7 @@ use ndarray::{Array2, ArrayView2, ArrayViewMut2};
 use crate::ConvReal;
 use crate::overlap::overlap;
 use crate::plan::coefficient_table::CoefficientTable;
-use crate::plan::function_rows::FunctionRows;
+use crate::plan::function_rows::{FunctionRows, WeightedLayers};
 use crate::plan::geometry::{Geometry, TilePart};
 use crate::simd::{Aligned, Lanes};
 use crate::transform::{TileTransform, X_STEP};
@@ -27,8 +27,10 @@ pub(crate) struct Workspace<T> {
     pub(crate) kernels: Aligned<T>,
     /// Buffer for one row.
     pub(crate) row: Vec<T>,
-    /// The coefficients of one kernel.
-    pub(crate) function: FunctionRows<T>,
+    /// The coefficients of one kernel, for each layer.
+    pub(crate) functions: Vec<FunctionRows<T>>,
+    /// Buffer for one more row.
+    pub(crate) other_row: Vec<T>,
 }
 
 impl<T: ConvReal> Workspace<T> {
@@ -41,7 +43,8 @@ impl<T: ConvReal> Workspace<T> {
             column: Aligned::zeros(fft.column_len()),
             kernels: Aligned::default(),
             row: vec![T::zero(); fft.nx],
-            function: FunctionRows::default(),
+            functions: Vec::new(),
+            other_row: vec![T::zero(); fft.nx],
         }
     }
 }
@@ -59,6 +62,8 @@ pub(crate) struct TileEngine<'a, T> {
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct LocalTile<'a, T> {
     pub(crate) part: TilePart,
+    /// The first layer and the number of layers.
+    pub(crate) layers: (usize, usize),
     pub(crate) table: &'a CoefficientTable<T>,
     /// `[kernel, y, x]`.
     pub(crate) stamps: &'a [T],
@@ -72,24 +77,45 @@ impl<T: ConvReal> LocalTile<'_, T> {
         self.part.corner.0..self.part.corner.0 + self.part.size.0
     }
 
-    /// The rows of the tile, counted from its block's first.
-    fn rows(&self) -> Range<usize> {
-        self.part.corner.1..self.part.corner.1 + self.part.size.1
+    /// The rows of the tile in the table: those of a layer follow those of the layers before it.
+    /// `layer` counts from the first of this tile's layers.
+    fn rows(&self, layer: usize) -> Range<usize> {
+        let first = (self.layers.0 + layer) * self.table.region.shape().ny() + self.part.corner.1;
+        first..first + self.part.size.1
     }
 
-    /// Sets `function` to the coefficient of a kernel. Divides the tile's light by the flux before, if
-    /// the kernel is the first whose light is divided.
+    /// The row in the table of a row of the tile's light, in which the layers follow each other.
     #[inline(always)]
-    fn choose(&self, kernel: usize, light: &mut [T], pitch: usize, function: &mut FunctionRows<T>) {
-        let role = self.table.role;
-        if role.is_divided(kernel) && (kernel == 0 || !role.is_divided(kernel - 1)) {
-            function.set(self.table, Some(0));
-            let (columns, rows) = self.part.size;
-            for (y, light) in light.chunks_exact_mut(pitch).take(rows).enumerate() {
-                function.divide(y, &mut light[..columns]);
-            }
+    pub(crate) fn row_in_table(&self, row: usize) -> usize {
+        let rows = self.part.size.1;
+        self.rows(row / rows).start + row % rows
+    }
+
+    /// Places the functions of all layers in the tile.
+    #[inline(always)]
+    fn place(&self, functions: &mut Vec<FunctionRows<T>>) {
+        functions.resize_with(self.layers.1, FunctionRows::default);
+        for (layer, function) in functions.iter_mut().enumerate() {
+            function.place(self.table, self.columns(), self.rows(layer));
         }
-        function.set(self.table, role.function_of(kernel));
+    }
+
+    /// Sets the function of each layer to the coefficient of a kernel. Divides the tile's light by the
+    /// flux before, if the kernel is the first whose light is divided.
+    #[inline(always)]
+    fn choose(&self, kernel: usize, light: &mut [T], pitch: usize, functions: &mut [FunctionRows<T>]) {
+        let role = self.table.role;
+        let (columns, rows) = self.part.size;
+        let divides = role.is_divided(kernel) && (kernel == 0 || !role.is_divided(kernel - 1));
+        for (function, light) in functions.iter_mut().zip(light.chunks_mut(rows * pitch)) {
+            if divides {
+                function.set(self.table, Some(0));
+                for (y, light) in light.chunks_exact_mut(pitch).take(rows).enumerate() {
+                    function.divide(y, &mut light[..columns]);
+                }
+            }
+            function.set(self.table, role.function_of(kernel));
+        }
     }
 
     /// Multiplies values of a tile's row by the coefficients of a kernel, and adds them to the
@@ -245,7 +271,7 @@ impl<T: ConvReal> TileEngine<'_, T> {
         let (pitch, length) = (self.fft.pitch(), self.fft.spectrum_len());
         let (sx, sy) = self.geometry.stamp;
         let w = workspace;
-        w.function.place(local.table, local.columns(), local.rows());
+        local.place(&mut w.functions);
         if local.transforms_kernels {
             w.kernels.at_least(self.fft.along_y_len(sx));
         }
@@ -259,17 +285,24 @@ impl<T: ConvReal> TileEngine<'_, T> {
             } else {
                 (&w.kernels.get()[kernel * length..(kernel + 1) * length], None)
             };
-            local.choose(kernel, w.light.get_mut(), pitch, &mut w.function);
-            self.fft.forward_multiply_swapped(
-                simd,
-                (self.fft.plane(w.light.get()), &w.function),
-                (rows, columns),
-                factor,
-                w.sum.get_mut(),
-                kernel > 0,
-                w.spectrum.get_mut(),
-                w.column.get_mut(),
-            );
+            local.choose(kernel, w.light.get_mut(), pitch, &mut w.functions);
+            let (light, size) = (self.fft.plane(w.light.get()), (rows, columns));
+            let (sum, add, spectrum) = (w.sum.get_mut(), kernel > 0, w.spectrum.get_mut());
+            let column = w.column.get_mut();
+            if let [function] = &w.functions[..] {
+                let light = (light, function);
+                self.fft
+                    .forward_multiply_swapped(simd, light, size, factor, sum, add, spectrum, column);
+            } else {
+                let functions = &w.functions[..];
+                let light = WeightedLayers {
+                    light,
+                    rows,
+                    functions,
+                };
+                self.fft
+                    .forward_multiply_swapped(simd, light, size, factor, sum, add, spectrum, column);
+            }
         }
         let (width, height) = self.geometry.around(local.part.size);
         self.fft.inverse_of_swapped(
@@ -296,7 +329,8 @@ impl<T: ConvReal> TileEngine<'_, T> {
         let (width, height) = self.geometry.around(local.part.size);
         let (pitch, length) = (self.fft.pitch(), self.fft.spectrum_len());
         let w = workspace;
-        w.function.place(local.table, local.columns(), local.rows());
+        local.place(&mut w.functions);
+        let function = &mut w.functions[0];
         let mut divided = local.zeros();
         let column = w.column.get_mut();
         self.fft
@@ -312,14 +346,13 @@ impl<T: ConvReal> TileEngine<'_, T> {
                 .chunks_exact(pitch)
                 .skip(self.geometry.stamp.1 - 1)
                 .take(rows);
-            w.function.set(local.table, local.table.role.function_of(kernel));
+            function.set(local.table, local.table.role.function_of(kernel));
             for (y, values) in whole.enumerate() {
                 let values = &values[self.geometry.stamp.0 - 1..width];
-                let kernel = (kernel, &w.function);
-                local.weigh_and_add(kernel, y, values, output, &mut divided, &mut w.row);
+                local.weigh_and_add((kernel, function), y, values, output, &mut divided, &mut w.row);
             }
         }
-        local.divide_and_add(divided, output, &mut w.function);
+        local.divide_and_add(divided, output, function);
     }
 
     #[inline(always)]
@@ -340,17 +373,26 @@ impl<T: ConvReal> TileEngine<'_, T> {
         let (sx, sy) = self.geometry.stamp;
         let pitch = self.fft.pitch();
         let w = workspace;
-        w.function.place(local.table, local.columns(), local.rows());
+        local.place(&mut w.functions);
         let result = w.weighted.get_mut();
         for into in result.chunks_exact_mut(pitch).take(rows + sy - 1) {
             into[..columns + sx - 1].fill(T::zero());
         }
         for (kernel, stamp) in local.stamps.chunks_exact(sx * sy).enumerate() {
-            local.choose(kernel, w.light.get_mut(), pitch, &mut w.function);
+            local.choose(kernel, w.light.get_mut(), pitch, &mut w.functions);
             for y in 0..rows {
-                let light = &w.light.get()[y * pitch..y * pitch + columns];
-                let row = &mut w.row[..columns];
-                w.function.multiply(y, light, row);
+                let (row, other) = (&mut w.row[..columns], &mut w.other_row[..columns]);
+                for (layer, function) in w.functions.iter().enumerate() {
+                    let light = &w.light.get()[(layer * rows + y) * pitch..][..columns];
+                    if layer == 0 {
+                        function.multiply(y, light, row);
+                        continue;
+                    }
+                    function.multiply(y, light, other);
+                    for (sum, product) in row.iter_mut().zip(&*other) {
+                        *sum += *product;
+                    }
+                }
                 for j in 0..sy {
                     let into = &mut result[(y + j) * pitch..(y + j + 1) * pitch];
                     for i in 0..sx {
@@ -377,10 +419,11 @@ impl<T: ConvReal> TileEngine<'_, T> {
         let pitch = self.fft.pitch();
         let w = workspace;
         let mut values = vec![T::zero(); columns];
-        w.function.place(local.table, local.columns(), local.rows());
+        local.place(&mut w.functions);
+        let function = &mut w.functions[0];
         let mut divided = local.zeros();
         for (kernel, stamp) in local.stamps.chunks_exact(sx * sy).enumerate() {
-            w.function.set(local.table, local.table.role.function_of(kernel));
+            function.set(local.table, local.table.role.function_of(kernel));
             for y in 0..rows {
                 values.fill(T::zero());
                 for j in 0..sy {
@@ -392,11 +435,11 @@ impl<T: ConvReal> TileEngine<'_, T> {
                         }
                     }
                 }
-                let kernel = (kernel, &w.function);
+                let kernel = (kernel, &*function);
                 local.weigh_and_add(kernel, y, &values, output, &mut divided, &mut w.row);
             }
         }
-        local.divide_and_add(divided, output, &mut w.function);
+        local.divide_and_add(divided, output, function);
     }
 }
 

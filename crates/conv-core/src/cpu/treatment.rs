@@ -51,7 +51,8 @@ fn look<T: ConvReal>(plane: &[T], pitch: usize, (rows, columns): (usize, usize))
     }
 }
 
-/// A pixel of the light in or around a tile: row, column and light.
+/// A pixel of the light in or around a tile: row, column and light. Rows of a layer follow those of the
+/// layers before it.
 pub(crate) type LitPixel<T> = (usize, usize, T);
 
 /// Returns all lit pixels.
@@ -207,8 +208,8 @@ fn choose<T: ConvReal>(
     (Some(TileMethod::ByTransforms), drawn)
 }
 
-/// Loads the light of a tile, or the light around it, into `workspace.light` and chooses its
-/// treatment. Returns `None` if the light is zero everywhere. The progress object is polled here,
+/// Loads the light of a tile, or the light around it, into `workspace.light`, layer after layer, and
+/// chooses its treatment. Returns `None` if the light is zero everywhere. The progress object is polled here,
 /// once per tile.
 pub(crate) fn treated<T: ConvReal>(
     pass: &LightPass<'_, T>,
@@ -227,17 +228,26 @@ pub(crate) fn treated<T: ConvReal>(
             plan.geometry.around(tile.part.size),
         ),
     };
+    let layer_len = size.1 * pitch;
+    if pass.light.len() > 1 {
+        workspace.light.at_least(pass.light.len() * layer_len);
+    }
+    // All layers, as rows of one array.
+    let size = (size.0, size.1 * pass.light.len());
     let mut seen = vectorized!({
         let corner = (corner.0, corner.1 - pass.first_light as i64);
-        engine.load(pass.light, corner, size, workspace.light.get_mut());
+        let layers = workspace.light.get_mut().chunks_mut(layer_len);
+        for (light, into) in pass.light.iter().zip(layers) {
+            engine.load(light.view(), corner, (size.0, layer_len / pitch), into);
+        }
         look(workspace.light.get(), pitch, (size.1, size.0))
     });
     if seen.lit == 0 {
         return Ok(None);
     }
     let plane = workspace.light.get();
-    kernels.check(tile.part, |column, row| match direction {
-        Direction::Scatter => !plane[row * pitch + column].is_zero(),
+    kernels.check(tile.part, &pass.layers, |layer, column, row| match direction {
+        Direction::Scatter => !plane[layer * layer_len + row * pitch + column].is_zero(),
         // A pixel needs its PSF if any light reaches it.
         Direction::Gather => (row..row + engine.geometry.stamp.1).any(|row| {
             let under = &plane[row * pitch + column..][..engine.geometry.stamp.0];
@@ -341,6 +351,7 @@ pub(crate) fn each_tile<T: ConvReal, S: Lanes<T>>(
             }
             let local = LocalTile {
                 part,
+                layers: (pass.layers.start, pass.layers.len()),
                 table: kernels.table(),
                 stamps: kernels.stamps(),
                 transforms_kernels,

@@ -132,7 +132,7 @@ impl<T: ConvReal> GalaxyPlan<T> {
     }
 
     pub(super) fn space(&self) -> &PsfSpace {
-        let make = || PsfSpace::new(&self.model, self.options.tolerance_on());
+        let make = || PsfSpace::new(std::slice::from_ref(&self.model), self.options.tolerance_on());
         self.space.get_or_init(make)
     }
 

@@ -41,6 +41,9 @@ impl GpuEngine {
         if size_of::<T>() != size_of::<f32>() {
             return Err(GpuError::Precision { precision: T::NAME });
         }
+        if plan.models().len() > 1 {
+            return Err(GpuError::Layers);
+        }
         let mut attempt = device.attempt()?;
         let (nx, ny) = plan.tiling.size;
         let pipelines = attempt.pipelines(PlaneSource::new(nx, ny, attempt.adapter())?)?;

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use ndarray::linalg::general_mat_mul;
 use ndarray::{Array2, ArrayView2, ArrayViewMut2, Axis, s};
-use psf_types::{PixelRegion, PsfModel};
+use psf_types::PixelRegion;
 use rayon::prelude::*;
 
 use super::allowed_errors::CellError;
@@ -54,16 +54,10 @@ impl<T: ConvReal> Stamps<T> {
 
 impl<T: ConvReal> Block<T> {
     /// Computes the modes of a block, and its coefficients if `keep_table` is true.
-    pub(crate) fn new(
-        model: &PsfModel,
-        space: &PsfSpace,
-        region: PixelRegion,
-        tolerance: f64,
-        keep_table: bool,
-    ) -> Self {
+    pub(crate) fn new(space: &PsfSpace, region: PixelRegion, tolerance: f64, keep_table: bool) -> Self {
         let (cells, error, modes) = LocalModes::of_region(space, region, tolerance);
         let values = modes.at_corners(&cells);
-        let (role, flux) = FluxRole::of(model, &modes, &values);
+        let (role, flux) = FluxRole::of(space.model(), &modes, &values);
         let table = keep_table.then(|| Arc::new(CoefficientTable::new(region, role, values, &cells)));
         Self {
             region,

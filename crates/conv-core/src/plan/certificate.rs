@@ -201,7 +201,10 @@ fn certify<T: ConvReal>(plan: &Plan<T>, coefficient_error: f64) -> Errors {
         let across = plan.tiling.columns.len();
         let region = plan.tiling.region(&plan.geometry, i % across, i / across);
         pixels += region.shape().nx() * region.shape().ny();
-        for (error, psf) in errors_of_block(plan, block, region, coefficient_error) {
+        let layers = 0..plan.models().len();
+        for (error, psf) in
+            layers.flat_map(|layer| errors_of_block(plan, layer, block, region, coefficient_error))
+        {
             errors.l2 = errors.l2.max(norm(error.view()) / norm(psf.view()));
             let most = in_circles.dot(&error).iter().fold(0.0_f64, |m, v| m.max(v.abs()));
             let flux = psf.dot(&space.fluxes).abs();
@@ -214,9 +217,10 @@ fn certify<T: ConvReal>(plan: &Plan<T>, coefficient_error: f64) -> Errors {
     errors
 }
 
-/// For each pixel of a block, the error and the PSF as vectors of the space.
+/// For each pixel of a block, the error and the PSF of a layer as vectors of the space.
 fn errors_of_block<T: ConvReal>(
     plan: &Plan<T>,
+    layer: usize,
     block: &Block<T>,
     region: PixelRegion,
     coefficient_error: f64,
@@ -230,7 +234,8 @@ fn errors_of_block<T: ConvReal>(
     let mut coefficients = vec![0.0; model.stamp_count()];
     let mut found = Vec::with_capacity(nx * ny);
     for row in 0..ny {
-        function.place(&table, 0..nx, row..row + 1);
+        let in_table = layer * ny + row;
+        function.place(&table, 0..nx, in_table..in_table + 1);
         for (kernel, mut weighted) in weighted.outer_iter_mut().enumerate() {
             let weighted = weighted.as_slice_mut().unwrap();
             function.set(&table, table.role.function_of(kernel));
@@ -246,7 +251,9 @@ fn errors_of_block<T: ConvReal>(
         for column in 0..nx {
             let position = region.position(column, row);
             let mut psf = space.mean.clone();
-            space.psf_into(position, &mut coefficients, &mut psf).unwrap();
+            space
+                .psf_into(layer, position, &mut coefficients, &mut psf)
+                .unwrap();
             if model.needs_flux_scaling() {
                 let flux = psf.dot(&space.fluxes);
                 if flux <= 0.0 {
@@ -317,7 +324,7 @@ fn plans_for_other_fields_are_within_the_tolerance() {
     let first: Plan<f64> = plan(&first, TOLERANCE, ToleranceOn::Aperture, Anchor::Source);
     for model in [other, of_other_basis] {
         let plan = first
-            .for_other_field(&model, 1 << 28, &NoProgress)
+            .for_other_fields(&[model], 1 << 28, &NoProgress)
             .unwrap()
             .unwrap();
         let found = certify(&plan, 0.0);
@@ -326,6 +333,38 @@ fn plans_for_other_fields_are_within_the_tolerance() {
             "{found:?}"
         );
     }
+}
+
+/// Fields of different methods on one basis are layers of one plan. Each interpolator is the first,
+/// a middle or the last layer once.
+#[test]
+fn every_layer_is_within_the_tolerance() {
+    const TOLERANCE: f64 = 2e-2;
+    let mut coarsest = Errors::default();
+    for first in 0..INTERPOLATORS.len() {
+        let normalisation = [Normalisation::Unit, Normalisation::Keep][first % 2];
+        let on = BOTH[first / 2 % 2];
+        let layers = [0, 4, 7].map(|step| {
+            let (name, on_grid) = INTERPOLATORS[(first + step) % INTERPOLATORS.len()];
+            model(name, on_grid, normalisation)
+        });
+        let options = PlanOptions::new(TOLERANCE).unwrap().with_tolerance_on(on);
+        let shape = FrameShape::new(FRAME.0, FRAME.1).unwrap();
+        let (frame, region) = (shape.region(), shape.region());
+        let plan = Plan::<f64>::of_layers(&layers, shape, frame, region, options, &NoProgress).unwrap();
+        let found = certify(&plan, 0.0);
+        assert!(found.l2 <= TOLERANCE + ROUNDING, "{first}: {found:?}");
+        if on == ToleranceOn::Aperture {
+            assert!(found.circle <= TOLERANCE + ROUNDING, "{first}: {found:?}");
+        }
+        coarsest.l2 = coarsest.l2.max(found.l2);
+        // Modes for the first layer alone do not suit the others.
+        let alone: Plan<f64> = Plan::new(&layers[0], shape, frame, options).unwrap();
+        let most = |plan: &Plan<f64>| plan.blocks.iter().map(Block::kernel_count).max();
+        assert!(most(&plan) >= most(&alone), "{first}");
+    }
+    // Without errors close to the tolerance, the test would prove nothing.
+    assert!(coarsest.l2 > 0.5 * TOLERANCE, "{coarsest:?}");
 }
 
 /// The field of a model.

@@ -28,7 +28,8 @@ pub enum FluxRole {
     },
 }
 
-/// The coefficients of a region's modes: functions that are bilinear in cells. Only their values at
+/// The coefficients of a region's modes: functions that are bilinear in cells. If there are several
+/// layers, their rows follow each other ([`RegionCells`]). Only their values at
 /// the cells' corners are stored.
 ///
 /// In a cell with values `a` at its first and `b` at its last column, `n` columns later, a function
@@ -327,16 +328,19 @@ impl<T: ConvReal> CoefficientTable<T> {
     }
 
     /// Returns an error for the first pixel that has no PSF and for which `lit(row, column)` is
-    /// true. Row and column count from the region's first pixel.
+    /// true. Row and column count from the region's first pixel, and rows of a layer follow those of
+    /// the layers before it. `models` are those of the layers.
     pub(crate) fn check(
         &self,
-        model: &PsfModel,
+        models: &[PsfModel],
         lit: impl Fn(usize, usize) -> bool,
     ) -> Result<(), FieldError> {
+        let height = self.region.shape().ny();
         for &(row, column) in &self.undefined {
             if lit(row as usize, column as usize) {
+                let model = &models[row as usize / height];
                 let mut coefficients = vec![0.0; model.stamp_count()];
-                let position = self.region.position(column as usize, row as usize);
+                let position = self.region.position(column as usize, row as usize % height);
                 model.scaled_coefficients_into(position, &mut coefficients)?;
                 return Err(FieldError::External {
                     position,

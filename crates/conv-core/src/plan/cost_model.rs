@@ -97,9 +97,10 @@ impl CostModel {
         self.width * READ_SPECTRUM * (nx * ny) as f64 * kernels
     }
 
-    /// Convolving a tile by transforms of `size`, without the cost of the kernels' spectra.
-    pub(crate) fn tile(self, tile: (usize, usize), size: (usize, usize), kernels: f64) -> f64 {
-        let pixels = (tile.0 * tile.1) as f64;
+    /// Convolving a tile of some layers by transforms of `size`, without the cost of the kernels'
+    /// spectra.
+    pub(crate) fn tile(self, tile: (usize, usize), size: (usize, usize), kernels: f64, layers: usize) -> f64 {
+        let pixels = (tile.0 * tile.1 * layers) as f64;
         let plane = (size.0 * size.1) as f64;
         let r = kernels;
         r * (self.transform(size) + self.multiply(size) + self.width * MULTIPLY_LIGHT * pixels)

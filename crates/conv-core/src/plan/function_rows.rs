@@ -152,6 +152,88 @@ impl<T: ConvReal> Plane<T> for (StoredPlane<'_, T>, &FunctionRows<T>) {
     }
 }
 
+/// The light of several layers, each times its function, added up.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct WeightedLayers<'a, T> {
+    /// The layers, one after the other.
+    pub(crate) light: StoredPlane<'a, T>,
+    /// The number of rows of each layer.
+    pub(crate) rows: usize,
+    /// The function of each layer.
+    pub(crate) functions: &'a [FunctionRows<T>],
+}
+
+/// The number of rows whose sums over layers are computed together, so that they stay in the first-level
+/// cache.
+const ROWS_TOGETHER: usize = 32;
+
+impl<T: ConvReal> Plane<T> for WeightedLayers<'_, T> {
+    #[inline(always)]
+    fn twist<S: Lanes<T>, const UPPER: bool>(
+        self,
+        simd: S,
+        index: usize,
+        rows: Range<usize>,
+        twist: &[Pair<T>],
+        column: &mut [Pair<S::V>],
+    ) {
+        let mut sums = [simd.splat(T::zero()); ROWS_TOGETHER];
+        for first in rows.clone().step_by(ROWS_TOGETHER) {
+            let some = first..(first + ROWS_TOGETHER).min(rows.end);
+            let sums = &mut sums[..some.len()];
+            for (layer, function) in self.functions.iter().enumerate() {
+                self.add_layer(simd, (layer, function), index, some.clone(), sums);
+            }
+            let here = first - rows.start..some.end - rows.start;
+            let column = column[here.clone()].iter_mut().zip(&twist[here]);
+            for (&mut value, (into, &w)) in sums.iter_mut().zip(column) {
+                put_twisted::<T, S, UPPER>(simd, value, w, into);
+            }
+        }
+    }
+}
+
+impl<T: ConvReal> WeightedLayers<'_, T> {
+    /// Adds a layer's light times its function to `sums`, which the first layer replaces.
+    #[inline(always)]
+    fn add_layer<S: Lanes<T>>(
+        self,
+        simd: S,
+        (layer, function): (usize, &FunctionRows<T>),
+        index: usize,
+        rows: Range<usize>,
+        sums: &mut [S::V],
+    ) {
+        let light = |row: usize| self.light.vector(simd, layer * self.rows + row, index);
+        if layer == 0 {
+            sums.fill(simd.splat(T::zero()));
+        }
+        if function.is_one {
+            for (sum, row) in sums.iter_mut().zip(rows) {
+                *sum = simd.add(*sum, light(row));
+            }
+            return;
+        }
+        let (ends, at) = (function.ends.get(), index * S::LANES);
+        let before = function.band_rows.partition_point(|band| band.end <= rows.start);
+        for band in &function.band_rows[before..] {
+            let band = band.start.max(rows.start)..band.end.min(rows.end);
+            if band.is_empty() {
+                break;
+            }
+            let of_band = &function.rows[band.clone()];
+            let [first, last] = of_band[0].ends;
+            let (first, last) = (load(simd, ends, first + at), load(simd, ends, last + at));
+            let sums = &mut sums[band.start - rows.start..band.end - rows.start];
+            for ((row, sum), RowInBand { weights, .. }) in band.zip(sums).zip(of_band) {
+                let weight = simd.mul(simd.splat(weights[0]), first);
+                let weight = simd.mul_add(simd.splat(weights[1]), last, weight);
+                *sum = simd.mul_add(light(row), weight, *sum);
+            }
+        }
+    }
+}
+
 /// Writes a function in some columns of a row to `values`, which has room for [`CHUNK`] values
 /// more. These become zeros. `corner` is 0 for the first row of a band, 2 for its last row.
 #[inline(always)]

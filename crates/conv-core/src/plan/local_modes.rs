@@ -51,8 +51,8 @@ pub struct LocalModes {
     directions: usize,
 }
 
-/// The number of bands (neighbouring rows, [`RegionCells`]) whose PSFs determine the directions of
-/// the modes. All bands determine how many modes are kept.
+/// The number of bands (neighbouring rows, [`RegionCells`]) of each layer whose PSFs determine the
+/// directions of the modes. All bands determine how many modes are kept.
 const SUPPORT_BANDS: usize = 5;
 /// The largest number of cells used from each of these bands. The last cell of the band is used in
 /// addition.
@@ -310,7 +310,7 @@ struct Support<'a>(Vec<&'a [(usize, f64)]>);
 impl<'a> Support<'a> {
     fn of(cells: &'a RegionCells) -> Self {
         let bands = &cells.bands;
-        let count = SUPPORT_BANDS.min(bands.len());
+        let count = (SUPPORT_BANDS * cells.layers).min(bands.len());
         let mut ends = Vec::new();
         for i in 0..count {
             let band = cells.cells_of(&bands[i * (bands.len() - 1) / (count - 1).max(1)]);

@@ -48,6 +48,20 @@ use crate::image_memory::zeros;
 use crate::view::{View, in_words};
 use crate::{ConvError, ConvReal};
 
+/// Checks that models can be layers of one plan.
+fn check_layers(models: &[PsfModel]) -> Result<(), ConvError> {
+    let differ = |model: &PsfModel| {
+        !model.has_basis_of(&models[0]) || model.needs_flux_scaling() != models[0].needs_flux_scaling()
+    };
+    match models {
+        [] => Err(ConvError::Layers("at least one model is needed")),
+        [_, others @ ..] if others.iter().any(differ) => Err(ConvError::Layers(
+            "the models must have the same stamps and the same scaling to unit flux: fit one basis to all samples",
+        )),
+        _ => Ok(()),
+    }
+}
+
 /// The number of blocks planned in parallel.
 const BLOCKS_AT_ONCE: usize = 64;
 
@@ -67,7 +81,6 @@ const BLOCKS_AT_ONCE: usize = 64;
 /// flux and is always kept.
 #[derive(Debug)]
 pub struct Plan<T: ConvReal> {
-    pub(crate) model: PsfModel,
     pub(crate) whole: Arc<WholeFrame>,
     pub(crate) geometry: Geometry,
     options: PlanOptions,
@@ -167,9 +180,34 @@ impl<T: ConvReal> Plan<T> {
         options: PlanOptions,
         progress: &dyn Progress,
     ) -> Result<Self, ConvError> {
+        let models = std::slice::from_ref(model);
+        Self::of_layers(models, shape, frame, region, options, progress)
+    }
+
+    /// Plans the convolution of several arrays of light, the *layers*, each with the PSFs of its own
+    /// model, into one image: `F = sum_l sum_x f_l(x) h_l(x)`. For example, each layer is the light of
+    /// one spectrum. The models share their stamps.
+    ///
+    /// The modes of a block represent the PSFs of all layers. So an execution
+    /// ([`Engine::execute_layers`](crate::Engine::execute_layers)) first adds the weighted layers,
+    /// mode by mode, and transforms the sums: layers cost no transforms of their own. The tolerance
+    /// holds for every layer at every position.
+    ///
+    /// # Errors
+    /// As for [`for_region`](Self::for_region), and [`ConvError::Layers`] without models, or if their
+    /// stamps or their scaling to unit flux differ.
+    pub fn of_layers(
+        models: &[PsfModel],
+        shape: FrameShape,
+        frame: PixelRegion,
+        region: PixelRegion,
+        options: PlanOptions,
+        progress: &dyn Progress,
+    ) -> Result<Self, ConvError> {
+        check_layers(models)?;
         let view = View::new(shape, frame)?;
-        let whole = WholeFrame::new::<T>(model, view, options, progress)?;
-        Self::of_whole(model, Arc::new(whole), region, options, progress)
+        let whole = WholeFrame::new::<T>(models, view, options, progress)?;
+        Self::of_whole(Arc::new(whole), region, options, progress)
     }
 
     /// Plans another region of the same frame, or all of it, with the tiles chosen for this plan.
@@ -179,32 +217,33 @@ impl<T: ConvReal> Plan<T> {
     /// [`ConvError::RegionOutsideFrame`] or [`ConvError::Cancelled`].
     pub fn for_other_region(&self, region: PixelRegion, progress: &dyn Progress) -> Result<Self, ConvError> {
         let whole = Arc::clone(&self.whole);
-        Self::of_whole(&self.model, whole, region, self.options, progress)
+        Self::of_whole(whole, region, self.options, progress)
     }
 
-    /// Plans the same frame for another model, such as other coefficients of the same basis. Keeps the
+    /// Plans the same frame for other models, such as other coefficients of the same basis. Keeps the
     /// tiles chosen for this plan, and finds the modes of each block anew, so that the tolerance holds.
     /// This is much faster than a new plan, which may choose other tiles. `memory_bytes` is the limit of
-    /// [`PlanOptions::with_memory`]. `None` if the shape or the centre of the stamps differs.
+    /// [`PlanOptions::with_memory`]. There is one model for each layer ([`of_layers`](Self::of_layers)).
+    /// `None` if the shape or the centre of the stamps differs.
     ///
     /// # Errors
-    /// [`ConvError`] as for [`Self::new`], or [`ConvError::Cancelled`].
-    pub fn for_other_field(
+    /// [`ConvError`] as for [`Self::of_layers`], or [`ConvError::Cancelled`].
+    pub fn for_other_fields(
         &self,
-        model: &PsfModel,
+        models: &[PsfModel],
         memory_bytes: usize,
         progress: &dyn Progress,
     ) -> Result<Option<Self>, ConvError> {
+        check_layers(models)?;
         let options = self.options.with_memory(memory_bytes);
-        let Some(whole) = self.whole.for_other_model(model, options)? else {
+        let Some(whole) = self.whole.for_other_models(models, options)? else {
             return Ok(None);
         };
-        Self::of_whole(model, Arc::new(whole), self.region, options, progress).map(Some)
+        Self::of_whole(Arc::new(whole), self.region, options, progress).map(Some)
     }
 
     #[inline(never)]
     pub(crate) fn of_whole(
-        model: &PsfModel,
         whole: Arc<WholeFrame>,
         region: PixelRegion,
         options: PlanOptions,
@@ -212,7 +251,6 @@ impl<T: ConvReal> Plan<T> {
     ) -> Result<Self, ConvError> {
         let part = whole.part(region)?;
         let mut plan = Self {
-            model: model.clone(),
             light: part.light,
             region,
             geometry: part.geometry,
@@ -248,7 +286,7 @@ impl<T: ConvReal> Plan<T> {
                     progress.check_cancelled()?;
                     let whole = &self.whole;
                     let region = whole.block(columns.start + i % across, rows.start + i / across);
-                    Ok(Block::new(&self.model, &whole.space, region, tolerance, !full))
+                    Ok(Block::new(&whole.space, region, tolerance, !full))
                 })
                 .collect::<Result<_, ConvError>>()?;
             for mut block in made {
@@ -286,9 +324,14 @@ impl<T: ConvReal> Plan<T> {
         }
     }
 
-    /// The model.
+    /// The models of the layers, at least one ([`of_layers`](Self::of_layers)).
+    pub fn models(&self) -> &[PsfModel] {
+        &self.whole.space.models
+    }
+
+    /// The model of the first layer.
     pub fn model(&self) -> &PsfModel {
-        &self.model
+        self.whole.space.model()
     }
 
     /// The options of the plan.
@@ -353,7 +396,8 @@ impl<T: ConvReal> Plan<T> {
 
     /// Predicted seconds for a fully lit tile, and whether the tile is convolved by the direct sum.
     pub(crate) fn whole_tile(&self, tile: (usize, usize), kernels: usize) -> (f64, bool) {
-        let transforms = self.cost.tile(tile, self.tiling.size, kernels as f64);
+        let layers = self.models().len();
+        let transforms = self.cost.tile(tile, self.tiling.size, kernels as f64, layers);
         let direct = self.cost.direct(tile, self.geometry.stamp, kernels);
         if direct < transforms && self.options.paths() == Paths::Cheapest {
             (direct, true)

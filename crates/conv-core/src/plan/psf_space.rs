@@ -9,7 +9,7 @@ use psf_types::{ErrorLimit, FieldError, MeanParts, PixelRegion, Position, PsfMod
 use super::allowed_errors::{AllowedErrors, CellError, ROUNDING_NORM};
 use super::growth_curves::GrowthCurves;
 use super::norm::norm;
-use super::region_cells::RegionCells;
+use super::region_cells::{LayerField, RegionCells};
 use crate::ConvReal;
 
 /// Coordinates in which the norm of a vector is the L2 norm of its PSF.
@@ -20,7 +20,10 @@ use crate::ConvReal;
 /// of node `n` of the coefficient field.
 #[derive(Debug)]
 pub struct PsfSpace {
-    model: PsfModel,
+    /// The model of each layer. They share their stamps.
+    pub(crate) models: Vec<PsfModel>,
+    /// The number of nodes of all layers before each.
+    first_nodes: Vec<usize>,
     pub(crate) mean: Array1<f64>,
     /// The flux of each direction.
     pub(crate) fluxes: Array1<f64>,
@@ -33,9 +36,14 @@ pub struct PsfSpace {
 const SHARE_OF_CELLS: f64 = 0.3;
 
 impl PsfSpace {
-    /// The space of a model's PSFs. Plans that use this space bound the errors that `on` names.
-    pub fn new(model: &PsfModel, on: ToleranceOn) -> Self {
-        let mut space = Self::without_growth(model);
+    /// The space of the PSFs of models that share their stamps, one for each layer. Plans that use
+    /// this space bound the errors that `on` names.
+    ///
+    /// # Panics
+    /// When there are no models.
+    pub fn new(models: &[PsfModel], on: ToleranceOn) -> Self {
+        let mut space = Self::without_growth(models);
+        let model = &models[0];
         if on == ToleranceOn::Aperture {
             // Without a mean, the nodes are usually PSFs.
             let of_nodes = model
@@ -50,19 +58,20 @@ impl PsfSpace {
         space
     }
 
-    /// The space of another model's PSFs. The fluxes in circles are those of the stamps, so they are not
-    /// computed again if both models have the same basis.
-    pub(crate) fn for_other_model(&self, model: &PsfModel, on: ToleranceOn) -> Self {
+    /// The space of other models' PSFs. The fluxes in circles are those of the stamps, so they are not
+    /// computed again if the models have the same basis.
+    pub(crate) fn for_other_models(&self, models: &[PsfModel], on: ToleranceOn) -> Self {
         match &self.growth {
-            Some(growth) if model.has_basis_of(&self.model) => Self {
+            Some(growth) if models[0].has_basis_of(self.model()) => Self {
                 growth: Some(Arc::clone(growth)),
-                ..Self::without_growth(model)
+                ..Self::without_growth(models)
             },
-            _ => Self::new(model, on),
+            _ => Self::new(models, on),
         }
     }
 
-    fn without_growth(model: &PsfModel) -> Self {
+    fn without_growth(models: &[PsfModel]) -> Self {
+        let model = &models[0];
         let MeanParts { along, rest } = model.mean_parts();
         let (mut mean, mut fluxes) = (Vec::new(), Vec::new());
         if let Some((norm, rest)) = rest {
@@ -71,17 +80,34 @@ impl PsfSpace {
         }
         mean.extend(along);
         fluxes.extend_from_slice(&model.stamp_fluxes()[model.stamp_count() - along.len()..]);
+        let mut first_nodes = vec![0];
+        for model in &models[..models.len() - 1] {
+            let before = first_nodes[first_nodes.len() - 1];
+            first_nodes.push(before + model.field().node_values().nrows());
+        }
         Self {
-            model: model.clone(),
+            models: models.to_vec(),
+            first_nodes,
             mean: Array1::from(mean),
             fluxes: Array1::from(fluxes),
             growth: None,
         }
     }
 
+    /// The model of the first layer, whose stamps all layers share.
+    pub(crate) fn model(&self) -> &PsfModel {
+        &self.models[0]
+    }
+
+    /// The field of each layer.
+    fn fields(&self) -> impl Iterator<Item = LayerField<'_>> {
+        let fields = self.models.iter().map(PsfModel::field);
+        fields.zip(self.first_nodes.iter().copied())
+    }
+
     /// The number of pixels of a stamp.
     pub(crate) fn pixel_count(&self) -> usize {
-        self.model.grid().pixel_count()
+        self.model().grid().pixel_count()
     }
 
     /// The stamps of the directions, `[direction, stamp pixel]`.
@@ -117,30 +143,31 @@ impl PsfSpace {
 
     /// The direction that the components do not span, if there is one, `[stamp pixel]`.
     fn rest_of_mean(&self) -> Option<ArrayView1<'_, f64>> {
-        let rest = self.model.mean_parts().rest.as_ref();
+        let rest = self.model().mean_parts().rest.as_ref();
         rest.map(|(_, rest)| rest.view())
     }
 
     /// The components, `[component, stamp pixel]`.
     fn components(&self) -> ArrayView2<'_, f64> {
-        let stamps = self.model.stamps();
+        let stamps = self.model().stamps();
         let shape = (stamps.dim().0, self.pixel_count());
         let stamps = stamps.into_shape_with_order(shape).expect("stamps are row-major");
-        stamps.slice_move(s![usize::from(self.model.is_mean_centred()).., ..])
+        stamps.slice_move(s![usize::from(self.model().is_mean_centred()).., ..])
     }
 
-    /// Sets `psf` to the vector of the PSF at a position, not scaled to unit flux. `coefficients` is
-    /// memory for those of the model's stamps.
+    /// Sets `psf` to the vector of a layer's PSF at a position, not scaled to unit flux. `coefficients`
+    /// is memory for those of the model's stamps.
     pub(crate) fn psf_into(
         &self,
+        layer: usize,
         position: Position,
         coefficients: &mut [f64],
         psf: &mut Array1<f64>,
     ) -> Result<(), FieldError> {
-        self.model.coefficients_into(position, coefficients)?;
+        self.models[layer].coefficients_into(position, coefficients)?;
         psf.assign(&self.mean);
         let mut along_components = psf.slice_mut(s![self.first_component()..]);
-        along_components += &ArrayView1::from(&coefficients[usize::from(self.model.is_mean_centred())..]);
+        along_components += &ArrayView1::from(&coefficients[usize::from(self.model().is_mean_centred())..]);
         Ok(())
     }
 
@@ -153,18 +180,22 @@ impl PsfSpace {
     /// region: [`SHARE_OF_CELLS`] of it for the faintest of a few PSFs.
     pub(crate) fn error_of_cells(&self, region: PixelRegion, tolerance: f64) -> CellError {
         let last = (region.shape().nx() - 1, region.shape().ny() - 1);
-        let (mut psf, mut coefficients) = (self.mean.clone(), vec![0.0; self.model.stamp_count()]);
+        let (mut psf, mut coefficients) = (self.mean.clone(), vec![0.0; self.model().stamp_count()]);
         let mut sizes = Vec::new();
         for (column, row) in [(0, 0), (last.0, 0), (0, last.1), last, (last.0 / 2, last.1 / 2)] {
             let position = region.position(column, row);
-            if self.psf_into(position, &mut coefficients, &mut psf).is_err() {
-                continue;
+            for layer in 0..self.models.len() {
+                if self
+                    .psf_into(layer, position, &mut coefficients, &mut psf)
+                    .is_ok()
+                {
+                    sizes.push((norm(psf.view()), psf.dot(&self.fluxes).abs()));
+                }
             }
-            sizes.push((norm(psf.view()), psf.dot(&self.fluxes).abs()));
         }
         // With this weight, an error of the flux counts as much as an error of coefficients that
         // changes the scaled PSF equally.
-        let flux_weight = if self.model.needs_flux_scaling() {
+        let flux_weight = if self.model().needs_flux_scaling() {
             let scaled = sizes.iter().map(|(size, flux)| size / flux);
             scaled.fold(0.0, f64::max)
         } else {
@@ -193,7 +224,9 @@ impl PsfSpace {
 
     /// The cells of a region.
     pub fn cells(&self, region: PixelRegion, error: CellError) -> RegionCells {
-        self.with_limit(error, |limit| RegionCells::new(self.model.field(), region, limit))
+        self.with_limit(error, |limit| {
+            RegionCells::of_layers(self.fields(), region, limit)
+        })
     }
 
     fn with_limit<R>(&self, error: CellError, use_limit: impl FnOnce(ErrorLimit<'_>) -> R) -> R {
@@ -208,14 +241,17 @@ impl PsfSpace {
 
     /// A few cells of a region, without any error.
     pub(crate) fn sampled_cells(&self, region: PixelRegion) -> RegionCells {
-        RegionCells::sampled(self.model.field(), region)
+        RegionCells::sampled(self.fields(), region)
     }
 
     /// About how many cells a region has with the first guess of their error.
     pub(crate) fn expected_cells(&self, region: PixelRegion, tolerance: f64) -> usize {
         let error = self.error_of_cells(region, tolerance);
         self.with_limit(error, |limit| {
-            RegionCells::expected(self.model.field(), region, limit)
+            let fields = self.fields();
+            fields
+                .map(|(field, _)| RegionCells::expected(field, region, limit))
+                .sum()
         })
     }
 
@@ -248,7 +284,15 @@ impl PsfSpace {
     /// The rows whose sum, weighted by the nodes' weights, is a PSF: one for each node of some
     /// cells, `[node, direction]`, then the offset, whose weight is 1.
     pub(crate) fn rows(&self, cells: &RegionCells) -> Array2<f64> {
-        let values = self.model.field().node_values();
+        let values: Vec<_> = self
+            .models
+            .iter()
+            .map(|model| model.field().node_values())
+            .collect();
+        let value_of = |node: usize| {
+            let layer = self.first_nodes.partition_point(|&first| first <= node) - 1;
+            values[layer].row(node - self.first_nodes[layer])
+        };
         let mut rows = Array2::zeros((cells.nodes.len() + 1, self.mean.len()));
         let (mut nodes, mut offset) = rows.view_mut().split_at(Axis(0), cells.nodes.len());
         let sums_to_1 = cells.is_partition_of_unity();
@@ -257,7 +301,7 @@ impl PsfSpace {
                 row.assign(&self.mean);
             }
             let mut along_components = row.slice_mut(s![self.first_component()..]);
-            along_components += &values.row(node);
+            along_components += &value_of(node);
         }
         if !sums_to_1 {
             offset += &self.mean;

@@ -28,6 +28,10 @@ pub struct RegionCells {
     /// The largest size ([`ErrorLimit`]) of the coefficients' errors, because they are not quite
     /// bilinear in the cells.
     pub(crate) error: f64,
+    /// The number of layers, each with a field of its own. The rows of layer `l` begin at row `l` times
+    /// the number of the region's rows. All layers together are as one region, with all nodes of all
+    /// fields.
+    pub(crate) layers: usize,
 }
 
 /// Neighbouring rows of a region that are divided at the same columns.
@@ -65,48 +69,91 @@ struct Stretch {
     edges: Vec<f64>,
 }
 
+/// The field of a layer, and the number of nodes of all layers before it.
+pub(crate) type LayerField<'a> = (&'a dyn CoefficientField, usize);
+
 impl RegionCells {
     /// The cells of a field in a region. Together they cover all rows of the region. In the cells,
     /// coefficients are bilinear up to `error`.
     pub fn new(field: &dyn CoefficientField, region: PixelRegion, error: ErrorLimit<'_>) -> Self {
+        Self::of_layers([(field, 0)].into_iter(), region, error)
+    }
+
+    /// The cells of all layers.
+    pub(crate) fn of_layers<'a>(
+        fields: impl Iterator<Item = LayerField<'a>>,
+        region: PixelRegion,
+        error: ErrorLimit<'_>,
+    ) -> Self {
         let mut all = Self::default();
-        all.add_rows(field, region, 0..region.shape().ny(), error);
+        for (field, nodes) in fields {
+            all.add_layer(nodes, region, |all| {
+                all.add_rows(field, region, 0..region.shape().ny(), error);
+            });
+        }
         all.number_nodes();
         all
     }
 
-    /// The cells of a few rows of a region, which include the first and the last row. Each of these
+    /// Adds the bands of the next layer, whose nodes follow `nodes` others.
+    fn add_layer(&mut self, nodes: usize, region: PixelRegion, add: impl FnOnce(&mut Self)) {
+        let (bands, cells, weights) = (self.bands.len(), self.cells.len(), self.weights.len());
+        add(self);
+        let above = self.layers * region.shape().ny();
+        self.layers += 1;
+        if above == 0 {
+            return;
+        }
+        for band in &mut self.bands[bands..] {
+            band.rows = band.rows.start + above..band.rows.end + above;
+        }
+        for cell in &mut self.cells[cells..] {
+            let (low, high) = cell.sides[1];
+            cell.sides[1] = (low + above as f64, high + above as f64);
+        }
+        for (node, _) in &mut self.weights[weights..] {
+            *node += nodes;
+        }
+    }
+
+    /// The cells of a few rows of each layer of a region, which include the first and the last row. Each of these
     /// rows is a band of its own, with cells between a few columns unless the field has runs. The
     /// other rows have no cells.
-    pub(crate) fn sampled(field: &dyn CoefficientField, region: PixelRegion) -> Self {
+    pub(crate) fn sampled<'a>(fields: impl Iterator<Item = LayerField<'a>>, region: PixelRegion) -> Self {
+        let mut all = Self::default();
+        for (field, nodes) in fields {
+            all.add_layer(nodes, region, |all| all.add_sampled_rows(field, region));
+        }
+        all.number_nodes();
+        all
+    }
+
+    fn add_sampled_rows(&mut self, field: &dyn CoefficientField, region: PixelRegion) {
         let (nx, ny) = (region.shape().nx(), region.shape().ny());
         let has_runs = matches!(
             field.bilinear_cells(region, ErrorLimit::ZERO),
             BilinearCells::Bands(_) | BilinearCells::Rectangles(_)
         );
-        let mut all = Self::default();
         let count = SAMPLED_ROWS.min(ny);
         for i in 0..count {
             let row = i * (ny - 1) / (count - 1).max(1);
             if has_runs {
-                all.add_band(field, region, row..row + 1);
+                self.add_band(field, region, row..row + 1);
                 continue;
             }
             let columns = parts(0, nx, nx.div_ceil(SAMPLED_COLUMNS));
             let runs: Vec<Run> = columns
                 .into_iter()
                 .map(|(first, length)| {
-                    let mut at = |column: usize| all.corner(field, region, [column as f64, row as f64]);
+                    let mut at = |column: usize| self.corner(field, region, [column as f64, row as f64]);
                     Run {
                         columns: first..first + length,
                         corners: at(first).zip(at(first + length - 1)).map(|(a, b)| [a, b]),
                     }
                 })
                 .collect();
-            all.push_band(row..row + 1, &runs, &runs);
+            self.push_band(row..row + 1, &runs, &runs);
         }
-        all.number_nodes();
-        all
     }
 
     /// About how many cells [`new`](Self::new) makes.

@@ -126,8 +126,8 @@ fn fastest<T: ConvReal>(
         progress.check_cancelled()?;
         Ok((areas[i], tilings[i].contents::<T>(space, geometry, options)))
     };
-    let stamps = space.mean.len();
-    let seconds = |i: usize, contents| tilings[i].seconds::<T>(contents, stamps, geometry, options);
+    let sizes = (space.mean.len(), space.models.len());
+    let seconds = |i: usize, contents| tilings[i].seconds::<T>(contents, sizes, geometry, options);
     let mut best = (f64::INFINITY, 0);
     // Of equally fast tilings, takes the first.
     let mut time = |tilings: Range<usize>, low, high| {
@@ -284,12 +284,12 @@ impl Tiling {
         }
     }
 
-    /// Predicted seconds of the plan and of one execution, if every pixel is lit. `stamps` is the
-    /// number of stamps of the model.
+    /// Predicted seconds of the plan and of one execution, if every pixel is lit. `stamps` and `layers`
+    /// are the numbers of stamps of the model and of layers.
     fn seconds<T: ConvReal>(
         &self,
         Contents { kernels, cells }: Contents,
-        stamps: usize,
+        (stamps, layers): (usize, usize),
         geometry: &Geometry,
         options: PlanOptions,
     ) -> f64 {
@@ -307,7 +307,7 @@ impl Tiling {
             + CostModel::plan_and_expand(cells, kernels)
             + CostModel::make_stamps(geometry.stamp, stamps, kernels, made_anew)
             + tiles_a_block
-                * (cost.tile(tile, self.size, kernels)
+                * (cost.tile(tile, self.size, kernels, layers)
                     + if tiles_a_block > 1.0 {
                         cost.read_spectra(self.size, kernels)
                     } else {
@@ -362,14 +362,15 @@ pub(crate) struct Part {
 impl WholeFrame {
     /// Chooses the tiles.
     pub(crate) fn new<T: ConvReal>(
-        model: &PsfModel,
+        models: &[PsfModel],
         view: View,
         options: PlanOptions,
         progress: &dyn Progress,
     ) -> Result<Self, ConvError> {
+        let model = &models[0];
         let (reach, anchor) = (Reach::of(model.grid())?, options.anchor());
         let (_, geometry) = sides(view, view.frame.shape().region(), reach, anchor)?;
-        let space = PsfSpace::new(model, options.tolerance_on());
+        let space = PsfSpace::new(models, options.tolerance_on());
         let tiling = best_tiling::<T>(model, &space, &geometry, options, progress)?;
         Ok(Self {
             view,
@@ -381,16 +382,16 @@ impl WholeFrame {
         })
     }
 
-    /// The tiles with the PSFs of another model. `None` if the stamps reach other pixels.
-    pub(crate) fn for_other_model(
+    /// The tiles with the PSFs of other models. `None` if the stamps reach other pixels.
+    pub(crate) fn for_other_models(
         &self,
-        model: &PsfModel,
+        models: &[PsfModel],
         options: PlanOptions,
     ) -> Result<Option<Self>, ConvError> {
-        let reach = Reach::of(model.grid())?;
+        let reach = Reach::of(models[0].grid())?;
         let whole = || Self {
             view: self.view,
-            space: self.space.for_other_model(model, options.tolerance_on()),
+            space: self.space.for_other_models(models, options.tolerance_on()),
             geometry: self.geometry,
             tiling: self.tiling.clone(),
             reach,

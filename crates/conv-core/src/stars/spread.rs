@@ -162,8 +162,8 @@ impl<T: ConvReal> Spreader<T> {
         let ([x, y], taps) = (&self.axes, self.taps);
         let (cost, size) = (CostModel::of::<T>(), transform_size((x.lit(), y.lit())));
         let stamp = (x.kernel, y.kernel);
-        let convolve =
-            cost.tile((x.length, y.length), size, planes as f64) + planes as f64 * cost.kernel(size, stamp);
+        let convolve = cost.tile((x.length, y.length), size, planes as f64, 1)
+            + planes as f64 * cost.kernel(size, stamp);
         let products = x.kernel * y.kernel * taps * (x.oversampling.min(taps) * kernels + 1);
         convolve < stars as f64 * (cost.draw_star(products) - cost.spread_star(taps * taps * kernels))
     }

@@ -103,7 +103,7 @@ impl<T: ConvReal> StarPlan<T> {
         Ok(Self {
             phased: axes
                 .map(|axes| -> Result<_, ConvError> {
-                    let space = PsfSpace::new(model, options.tolerance_on());
+                    let space = PsfSpace::new(std::slice::from_ref(model), options.tolerance_on());
                     let layout = RowLayout::new(&axes[0]);
                     let tolerance = options.tolerance_in::<T>();
                     Ok(Phased {

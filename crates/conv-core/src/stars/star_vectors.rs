@@ -32,7 +32,7 @@ impl<'a> StarVectors<'a> {
     /// to unit flux, or 1 if the model needs no scaling.
     pub(crate) fn set(&mut self, position: Position) -> Result<f64, FieldError> {
         self.space
-            .psf_into(position, &mut self.coefficients, &mut self.psf)?;
+            .psf_into(0, position, &mut self.coefficients, &mut self.psf)?;
         self.flux = self.psf.dot(&self.space.fluxes);
         if !self.model.needs_flux_scaling() {
             Ok(1.0)

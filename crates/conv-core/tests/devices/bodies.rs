@@ -251,6 +251,7 @@ impl RowStream<f32> for Rows<'_> {
     type Error = ConvError;
     fn read(
         &mut self,
+        _layer: usize,
         rows: std::ops::Range<usize>,
         mut light: ArrayViewMut2<'_, f32>,
     ) -> Result<(), ConvError> {

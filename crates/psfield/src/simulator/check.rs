@@ -85,7 +85,7 @@ impl<T: ConvReal> Simulator<T> {
     ) -> Result<SpotCheck, PsfieldError> {
         SpotCheck::of_picked::<T>(picker, |pixels| {
             let mut allowed = self.promised(true, pixels.len());
-            let mut rows = SceneRows::new(self, scene, rows, progress);
+            let mut rows = SceneRows::new(vec![(self, scene.sources())], rows, progress);
             let exact = self.exact_by_rows(scene, &mut rows, pixels, allowed.as_deref_mut(), progress)?;
             if let Some(allowed) = &mut allowed {
                 self.add_errors_of_sources(scene, pixels, allowed)?;
@@ -181,7 +181,7 @@ impl<T: ConvReal> Simulator<T> {
             let from = of_scene(first).saturating_sub(reach);
             let to = (of_scene(rest[count - 1].1 + 1) + reach).min(shape.ny());
             let mut light = Array2::zeros((to - from, shape.nx()));
-            rows.read(from..to, light.view_mut())?;
+            rows.read(0, from..to, light.view_mut())?;
             let part = (light.view(), (0, from));
             if let Some(allowed) = &mut allowed {
                 let of_band = &mut allowed[sums.len()..sums.len() + count];
@@ -255,7 +255,7 @@ impl<T: ConvReal> Simulator<T> {
 
     /// Adds the largest errors that the scene's image may have in pixels of the image. `light` is a
     /// part of the scene's image, and the column and row at which it begins.
-    fn add_errors_of_image(
+    pub(super) fn add_errors_of_image(
         &self,
         (light, (x0, y0)): (ArrayView2<'_, T>, (usize, usize)),
         pixels: &[(usize, usize)],

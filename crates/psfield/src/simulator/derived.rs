@@ -64,9 +64,10 @@ impl<T: ConvReal> Simulator<T> {
             return Ok(other);
         };
         check_flux(other.psf(), model, &options)?;
-        let plan = engine
-            .plan()
-            .for_other_field(model, options.memory_bytes(), progress)?;
+        let plan =
+            engine
+                .plan()
+                .for_other_fields(std::slice::from_ref(model), options.memory_bytes(), progress)?;
         let Some(plan) = plan else {
             return Ok(other);
         };

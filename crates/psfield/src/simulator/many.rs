@@ -66,8 +66,7 @@ impl<T: ConvReal> Simulator<T> {
         let views = images.iter_mut().map(|image| image.view_mut()).collect();
         engine.execute_many(Operation::Convolve, &lights, views, progress)?;
         for (scene, image) in scenes.iter().zip(images) {
-            let sources = (scene.stars(), scene.galaxies());
-            self.draw_sources_into(sources, self.geometry.region, image, &Uncounted(progress))?;
+            self.draw_sources_into(scene.sources(), self.geometry.region, image, &Uncounted(progress))?;
         }
         Ok(())
     }

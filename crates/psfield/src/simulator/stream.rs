@@ -4,9 +4,10 @@ use std::ops::Range;
 
 use conv_core::{ConvError, ConvReal, RowStream, TileCounts};
 use ndarray::{ArrayView2, ArrayViewMut2};
-use psf_types::{FrameShape, Image, PixelRegion, PointSource, Progress, SersicSource};
+use psf_types::{FrameShape, Image, PixelRegion, Progress};
 
 use super::Simulator;
+use crate::scene::SceneSources;
 use crate::{PsfieldError, Scene};
 
 impl<T: ConvReal> Simulator<T> {
@@ -30,7 +31,7 @@ impl<T: ConvReal> Simulator<T> {
         self.check_sources(scene, true)?;
         let convolver = self.convolver(progress)?;
         let engine = convolver.engine_for("rows can be streamed")?;
-        let mut rows = SceneRows::new(self, scene, rows, progress);
+        let mut rows = SceneRows::new(vec![(self, scene.sources())], rows, progress);
         engine.stream(&mut rows, progress)
     }
 }
@@ -39,10 +40,9 @@ impl<T: ConvReal> Simulator<T> {
 /// image (the convolved scene, in scene pixels), the adapter samples them once per frame pixel. It
 /// adds stars and galaxies, and writes the result to the caller's stream.
 pub(super) struct SceneRows<'a, T: ConvReal, R> {
-    simulator: &'a Simulator<T>,
+    /// The simulators of all spectra, which differ only in their PSFs, and their sources.
+    spectra: Vec<(&'a Simulator<T>, SceneSources<'a>)>,
     inner: &'a mut R,
-    stars: &'a [PointSource],
-    galaxies: &'a [SersicSource],
     progress: &'a dyn Progress,
     /// Number of rows of the fine image that the engine has written.
     fine_rows: usize,
@@ -52,16 +52,13 @@ pub(super) struct SceneRows<'a, T: ConvReal, R> {
 
 impl<'a, T: ConvReal, R: RowStream<T>> SceneRows<'a, T, R> {
     pub(super) fn new(
-        simulator: &'a Simulator<T>,
-        scene: &'a Scene<'_, T>,
+        spectra: Vec<(&'a Simulator<T>, SceneSources<'a>)>,
         inner: &'a mut R,
         progress: &'a dyn Progress,
     ) -> Self {
         Self {
-            simulator,
+            spectra,
             inner,
-            stars: scene.stars(),
-            galaxies: scene.galaxies(),
             progress,
             fine_rows: 0,
             image_rows: 0,
@@ -75,12 +72,17 @@ where
 {
     type Error = R::Error;
 
-    fn read(&mut self, rows: Range<usize>, light: ArrayViewMut2<'_, T>) -> Result<(), R::Error> {
-        self.inner.read(rows, light)
+    fn read(
+        &mut self,
+        layer: usize,
+        rows: Range<usize>,
+        light: ArrayViewMut2<'_, T>,
+    ) -> Result<(), R::Error> {
+        self.inner.read(layer, rows, light)
     }
 
     fn write(&mut self, rows: ArrayView2<'_, T>) -> Result<(), R::Error> {
-        let geometry = &self.simulator.geometry;
+        let geometry = &self.spectra[0].0.geometry;
         let mut sampled = geometry.sampled_rows(rows, self.fine_rows);
         self.fine_rows += rows.nrows();
         if sampled.nrows() > 0 {
@@ -90,12 +92,9 @@ where
                 geometry.region.y0() + self.image_rows as i64,
             );
             let region = PixelRegion::new(x0, y0, shape);
-            self.simulator.draw_sources_into(
-                (self.stars, self.galaxies),
-                region,
-                sampled.view_mut(),
-                self.progress,
-            )?;
+            for &(simulator, sources) in &self.spectra {
+                simulator.draw_sources_into(sources, region, sampled.view_mut(), self.progress)?;
+            }
             self.image_rows += sampled.nrows();
             let sampled = Image::new(sampled).map_err(ConvError::Result)?;
             self.inner.write(sampled.pixels())?;

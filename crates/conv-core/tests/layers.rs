@@ -1,0 +1,227 @@
+//! Tests of plans for several layers of light, each with its own PSFs.
+
+#[allow(dead_code, reason = "each test binary uses a part")]
+mod common;
+
+use std::sync::Arc;
+
+use common::{ANCHORS, Waves, model_with, options, peak};
+use conv_core::{
+    ConvError, ConvReal, ConvolutionMethod, Direct, Engine, Operation, Paths, Plan, PlanOptions, RowStream,
+};
+use ndarray::{Array2, ArrayView2, ArrayViewMut2, s};
+use psf_types::{
+    Anchor, CoefficientField, FieldError, FrameShape, ImageView, NoProgress, Normalisation, Position,
+    PsfModel,
+};
+
+const SIZE: (usize, usize) = (170, 131);
+/// Rounding of images in f64, relative to the peak.
+const ROUNDING: f64 = 1e-12;
+
+/// The field of a layer: [`Waves`], scaled and shifted.
+#[derive(Debug)]
+struct Layer(f64);
+
+impl CoefficientField for Layer {
+    fn component_count(&self) -> usize {
+        Waves.component_count()
+    }
+    fn evaluate_into(&self, p: Position, a: &mut [f64]) -> Result<(), FieldError> {
+        let at = Position::new(p.x() + 40.0 * self.0, p.y() - 25.0 * self.0).expect("finite");
+        Waves.evaluate_into(at, a)?;
+        for a in a.iter_mut() {
+            *a *= 1.0 - 0.3 * self.0;
+        }
+        Ok(())
+    }
+}
+
+fn models(normalisation: Normalisation) -> Vec<PsfModel> {
+    let first = model_with(Arc::new(Layer(0.0)), (23, 18), (11, 9), true, normalisation);
+    let others = [0.7, 1.9].map(|shift| first.with_field(Arc::new(Layer(shift))).unwrap());
+    std::iter::once(first).chain(others).collect()
+}
+
+fn shape() -> FrameShape {
+    FrameShape::new(SIZE.0, SIZE.1).unwrap()
+}
+
+/// Light of a layer: lit everywhere, here and there, with one bright pixel, or nowhere.
+fn light<T: ConvReal>(kind: usize, layer: usize) -> Array2<T> {
+    Array2::from_shape_fn((SIZE.1, SIZE.0), |(y, x)| {
+        let even = ((3 * x + 5 * y + 7 * layer) % 11) as f64;
+        let lit = (31 * x + 17 * y + layer).is_multiple_of(1409);
+        T::nearest(match kind {
+            0 => even,
+            1 if lit => 100.0,
+            2 if (x, y) == (90 + layer, 60) => 1e6,
+            2 => even,
+            3 if layer == 1 => even,
+            _ => 0.0,
+        })
+    })
+}
+
+fn views<T: ConvReal>(light: &[Array2<T>]) -> Vec<ImageView<'_, T>> {
+    light.iter().map(|l| ImageView::new(l.view()).unwrap()).collect()
+}
+
+fn exact(models: &[PsfModel], light: &[Array2<f64>], anchor: Anchor) -> Array2<f64> {
+    let mut sum = Array2::zeros((SIZE.1, SIZE.0));
+    for (model, light) in models.iter().zip(views(light)) {
+        let direct = Direct::new(anchor);
+        let image = direct
+            .convolve(model, &light, shape().region(), &NoProgress)
+            .unwrap();
+        sum += &image.pixels();
+    }
+    sum
+}
+
+fn plan<T: ConvReal>(models: &[PsfModel], options: PlanOptions) -> Plan<T> {
+    let frame = shape().region();
+    Plan::of_layers(models, shape(), frame, frame, options, &NoProgress).unwrap()
+}
+
+#[test]
+fn layers_equal_the_sum_of_direct_convolutions() {
+    for normalisation in [Normalisation::Unit, Normalisation::Keep] {
+        let models = models(normalisation);
+        for anchor in ANCHORS {
+            for paths in [Paths::Cheapest, Paths::Transforms] {
+                for tolerance in [0.0, 1e-3] {
+                    let engine = Engine::new(plan::<f64>(&models, options(tolerance, anchor, paths)));
+                    for kind in 0..4 {
+                        let light: Vec<_> = (0..3).map(|layer| light(kind, layer)).collect();
+                        let exact = exact(&models, &light, anchor);
+                        let mut image = engine.plan().zeros();
+                        engine
+                            .execute_layers(&views(&light), image.view_mut(), &NoProgress)
+                            .unwrap();
+                        let error = peak(&(&image - &exact)) / peak(&exact);
+                        let allowed = tolerance + ROUNDING;
+                        let case = format!("{normalisation} {anchor} {paths:?} {tolerance:e}, kind {kind}");
+                        assert!(error <= allowed, "{case}: {error:e}");
+                    }
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn layers_in_single_precision_do_not_depend_on_threads() {
+    let models = models(Normalisation::Unit);
+    let engine = Engine::new(plan::<f32>(
+        &models,
+        options(1e-3, Anchor::Source, Paths::Cheapest),
+    ));
+    for kind in 0..3 {
+        let light: Vec<Array2<f32>> = (0..3).map(|layer| light(kind, layer)).collect();
+        let in_f64: Vec<_> = light.iter().map(|l| l.mapv(f64::from)).collect();
+        let exact = exact(&models, &in_f64, Anchor::Source);
+        let image = |threads| {
+            let pool = rayon::ThreadPoolBuilder::new()
+                .num_threads(threads)
+                .build()
+                .unwrap();
+            let mut image = engine.plan().zeros();
+            pool.install(|| engine.execute_layers(&views(&light), image.view_mut(), &NoProgress))
+                .unwrap();
+            image
+        };
+        let single = image(1);
+        assert!(single == image(3));
+        let error = peak(&(&single.mapv(f64::from) - &exact)) / peak(&exact);
+        assert!(error < 1e-3, "{kind}: {error:e}");
+    }
+}
+
+/// Light in bands of rows, and the image of all bands.
+struct Bands<'a> {
+    light: &'a [Array2<f64>],
+    image: Vec<f64>,
+}
+
+impl RowStream<f64> for Bands<'_> {
+    type Error = ConvError;
+    fn read(
+        &mut self,
+        layer: usize,
+        rows: std::ops::Range<usize>,
+        mut light: ArrayViewMut2<'_, f64>,
+    ) -> Result<(), ConvError> {
+        light.assign(&self.light[layer].slice(s![rows, ..]));
+        Ok(())
+    }
+    fn write(&mut self, rows: ArrayView2<'_, f64>) -> Result<(), ConvError> {
+        self.image.extend(rows);
+        Ok(())
+    }
+}
+
+#[test]
+fn streamed_layers_give_the_same_image() {
+    let models = models(Normalisation::Keep);
+    let light: Vec<_> = (0..3).map(|layer| light(2, layer)).collect();
+    for anchor in ANCHORS {
+        let engine = Engine::new(plan::<f64>(&models, options(1e-3, anchor, Paths::Cheapest)));
+        let mut whole = engine.plan().zeros();
+        engine
+            .execute_layers(&views(&light), whole.view_mut(), &NoProgress)
+            .unwrap();
+        let (light, image) = (&light[..], Vec::new());
+        let mut bands = Bands { light, image };
+        engine.stream(&mut bands, &NoProgress).unwrap();
+        assert_eq!(bands.image, whole.iter().copied().collect::<Vec<_>>(), "{anchor}");
+    }
+}
+
+#[test]
+fn a_plan_of_layers_for_other_fields_keeps_its_tiles() {
+    let models = models(Normalisation::Keep);
+    let options = options(1e-3, Anchor::Source, Paths::Cheapest);
+    let first = plan::<f64>(&models, options);
+    let turned: Vec<_> = models.iter().rev().cloned().collect();
+    let other = first
+        .for_other_fields(&turned, 1 << 28, &NoProgress)
+        .unwrap()
+        .unwrap();
+    assert_eq!(other.summary().tiles, first.summary().tiles);
+    let light: Vec<_> = (0..3).map(|layer| light(0, layer)).collect();
+    let exact = exact(&turned, &light, Anchor::Source);
+    let mut image = other.zeros();
+    Engine::new(other)
+        .execute_layers(&views(&light), image.view_mut(), &NoProgress)
+        .unwrap();
+    assert!(peak(&(&image - &exact)) / peak(&exact) < 1e-3);
+}
+
+#[test]
+fn layers_that_do_not_belong_together_are_refused() {
+    let models = models(Normalisation::Keep);
+    let frame = shape().region();
+    let options = options(1e-3, Anchor::Source, Paths::Cheapest);
+    let refused = |models: &[PsfModel]| {
+        let made = Plan::<f32>::of_layers(models, shape(), frame, frame, options, &NoProgress);
+        made.unwrap_err().to_string()
+    };
+    let other = model_with(Arc::new(Waves), (21, 18), (11, 9), true, Normalisation::Keep);
+    assert!(refused(&[models[0].clone(), other]).contains("the same stamps"));
+    assert!(refused(&[]).contains("at least one model"));
+    let engine = Engine::new(plan::<f32>(&models, options));
+    let light = light::<f32>(0, 0);
+    let one = ImageView::new(light.view()).unwrap();
+    let mut image = engine.plan().zeros();
+    for operation in [Operation::Convolve, Operation::Adjoint] {
+        let error = engine
+            .execute(operation, &one, image.view_mut(), &NoProgress)
+            .unwrap_err();
+        assert!(matches!(error, ConvError::Layers(_)), "{error}");
+    }
+    let error = engine
+        .execute_layers(&[one], image.view_mut(), &NoProgress)
+        .unwrap_err();
+    assert!(error.to_string().contains("as many layers"), "{error}");
+}

@@ -1,0 +1,269 @@
+//! Images of scenes whose light has several spectra.
+
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+use std::time::Instant;
+
+use conv_core::{ConvError, ConvReal, Engine, Plan, PlanSummary, RowStream, TileCounts};
+use ndarray::ArrayViewMut2;
+use psf_types::{Image, ImageView, NoProgress, Progress, PsfModel};
+
+use super::flux::check_flux;
+use super::stream::SceneRows;
+use super::{Convolver, Simulator, on_scene_pixels};
+use crate::psf::get_or_make;
+use crate::{ErrorKind, Psf, PsfieldError, Scene, SimulateOptions, SpotCheck};
+
+/// Makes images of scenes in colour: one [`Scene`] for each spectrum, added up in one image.
+///
+/// The PSF has one state for each spectrum ([`Psf::for_spectra`]). The images of all scenes are
+/// convolved together: the engine adds the images, weighted for each mode, and transforms the sums. So
+/// colour costs no convolutions of its own. The tolerance holds for every position and every spectrum.
+/// Stars and galaxies are drawn with the PSFs of their own spectra.
+///
+/// ```
+/// use ndarray::{Array2, Array3};
+/// use psfield::psf_types::{
+///     Position, PsfSamples, SamplePositions, SampleStates, StampGrid, StateKind,
+/// };
+/// use psfield::spectra::{Bandpass, Curve};
+/// use psfield::{ColourSimulator, Psf, Scene, SimulateOptions, open_spectrum};
+/// // A PSF that widens with the wavelength.
+/// let stamps = Array3::from_shape_fn((2, 17, 17), |(j, y, x)| {
+///     let square = (y as f64 - 8.0).powi(2) + (x as f64 - 8.0).powi(2);
+///     (-square / (3.0 + j as f64)).exp()
+/// });
+/// let wavelengths = SampleStates::new(StateKind::Wavelength, &[0.5, 0.7])?;
+/// let positions = SamplePositions::with_states(vec![Position::of_pixel(0, 0); 2], None, Some(wavelengths))?;
+/// let psf = Psf::from(PsfSamples::new(stamps, positions, StampGrid::new(17, 17)?)?);
+///
+/// let bandpass = Bandpass::new(Curve::new(vec![0.5, 0.6, 0.7], vec![0.0, 1.0, 0.0])?);
+/// let spectra = [open_spectrum("blackbody:3500")?, open_spectrum("blackbody:12000")?];
+/// let psf = psf.for_spectra(&bandpass, &spectra)?;
+/// let simulator = ColourSimulator::<f32>::new(&psf, (40, 50), &SimulateOptions::default())?;
+/// let (red, blue) = (Scene::new(Array2::ones((40, 50)))?, Scene::new(Array2::ones((40, 50)))?);
+/// let image = simulator.simulate(&[red, blue])?;
+/// assert!((image.pixels()[[20, 25]] - 2.0).abs() < 1e-3);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+#[derive(Debug)]
+pub struct ColourSimulator<T: ConvReal> {
+    psf: Psf,
+    /// One for each spectrum.
+    spectra: Vec<Simulator<T>>,
+    /// The PSF on the pixels of the scenes' images, with all its states.
+    on_pixels: OnceLock<Psf>,
+    /// The engines for the images of some spectra, by the numbers of these spectra.
+    engines: Mutex<Vec<(Vec<usize>, Arc<Engine<T>>)>>,
+}
+
+impl<T: ConvReal> ColourSimulator<T> {
+    /// Makes a simulator for scenes of `shape` `(ny, nx)`, in the scenes' own pixels. Each state of
+    /// the PSF is a spectrum. Plans are made when the first scenes need them.
+    ///
+    /// # Errors
+    /// The errors of [`SimulatorBuilder::build`](crate::SimulatorBuilder::build).
+    pub fn new(psf: &Psf, shape: (usize, usize), options: &SimulateOptions) -> Result<Self, PsfieldError> {
+        let of_state = |psf: Psf| psf.simulator(shape).options(options.clone()).build::<T>();
+        let spectra = match psf.states() {
+            None => vec![of_state(psf.clone())?],
+            Some(states) => {
+                let values = states.values().iter();
+                let made = values.map(|&value| psf.at_state(value).and_then(of_state));
+                made.collect::<Result<_, _>>()?
+            }
+        };
+        Ok(Self {
+            psf: psf.clone(),
+            spectra,
+            on_pixels: OnceLock::new(),
+            engines: Mutex::new(Vec::new()),
+        })
+    }
+
+    /// The simulators of the spectra, in the order of the PSF's states. They differ only in their PSF.
+    pub fn spectra(&self) -> &[Simulator<T>] {
+        &self.spectra
+    }
+
+    /// Returns the image of the scenes, one for each spectrum.
+    ///
+    /// # Errors
+    /// The errors of [`simulate_into`](Self::simulate_into).
+    pub fn simulate(&self, scenes: &[Scene<'_, T>]) -> Result<Image<T>, PsfieldError> {
+        self.check_scenes(scenes, false)?;
+        let mut image = self.spectra[0].zeros();
+        self.simulate_into(scenes, image.view_mut(), &NoProgress)?;
+        Ok(Image::new(image)?)
+    }
+
+    /// Adds the image of the scenes, one for each spectrum, to `image`. Scenes may lack an image.
+    /// Otherwise as [`Simulator::simulate_into`].
+    ///
+    /// # Errors
+    /// The errors of [`Simulator::simulate_into`], and [`ErrorKind::Data`] unless there is one scene
+    /// for each spectrum.
+    pub fn simulate_into(
+        &self,
+        scenes: &[Scene<'_, T>],
+        mut image: ArrayViewMut2<'_, T>,
+        progress: &dyn Progress,
+    ) -> Result<TileCounts, PsfieldError> {
+        self.check_scenes(scenes, false)?;
+        let first = &self.spectra[0];
+        first.check_image(&image)?;
+        if !first.options.method.has_plan() {
+            let mut counts = TileCounts::default();
+            for (simulator, scene) in self.spectra.iter().zip(scenes) {
+                counts += simulator.simulate_into(scene, image.view_mut(), progress)?;
+            }
+            return Ok(counts);
+        }
+        let mut counts = TileCounts::default();
+        let images = scenes
+            .iter()
+            .enumerate()
+            .filter_map(|(n, scene)| Some((n, scene.image()?)));
+        let (used, light): (Vec<usize>, Vec<ImageView<'_, T>>) =
+            images.map(|(n, image)| (n, image.view())).unzip();
+        if !used.is_empty() {
+            let engine = self.engine(&used, progress)?;
+            counts = first.add_executed(&engine, image.view_mut(), |image| {
+                engine.execute_layers(&light, image, progress)
+            })?;
+        }
+        for (simulator, scene) in self.spectra.iter().zip(scenes) {
+            simulator.draw_sources_into(
+                scene.sources(),
+                first.geometry.region,
+                image.view_mut(),
+                progress,
+            )?;
+        }
+        Ok(counts)
+    }
+
+    /// Makes the image of scenes row by row, as [`Simulator::stream`]. Reads the rows of the images of
+    /// the spectra `with_images` from `rows`: layer 0 is the image of the first of them. Takes only
+    /// stars and galaxies from `scenes`.
+    ///
+    /// # Errors
+    /// The errors of the stream and of [`simulate_into`](Self::simulate_into), and
+    /// [`ErrorKind::Setting`] for a method without a plan.
+    pub fn stream<R: RowStream<T>>(
+        &self,
+        scenes: &[Scene<'_, T>],
+        with_images: &[usize],
+        rows: &mut R,
+        progress: &dyn Progress,
+    ) -> Result<TileCounts, R::Error>
+    where
+        R::Error: From<PsfieldError>,
+    {
+        self.check_scenes(scenes, true)?;
+        if !self.spectra[0].options.method.has_plan() {
+            return Err(PsfieldError::needs_plan("rows can be streamed").into());
+        }
+        let engine = self.engine(with_images, progress)?;
+        let spectra = self
+            .spectra
+            .iter()
+            .zip(scenes.iter().map(Scene::sources))
+            .collect();
+        let mut rows = SceneRows::new(spectra, rows, progress);
+        engine.stream(&mut rows, progress)
+    }
+
+    /// The plan for images of some spectra, made if it does not exist.
+    ///
+    /// # Errors
+    /// [`PsfieldError`] if a fit or the plan fails, or if `progress` cancels the work.
+    pub fn plan(&self, with_images: &[usize], progress: &dyn Progress) -> Result<PlanSummary, PsfieldError> {
+        Ok(self.engine(with_images, progress)?.plan().summary())
+    }
+
+    /// Compares `count` random pixels of an image of these scenes, and the pixels around random
+    /// sources, with the direct sum in f64. As [`Simulator::spot_check`].
+    ///
+    /// # Errors
+    /// The errors of [`Simulator::exact_at`].
+    pub fn spot_check(
+        &self,
+        scenes: &[Scene<'_, T>],
+        image: &Image<T>,
+        (count, seed): (usize, u64),
+        progress: &dyn Progress,
+    ) -> Result<SpotCheck, PsfieldError> {
+        self.check_scenes(scenes, false)?;
+        let stars: Vec<_> = scenes.iter().flat_map(Scene::stars).copied().collect();
+        let galaxies: Vec<_> = scenes.iter().flat_map(Scene::galaxies).cloned().collect();
+        let any_image = scenes.iter().find_map(Scene::image);
+        let all = any_image.map_or_else(Scene::dark, |image| Scene::from(image.view()));
+        let all = all.with_stars(stars).with_galaxies(galaxies);
+        let first = &self.spectra[0];
+        let mut picker = first.picker(&all, false, (count, seed));
+        for row in image.pixels().outer_iter() {
+            picker.pass(row.iter().map(|v| v.as_f64()));
+        }
+        SpotCheck::of_picked::<T>(picker, |pixels| {
+            let mut exact = vec![0.0; pixels.len()];
+            let mut allowed = first.promised(any_image.is_some(), pixels.len());
+            for (simulator, scene) in self.spectra.iter().zip(scenes) {
+                let of_spectrum = simulator.exact_at(scene, pixels, progress)?;
+                exact
+                    .iter_mut()
+                    .zip(of_spectrum)
+                    .for_each(|(sum, value)| *sum += value);
+                if let Some(allowed) = &mut allowed {
+                    if let Some(image) = scene.image() {
+                        simulator.add_errors_of_image((image.pixels(), (0, 0)), pixels, allowed)?;
+                    }
+                    simulator.add_errors_of_sources(scene, pixels, allowed)?;
+                }
+            }
+            Ok((exact, allowed))
+        })
+    }
+
+    fn check_scenes(&self, scenes: &[Scene<'_, T>], rows: bool) -> Result<(), PsfieldError> {
+        let (expected, got) = (self.spectra.len(), scenes.len());
+        if expected != got {
+            let message = format!(
+                "the PSF has {expected} spectra, but there are {got} scenes: give one scene for each"
+            );
+            return Err(PsfieldError::new(ErrorKind::Data, message));
+        }
+        let checked = self.spectra.iter().zip(scenes);
+        for (simulator, scene) in checked {
+            simulator.check_sources(scene, rows)?;
+        }
+        Ok(())
+    }
+
+    /// The engine for images of some spectra.
+    fn engine(&self, used: &[usize], progress: &dyn Progress) -> Result<Arc<Engine<T>>, PsfieldError> {
+        let engines = || self.engines.lock().unwrap_or_else(PoisonError::into_inner);
+        let known = engines()
+            .iter()
+            .find(|(of, _)| of == used)
+            .map(|(_, engine)| Arc::clone(engine));
+        if let Some(engine) = known {
+            return Ok(engine);
+        }
+        let clock = Instant::now();
+        let first = &self.spectra[0];
+        let psf = get_or_make(&self.on_pixels, || on_scene_pixels(&self.psf, &first.options))?;
+        let all = psf.models()?;
+        let models: Vec<PsfModel> = used.iter().map(|&n| all[n].clone()).collect();
+        let options = first.planned_for(&all[0])?.expect("the method has a plan");
+        for model in &models {
+            check_flux(&self.psf, model, &options)?;
+        }
+        let geometry = &first.geometry;
+        let (frame, region) = (geometry.fine(geometry.frame)?, geometry.fine(geometry.region)?);
+        let plan = Plan::of_layers(&models, geometry.shape, frame, region, options, progress)?;
+        let made = Convolver::of_plan(plan, &first.options, clock)?;
+        let engine = Arc::new(made.engine.ok_or(ConvError::Layers("no engine was made"))?);
+        engines().push((used.to_vec(), Arc::clone(&engine)));
+        Ok(engine)
+    }
+}
