@@ -72,7 +72,9 @@ pub use catalogue::curves::read_curve;
 pub use catalogue::sky_coordinates::SkyCoordinates;
 pub use catalogue::table_file::{read_columns, write_csv};
 pub use catalogue::world_header::WorldCoordinatesError;
-pub use catalogue::{Catalog, read_catalog, read_catalog_with, read_positions, read_positions_with};
+pub use catalogue::{
+    Catalog, SourceColours, read_catalog, read_catalog_with, read_positions, read_positions_with,
+};
 pub use error::{CardError, IoError, IoErrorKind, Place, Row};
 pub use fits::card::{Card, CardValue};
 pub use fits::hdu::HduChoice;

@@ -4,7 +4,7 @@ mod support;
 
 use psf_io::{
     Card, Catalog, CatalogOptions, HeaderCards, IoError, IoErrorKind, Place, Row, SkyCoordinates,
-    read_catalog_with, read_columns, read_positions_with,
+    SourceColours, read_catalog_with, read_columns, read_positions_with,
 };
 use support::{SIMPLE, Scratch, assert_error, chain, f32s, f64s, i16s, i32s, image, names, table};
 
@@ -345,4 +345,50 @@ fn sky_coordinates_go_through_the_frames_world_coordinates() {
     );
     let error = read("ra,dec,flux\n1,91,3\n", &options).unwrap_err();
     assert!(chain(&error).contains("declination"), "{error}");
+}
+
+#[test]
+fn spectra_of_sources_are_read_on_request() {
+    let scratch = Scratch::new();
+    let path = scratch.put(
+        "seds.csv",
+        b"x,y,flux,re,n,sed\n1,2,3,0,,red\n4,5,6,2.5,1,blackbody:4000\n7,8,9,0,,powerlaw:-1@z=2\n",
+    );
+    let plain = read_catalog_with(&path, &CatalogOptions::new()).unwrap();
+    assert_eq!(plain.colours(), None);
+    let options = CatalogOptions::new().with_colours(true);
+    let catalog = read_catalog_with(&path, &options).unwrap();
+    assert_eq!((catalog.stars().len(), catalog.galaxies().len()), (2, 1));
+    let names = ["red", "powerlaw:-1@z=2", "blackbody:4000"].map(str::to_owned);
+    assert_eq!(catalog.colours(), Some(&SourceColours::Names(names.to_vec())));
+
+    let path = scratch.put("teff.csv", b"x,y,flux,teff\n1,2,3,5800\n4,5,6,\n7,8,9,-3\n");
+    let error = read_catalog_with(&path, &options).unwrap_err();
+    assert!(
+        error.to_string().contains("line 3") && error.to_string().contains("teff"),
+        "{error}"
+    );
+    let catalog = read_catalog_with(&path, &options.with_invalid_skipped(true)).unwrap();
+    assert_eq!((catalog.stars().len(), catalog.invalid_rows()), (1, 2));
+    assert_eq!(
+        catalog.colours(),
+        Some(&SourceColours::Temperatures(vec![5800.0]))
+    );
+}
+
+#[test]
+fn spectra_are_read_from_fits_tables() {
+    let scratch = Scratch::new();
+    let row = |x: f64, name: &[u8; 6]| [&f64s(&[x, 2.0, 3.0])[..], name].concat();
+    let rows = [row(1.0, b"red   "), row(4.0, b"f.dat\0")].concat();
+    let columns = [("x", "D"), ("y", "D"), ("flux", "D"), ("SED", "6A")];
+    let path = scratch.put("seds.fits", &fits(&[table("STARS", &columns, 2, &[], &rows)]));
+    let catalog = read_catalog_with(&path, &CatalogOptions::new().with_colours(true)).unwrap();
+    let names = vec!["red".to_owned(), "f.dat".to_owned()];
+    assert_eq!(catalog.colours(), Some(&SourceColours::Names(names)));
+    let columns = [("x", "D"), ("y", "D"), ("flux", "D"), ("SED", "D")];
+    let rows = f64s(&[1.0, 2.0, 3.0, 4.0]);
+    let path = scratch.put("wrong.fits", &fits(&[table("STARS", &columns, 1, &[], &rows)]));
+    let error = read_catalog_with(&path, &CatalogOptions::new().with_colours(true)).unwrap_err();
+    assert!(error.to_string().contains("texts are needed"), "{error}");
 }

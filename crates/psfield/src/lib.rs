@@ -51,6 +51,7 @@
 //! ([`Device`]). Without this feature, everything runs on the processor, and no GPU library is
 //! compiled.
 
+mod colour_scene;
 mod colours;
 pub mod convert;
 mod device;
@@ -74,6 +75,7 @@ pub use {
     psf_types, sersic, spectra,
 };
 
+pub use colour_scene::ColourScene;
 pub use colours::{open_bandpass, open_spectrum};
 pub use device::{
     CpuReason, GpuSeconds, MIN_SECONDS_FOR_GPU, Placement, PredictedSeconds, forget_gpus, open_gpu,

@@ -12,7 +12,7 @@ use crate::working_range::{Rescaling, brightest_allowed, contrast};
 use crate::{ConvError, ConvReal};
 
 /// Statistics of the light of a tile.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 struct Light {
     /// Pixels that are not zero.
     lit: usize,
@@ -20,6 +20,15 @@ struct Light {
     largest: f64,
     /// The sum of the absolute values.
     total: f64,
+}
+
+impl Light {
+    /// Adds the light of another layer.
+    fn add(&mut self, other: Self) {
+        self.lit += other.lit;
+        self.largest = self.largest.max(other.largest);
+        self.total += other.total;
+    }
 }
 
 /// The number of independent sums, enough to fill a vector of any instruction set.
@@ -237,10 +246,13 @@ pub(crate) fn treated<T: ConvReal>(
     let mut seen = vectorized!({
         let corner = (corner.0, corner.1 - pass.first_light as i64);
         let layers = workspace.light.get_mut().chunks_mut(layer_len);
+        let (mut seen, of_layer) = (Light::default(), (size.0, layer_len / pitch));
+        // Looks at each layer while it is in the second-level cache.
         for (light, into) in pass.light.iter().zip(layers) {
-            engine.load(light.view(), corner, (size.0, layer_len / pitch), into);
+            engine.load(light.view(), corner, of_layer, into);
+            seen.add(look(into, pitch, (of_layer.1, of_layer.0)));
         }
-        look(workspace.light.get(), pitch, (size.1, size.0))
+        seen
     });
     if seen.lit == 0 {
         return Ok(None);

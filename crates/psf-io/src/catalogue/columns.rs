@@ -23,6 +23,9 @@ use crate::fits::hdu::HduChoice;
 /// | `angle` | `angle` | galaxies: angle of the major axis in degrees, from +x towards +y; 0 without such a column |
 /// | `g1`, `g2` | `g1`, `g2` | galaxies: reduced shear, `sqrt(g1^2 + g2^2)` below 1; no shear without such columns |
 ///
+/// The spectra of sources are in a column `sed` or `teff`, which is read only on request
+/// ([`CatalogOptions::with_colours`]).
+///
 /// The caller may choose the column of a role. A role without a choice uses its default column, if
 /// that column exists. If the default columns of `x`, `y`, `ra` and `dec` all exist, `x` and `y`
 /// are used. Likewise, `flux` is used rather than `mag`. A zero point together with fluxes is an
@@ -239,6 +242,7 @@ pub struct CatalogOptions {
     pub(crate) one_based: bool,
     pub(crate) zero_point: Option<f64>,
     pub(crate) skip_invalid: bool,
+    pub(crate) with_colours: bool,
     pub(crate) table: Option<HduChoice>,
     pub(crate) sky: Option<SkyCoordinates>,
 }
@@ -278,6 +282,13 @@ impl CatalogOptions {
     #[must_use]
     pub fn with_invalid_skipped(self, skip_invalid: bool) -> Self {
         Self { skip_invalid, ..self }
+    }
+
+    /// Sets whether the spectra of the sources are read
+    /// ([`Catalog::colours`](crate::Catalog::colours)).
+    #[must_use]
+    pub fn with_colours(self, with_colours: bool) -> Self {
+        Self { with_colours, ..self }
     }
 
     /// Chooses a table of a FITS file. For a text file, which holds one table, a choice is an

@@ -38,7 +38,7 @@ use crate::error::{IoError, IoErrorKind, Place};
 use crate::fits::columns::{Nans, NumberColumns, Table, bad_value};
 use crate::fits::structure::FitsStructure;
 use columns::{CatalogColumns, CatalogOptions, Picked, Role};
-use table_file::TableFile;
+use table_file::{AnyTable, TableFile};
 
 pub(crate) mod columns;
 pub(crate) mod curves;
@@ -94,8 +94,19 @@ pub(crate) fn has_points(structure: &FitsStructure) -> bool {
 pub struct Catalog {
     stars: Vec<PointSource>,
     galaxies: Vec<SersicSource>,
+    colours: Option<SourceColours>,
     invalid_rows: usize,
     rows_off_projection: usize,
+}
+
+/// The spectra of the sources of a catalogue: those of the stars, then those of the galaxies.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub enum SourceColours {
+    /// The names of spectra, from a column `sed`.
+    Names(Vec<String>),
+    /// Temperatures of black bodies in kelvin, from a column `teff`.
+    Temperatures(Vec<f64>),
 }
 
 impl Catalog {
@@ -107,6 +118,12 @@ impl Catalog {
     /// The sources with a Sersic profile.
     pub fn galaxies(&self) -> &[SersicSource] {
         &self.galaxies
+    }
+
+    /// The spectra of the sources. None if the catalogue has neither a column `sed` nor `teff`, or if
+    /// they were not asked for ([`CatalogOptions::with_colours`]).
+    pub fn colours(&self) -> Option<&SourceColours> {
+        self.colours.as_ref()
     }
 
     /// Number of rows skipped because they are not valid sources. It is 0 unless
@@ -161,15 +178,51 @@ impl Catalog {
 pub fn read_catalog_with(path: impl AsRef<Path>, options: &CatalogOptions) -> Result<Catalog, IoError> {
     let rows = Rows::read(path.as_ref(), options, "x, y, flux", CatalogColumns::sources)?;
     let mut catalog = Catalog::default();
+    // The rows of the stars and of the galaxies.
+    let (mut of_stars, mut of_galaxies) = (Vec::new(), Vec::new());
     for row in 0..rows.numbers.rows {
-        match rows.add_source(row, &mut catalog) {
+        let (stars, galaxies) = (catalog.stars.len(), catalog.galaxies.len());
+        match rows
+            .check_colour(row)
+            .and_then(|()| rows.add_source(row, &mut catalog))
+        {
             Ok(()) => {}
             Err(_) if options.skip_invalid => catalog.invalid_rows += 1,
             Err(error) => return Err(error),
         }
+        if catalog.stars.len() > stars {
+            of_stars.push(row);
+        }
+        if catalog.galaxies.len() > galaxies {
+            of_galaxies.push(row);
+        }
     }
+    let order = || of_stars.iter().chain(&of_galaxies);
+    catalog.colours = rows.colours.as_ref().map(|colours| match colours {
+        SourceColours::Names(all) => SourceColours::Names(order().map(|&row| all[row].clone()).collect()),
+        SourceColours::Temperatures(all) => {
+            SourceColours::Temperatures(order().map(|&row| all[row]).collect())
+        }
+    });
     Ok(catalog)
 }
+
+/// Reads the spectra of all rows of a table: the column `sed` or, without it, the column `teff`.
+fn colours_of(table: &AnyTable<'_>) -> Result<Option<SourceColours>, IoError> {
+    let has = |column: &str| table.names().iter().any(|name| name.eq_ignore_ascii_case(column));
+    if has(SED) {
+        return Ok(Some(SourceColours::Names(table.read_texts(SED)?)));
+    }
+    if !has(TEFF) {
+        return Ok(None);
+    }
+    let mut columns = table.read(&[TEFF], Nans::Kept)?.values;
+    Ok(columns.pop().map(SourceColours::Temperatures))
+}
+
+/// The columns of the names of spectra and of the temperatures of black bodies.
+const SED: &str = "sed";
+const TEFF: &str = "teff";
 
 /// Reads the positions of a catalogue, one per row.
 ///
@@ -197,6 +250,7 @@ struct Rows<'a> {
     options: &'a CatalogOptions,
     columns: Picked,
     numbers: NumberColumns,
+    colours: Option<SourceColours>,
 }
 
 impl<'a> Rows<'a> {
@@ -217,6 +271,11 @@ impl<'a> Rows<'a> {
             path,
             options,
             numbers: table.read(&columns.names(), Nans::Kept)?,
+            colours: if options.with_colours {
+                colours_of(&table)?
+            } else {
+                None
+            },
             columns,
         })
     }
@@ -237,6 +296,26 @@ impl<'a> Rows<'a> {
             }
         }
         Ok(())
+    }
+
+    /// Returns an error for a source without a spectrum.
+    fn check_colour(&self, row: usize) -> Result<(), IoError> {
+        let problem = match &self.colours {
+            Some(SourceColours::Names(names)) if names[row].is_empty() => {
+                "the name of the spectrum is missing"
+            }
+            Some(SourceColours::Temperatures(all)) if !(all[row] > 0.0 && all[row].is_finite()) => {
+                "the temperature must be a finite number above 0"
+            }
+            _ => return Ok(()),
+        };
+        let column = match self.colours {
+            Some(SourceColours::Names(_)) => SED,
+            _ => TEFF,
+        };
+        let (row, column) = (self.numbers.place(row), column.to_owned());
+        let error = IoError::new(self.path, IoErrorKind::Data, problem).at(Place::Value { row, column });
+        Err(error.with_setting("invalid_skipped"))
     }
 
     /// The flux of a source. A flux of 0 is refused, because it often stands for a missing value.

@@ -83,6 +83,22 @@ impl TableFile {
 }
 
 impl AnyTable<'_> {
+    /// The names of the columns.
+    pub(crate) fn names(&self) -> Vec<String> {
+        match self {
+            Self::Text(table) => table.names.clone(),
+            Self::Fits(table) => table.names(),
+        }
+    }
+
+    /// Reads a column of texts. Case is ignored in its name.
+    pub(crate) fn read_texts(&self, name: &str) -> Result<Vec<String>, IoError> {
+        match self {
+            Self::Text(table) => table.read_texts(name),
+            Self::Fits(table) => table.read_texts(name),
+        }
+    }
+
     /// Reads the columns with these names. Case is ignored.
     pub(crate) fn read(&self, names: &[&str], nans: Nans) -> Result<NumberColumns, IoError> {
         match self {

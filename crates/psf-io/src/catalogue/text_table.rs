@@ -141,6 +141,17 @@ impl TextTable {
         })
     }
 
+    /// Reads a column of texts. Case is ignored in its name.
+    pub(crate) fn read_texts(&self, name: &str) -> Result<Vec<String>, IoError> {
+        let place = find(&self.path, self.names.iter(), name)?;
+        let mut texts = Vec::new();
+        self.for_each_row(|_, fields| {
+            texts.push(String::from_utf8_lossy(fields[place]).trim().to_owned());
+            Ok(())
+        })?;
+        Ok(texts)
+    }
+
     /// Calls a function with the line number and the fields of each row. A row must have as many
     /// fields as there are column names.
     fn for_each_row(

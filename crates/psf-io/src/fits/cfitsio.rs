@@ -173,6 +173,34 @@ impl Fits {
         })
     }
 
+    /// Reads the first `rows` texts of a column whose texts have `width` characters. `column` is
+    /// counted from 1. Blanks at the end of a text are removed.
+    pub(crate) fn read_texts(
+        &mut self,
+        column: usize,
+        rows: usize,
+        width: usize,
+    ) -> Result<Vec<String>, IoError> {
+        let mut texts = vec![0_u8; rows * (width + 1)];
+        let mut pointers: Vec<*mut c_char> = texts
+            .chunks_exact_mut(width + 1)
+            .map(|text| text.as_mut_ptr().cast())
+            .collect();
+        let (column, count) = (column as c_int, rows as sys::LONGLONG);
+        let (data, mut any_null) = (pointers.as_mut_ptr(), 0);
+        let any = &raw mut any_null;
+        // SAFETY: each pointer has room for a text of `width` characters and the NUL after it, which is
+        // the most that CFITSIO writes. No text replaces undefined ones.
+        self.call("reading a table column", |fits, status| unsafe {
+            sys::ffgcvs(fits, column, 1, 1, count, ptr::null_mut(), data, any, status)
+        })?;
+        let text = |bytes: &[u8]| {
+            let end = bytes.iter().position(|&byte| byte == 0).unwrap_or(bytes.len());
+            String::from_utf8_lossy(&bytes[..end]).trim_end().to_owned()
+        };
+        Ok(texts.chunks_exact(width + 1).map(text).collect())
+    }
+
     /// Adds an image HDU. `bitpix` is a BITPIX, or CFITSIO's code of another image type. `shape` is
     /// in array order (x last). CFITSIO writes the BZERO of unsigned numbers.
     pub(crate) fn create_image(&mut self, shape: &[usize], bitpix: c_int) -> Result<(), IoError> {

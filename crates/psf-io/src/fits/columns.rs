@@ -73,6 +73,25 @@ impl<'a> Table<'a> {
         self.read_with(name, repeat, Nans::Refused)
     }
 
+    /// Reads a column that has one text in each row.
+    pub(crate) fn read_texts(&self, name: &str) -> Result<Vec<String>, IoError> {
+        let column = self.column(name)?;
+        if column.code != b'A' {
+            let problem = format!(
+                "the column has the format {}, but texts are needed (format A)",
+                column.form
+            );
+            let place = Place::Column(column.name.clone());
+            return Err(self.hdu.error(IoErrorKind::Table, problem).at(place));
+        }
+        let mut fits = Fits::open(&self.hdu.source)?;
+        fits.move_to(self.hdu.index)?;
+        if self.rows == 0 {
+            return Ok(Vec::new());
+        }
+        fits.read_texts(column.number, self.rows, column.repeat)
+    }
+
     /// Works like [`read`](Self::read), but `nans` may allow values that are missing or not finite.
     pub(crate) fn read_with(&self, name: &str, repeat: usize, nans: Nans) -> Result<Vec<f64>, IoError> {
         let column = self.column(name)?;

@@ -3,13 +3,14 @@
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::time::Instant;
 
-use conv_core::{ConvError, ConvReal, Engine, Plan, PlanSummary, RowStream, TileCounts};
+use conv_core::{ConvError, ConvReal, Engine, Plan, RowStream, TileCounts};
 use ndarray::ArrayViewMut2;
 use psf_types::{Image, ImageView, NoProgress, Progress, PsfModel};
 
 use super::flux::check_flux;
 use super::stream::SceneRows;
-use super::{Convolver, Simulator, on_scene_pixels};
+use super::{Convolver, Preparation, SimulationWarning, Simulator, on_scene_pixels};
+use crate::device::{CpuReason, Placement};
 use crate::psf::get_or_make;
 use crate::{ErrorKind, Psf, PsfieldError, Scene, SimulateOptions, SpotCheck};
 
@@ -173,12 +174,55 @@ impl<T: ConvReal> ColourSimulator<T> {
         engine.stream(&mut rows, progress)
     }
 
-    /// The plan for images of some spectra, made if it does not exist.
+    /// Makes the models and the plan that scenes like `scenes` need, unless they exist. The model in the
+    /// result is that of the first spectrum.
     ///
     /// # Errors
-    /// [`PsfieldError`] if a fit or the plan fails, or if `progress` cancels the work.
-    pub fn plan(&self, with_images: &[usize], progress: &dyn Progress) -> Result<PlanSummary, PsfieldError> {
-        Ok(self.engine(with_images, progress)?.plan().summary())
+    /// The errors of [`Simulator::prepare`].
+    pub fn prepare(
+        &self,
+        scenes: &[Scene<'_, T>],
+        progress: &dyn Progress,
+    ) -> Result<Preparation<'_>, PsfieldError> {
+        self.check_scenes(scenes, false)?;
+        let first = &self.spectra[0];
+        let used: Vec<usize> = (0..scenes.len())
+            .filter(|&n| scenes[n].image().is_some())
+            .collect();
+        if used.is_empty() || !first.options.method.has_plan() {
+            return first.prepare(&scenes[0], false, progress);
+        }
+        let clock = Instant::now();
+        let model = &self.on_scene_pixels()?.models()?[0];
+        let fit_seconds = clock.elapsed().as_secs_f64();
+        let engine = self.engine(&used, progress)?;
+        Ok(Preparation {
+            model,
+            plan: Some(engine.plan().summary()),
+            placement: Placement::cpu(CpuReason::Spectra),
+            fit_seconds,
+            plan_seconds: clock.elapsed().as_secs_f64() - fit_seconds,
+        })
+    }
+
+    /// Returns warnings about the sources of all scenes and about the PSF at them.
+    pub fn warnings(&self, scenes: &[Scene<'_, T>]) -> Vec<SimulationWarning> {
+        let mut all = Vec::new();
+        for (simulator, scene) in self.spectra.iter().zip(scenes) {
+            for warning in simulator.warnings(scene) {
+                if !all.contains(&warning) {
+                    all.push(warning);
+                }
+            }
+        }
+        all
+    }
+
+    /// The PSF on the pixels of the scenes' images, with all its states.
+    fn on_scene_pixels(&self) -> Result<&Psf, PsfieldError> {
+        get_or_make(&self.on_pixels, || {
+            on_scene_pixels(&self.psf, &self.spectra[0].options)
+        })
     }
 
     /// Compares `count` random pixels of an image of these scenes, and the pixels around random
@@ -251,8 +295,7 @@ impl<T: ConvReal> ColourSimulator<T> {
         }
         let clock = Instant::now();
         let first = &self.spectra[0];
-        let psf = get_or_make(&self.on_pixels, || on_scene_pixels(&self.psf, &first.options))?;
-        let all = psf.models()?;
+        let all = self.on_scene_pixels()?.models()?;
         let models: Vec<PsfModel> = used.iter().map(|&n| all[n].clone()).collect();
         let options = first.planned_for(&all[0])?.expect("the method has a plan");
         for model in &models {
