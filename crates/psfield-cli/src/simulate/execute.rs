@@ -7,8 +7,8 @@ use conv_core::{ConvReal, RowStream, TileCounts};
 use detector::ExposureReport;
 use ndarray::{ArrayView2, ArrayViewMut2};
 use psf_io::{Card, ImageReader, ImageWriter};
-use psf_types::{Image, NoProgress};
-use psfield::{PixelPicker, Preparation, PsfieldError, Simulator, SpotCheck};
+use psf_types::{Image, NoProgress, Progress};
+use psfield::{PixelPicker, Preparation, PsfieldError, Scene, Simulator, SpotCheck};
 
 use crate::context::Context;
 use crate::simulate::SimulateArgs;
@@ -25,11 +25,45 @@ pub(super) struct Outcome {
     pub(super) nan_pixels: usize,
 }
 
+/// A simulator and its scene.
+pub(super) trait MakesImage<T: ConvReal> {
+    /// A simulator for the frame.
+    fn of_frame(&self) -> &Simulator<T>;
+
+    /// Adds the image of the scene to `image`.
+    fn simulate_into(
+        &self,
+        image: ArrayViewMut2<'_, T>,
+        progress: &dyn Progress,
+    ) -> Result<TileCounts, PsfieldError>;
+
+    /// Compares an image with the direct sum. `pixels` are the number of pixels and the seed.
+    fn spot_check(&self, image: &Image<T>, pixels: (usize, u64)) -> Result<SpotCheck, PsfieldError>;
+}
+
+impl<T: ConvReal> MakesImage<T> for (&Simulator<T>, &Scene<'_, T>) {
+    fn of_frame(&self) -> &Simulator<T> {
+        self.0
+    }
+
+    fn simulate_into(
+        &self,
+        image: ArrayViewMut2<'_, T>,
+        progress: &dyn Progress,
+    ) -> Result<TileCounts, PsfieldError> {
+        self.0.simulate_into(self.1, image, progress)
+    }
+
+    fn spot_check(&self, image: &Image<T>, pixels: (usize, u64)) -> Result<SpotCheck, PsfieldError> {
+        self.0.spot_check(self.1, image, pixels, &NoProgress)
+    }
+}
+
 impl SimulateArgs {
     /// Simulates in memory and writes the image, or the counts of the detector.
     pub(super) fn in_memory<T: ConvReal>(
         &self,
-        (simulator, made): (&Simulator<T>, &Preparation<'_>),
+        (scene, made): (&impl MakesImage<T>, &Preparation<'_>),
         read: &ReadScene<T>,
         exposing: Option<&Exposing>,
         seconds: &mut Seconds,
@@ -37,8 +71,9 @@ impl SimulateArgs {
     ) -> anyhow::Result<Outcome> {
         let bar = context.bar("convolving");
         let clock = Instant::now();
+        let simulator = scene.of_frame();
         let mut image = simulator.zeros();
-        let counts = simulator.simulate_into(&read.scene, image.view_mut(), &bar)?;
+        let counts = scene.simulate_into(image.view_mut(), &bar)?;
         let image = Image::new(image).map_err(PsfieldError::from)?;
         seconds.execute = clock.elapsed().as_secs_f64();
         drop(bar);
@@ -46,7 +81,7 @@ impl SimulateArgs {
         let spot_check = (self.spot_check > 0)
             .then(|| {
                 let _spinner = context.spinner("checking");
-                simulator.spot_check(&read.scene, &image, self.checked_pixels(), &NoProgress)
+                scene.spot_check(&image, self.checked_pixels())
             })
             .transpose()?;
 
@@ -153,7 +188,12 @@ struct FitsRows<T: ConvReal> {
 impl<T: ConvReal> RowStream<T> for FitsRows<T> {
     type Error = PsfieldError;
 
-    fn read(&mut self, rows: Range<usize>, light: ArrayViewMut2<'_, T>) -> Result<(), PsfieldError> {
+    fn read(
+        &mut self,
+        _layer: usize,
+        rows: Range<usize>,
+        light: ArrayViewMut2<'_, T>,
+    ) -> Result<(), PsfieldError> {
         let clock = Instant::now();
         let read = self.reader.read_rows_into(rows.start, light);
         read.map_err(|error| with_nan_as(error, &self.reader))?;

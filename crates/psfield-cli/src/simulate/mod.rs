@@ -1,5 +1,6 @@
 //! `psfield simulate`.
 
+mod colour;
 mod execute;
 mod exposure_args;
 mod prepared;
@@ -21,10 +22,12 @@ use crate::context::{Context, message_of, signature, signature_of, with_option};
 use crate::devices::DeviceArgs;
 use crate::files::OutputFile;
 use crate::psf_args::PsfArgs;
+use crate::simulate::colour::ColourArgs;
+use crate::simulate::execute::Outcome;
 use crate::simulate::exposure_args::ExposureArgs;
 use crate::simulate::prepared::timed;
 use crate::simulate::report::Seconds;
-use crate::simulate::scene::SceneArgs;
+use crate::simulate::scene::{ReadScene, SceneArgs};
 use crate::values::{Frame, Precision, bytes, stamp_size, text_of_bytes, tolerance};
 
 pub(crate) use crate::simulate::prepared::Simulators;
@@ -53,6 +56,8 @@ pub(crate) struct SimulateArgs {
     // The heading of a group also applies to the options after it, unless they name their own.
     #[command(flatten)]
     scene: SceneArgs,
+    #[command(flatten)]
+    colour: ColourArgs,
     #[arg(
         long,
         value_name = "T",
@@ -270,7 +275,8 @@ impl SimulateArgs {
         } else {
             self.device.misused(planned, self.precision == Precision::F32)
         };
-        self.scene.missing().or(first.map(str::to_owned))
+        let first = first.map(str::to_owned).or_else(|| self.misused_colour());
+        self.scene.missing().or(first)
     }
 
     /// The settings of the simulator.
@@ -301,19 +307,16 @@ impl SimulateArgs {
         self.open_gpu(context)?;
         let mut seconds = Seconds::default();
         let psf = self.psf(simulators, &mut seconds, context)?;
+        if let Some(bandpass) = &self.colour.bandpass {
+            return self.simulate_in_colour::<T>(bandpass, &psf, exposing.as_ref(), seconds, context);
+        }
         let spinner = context.spinner("reading");
         let ((read, rows), taken) =
             timed(|| self.scene.read::<T>(self.is_streamed::<T>(), psf.field_shape()))?;
         seconds.read += taken;
         drop(spinner);
 
-        if self.scene.scene.is_none() && self.scene.shape.is_none() {
-            let (s, shape) = (self.scene.finer(), read.shape);
-            let (nx, ny) = (shape.nx() / s, shape.ny() / s);
-            context.note(&format!(
-                "the frame has {nx} x {ny} pixels, the field of the PSF (option --shape)"
-            ));
-        }
+        self.note_of_scene(&read, context);
         if let (Some(path), true) = (
             &self.scene.catalog,
             read.scene.stars().is_empty() && read.scene.galaxies().is_empty(),
@@ -327,12 +330,41 @@ impl SimulateArgs {
             context.warn(&with_option(&warning, warning.setting()));
         }
         let (ready, streamed) = ((&*simulator, &made), rows.is_some());
-        let outcome = match rows {
-            Some(reader) => self.by_bands(ready, &read, reader, &mut seconds, context)?,
-            None => self.in_memory(ready, &read, exposing.as_ref(), &mut seconds, context)?,
+        let outcome = if let Some(reader) = rows {
+            self.by_bands(ready, &read, reader, &mut seconds, context)?
+        } else {
+            let scene = (&*simulator, &read.scene);
+            self.in_memory((&scene, &made), &read, exposing.as_ref(), &mut seconds, context)?
         };
-        let (options, plan, shape) = (simulator.options(), made.plan.as_ref(), simulator.image_shape());
+        let sources = (read.scene.stars().len(), read.scene.galaxies().len());
         Ok(Report {
+            streamed,
+            ..self.report(ready, &read, sources, outcome, seconds)
+        })
+    }
+
+    /// Notes the size of a frame that the user did not give.
+    fn note_of_scene<T: ConvReal>(&self, read: &ReadScene<T>, context: &Context) {
+        if self.scene.scene.is_none() && self.scene.shape.is_none() {
+            let (s, shape) = (self.scene.finer(), read.shape);
+            let (nx, ny) = (shape.nx() / s, shape.ny() / s);
+            context.note(&format!(
+                "the frame has {nx} x {ny} pixels, the field of the PSF (option --shape)"
+            ));
+        }
+    }
+
+    /// The report of an image that was not streamed. `sources` are the numbers of stars and galaxies.
+    fn report<T: ConvReal>(
+        &self,
+        (simulator, made): (&Simulator<T>, &Preparation<'_>),
+        read: &ReadScene<T>,
+        sources: (usize, usize),
+        outcome: Outcome,
+        seconds: Seconds,
+    ) -> Report {
+        let (options, plan, shape) = (simulator.options(), made.plan.as_ref(), simulator.image_shape());
+        Report {
             output: self.output.to_path_buf(),
             method: self.method.to_string(),
             anchor: self.anchor,
@@ -348,12 +380,12 @@ impl SimulateArgs {
             modes: plan.map_or(made.model.stamp_count() as f64, PlanSummary::mean_modes),
             normalise: made.model.normalisation(),
             shape: [shape.nx(), shape.ny()],
-            sources: read.scene.stars().len(),
-            galaxies: read.scene.galaxies().len(),
+            sources: sources.0,
+            galaxies: sources.1,
             invalid_rows: read.invalid_rows,
             rows_off_projection: read.rows_off_projection,
             nan_pixels: outcome.nan_pixels,
-            streamed,
+            streamed: false,
             plan: plan.cloned(),
             tiles: plan.map(|_| outcome.counts),
             device: made.placement.clone(),
@@ -361,7 +393,7 @@ impl SimulateArgs {
             peak_memory_bytes: peak_memory_bytes(),
             spot_check: outcome.spot_check,
             exposure: outcome.exposure,
-        })
+        }
     }
 
     /// Turns an error about the value of `--frame` into a usage error. Adds the name of the

@@ -5,10 +5,13 @@ use std::path::{Path, PathBuf};
 use conv_core::ConvReal;
 use psf_io::{Catalog, CatalogOptions, HduChoice, HeaderCards, ImageReader, IoError, SkyCoordinates};
 use psf_types::{FrameShape, Image};
-use psfield::{Scene, ScenePixels, SimulateOptions, Simulator};
+use psfield::{ColourScene, Scene, ScenePixels, SimulateOptions, Simulator};
+
+use anyhow::Context as _;
 
 use crate::UsageError;
-use crate::context::with_nan_setting;
+use crate::context::{with_nan_setting, with_option};
+use crate::simulate::colour::{ColourArgs, ReadColours};
 use crate::table_args::TableArgs;
 use crate::values::{Frame, Pair, number};
 
@@ -211,10 +214,7 @@ impl SceneArgs {
             }
             (None, None) => (self.dark_shape::<T>(field)?, HeaderCards::new()),
         };
-        let catalog = match &self.catalog {
-            Some(path) => self.read_catalog(path, &header)?,
-            None => Catalog::default(),
-        };
+        let catalog = self.read_catalog(&header, false)?;
         let (invalid_rows, rows_off_projection) = (catalog.invalid_rows(), catalog.rows_off_projection());
         let (stars, galaxies) = catalog.into_parts();
         let read = ReadScene {
@@ -249,15 +249,59 @@ impl SceneArgs {
         Ok(FrameShape::new(nx * s, ny * s)?)
     }
 
-    /// Reads the catalogue. The positions that it returns are in pixels of the output image.
-    fn read_catalog(&self, path: &Path, header: &HeaderCards) -> anyhow::Result<Catalog> {
+    /// Reads a scene in colour: images and sources, each with its spectrum. The scene in the second
+    /// part of the result is dark.
+    pub(super) fn read_colours<T: ConvReal>(
+        &self,
+        colour: &ColourArgs,
+        field: Option<FrameShape>,
+    ) -> anyhow::Result<ReadColours<T>> {
+        let mut light = ColourScene::new();
+        let without_catalog = Self {
+            catalog: None,
+            ..self.clone()
+        };
+        let (mut read, _) = without_catalog.read::<T>(false, field)?;
+        let dark = std::mem::replace(&mut read.scene, Scene::dark());
+        if let (Some(image), Some(sed)) = (dark.image(), &colour.sed) {
+            light.add_image(sed, image.pixels().to_owned())?;
+        }
+        for layer in &colour.layer {
+            let mut reader = self.open(&layer.image)?;
+            let pixels = reader.read_rows(0..reader.shape().ny());
+            let pixels = pixels.map_err(|error| with_nan_as(error, &reader))?;
+            read.nan_pixels += reader.nan_pixels();
+            let added = light.add_image(&layer.spectrum, pixels);
+            added.with_context(|| layer.image.display().to_string())?;
+        }
+        let catalog = self.read_catalog(&read.header, true)?;
+        (read.invalid_rows, read.rows_off_projection) =
+            (catalog.invalid_rows(), catalog.rows_off_projection());
+        let added = light.add_catalog(catalog, colour.sed.as_deref());
+        let file = || {
+            self.catalog
+                .as_ref()
+                .map_or_else(String::new, |path| path.display().to_string())
+        };
+        added
+            .map_err(|error| anyhow::anyhow!(with_option(&error, error.setting())))
+            .with_context(file)?;
+        Ok((light, read))
+    }
+
+    /// Reads the catalogue, which may be missing. The positions that it returns are in pixels of the
+    /// output image. If `with_colours` is true, reads the spectra of the sources.
+    fn read_catalog(&self, header: &HeaderCards, with_colours: bool) -> anyhow::Result<Catalog> {
+        let Some(path) = &self.catalog else {
+            return Ok(Catalog::default());
+        };
         // The header of a scene refers to pixels of the scene, but the header of --wcs to pixels of
         // the image.
         let sky = match self.scene {
             Some(_) => SkyCoordinates::from_header(&header.binned(self.finer())),
             None => SkyCoordinates::from_header(header),
         };
-        let mut options = self.columns.options()?;
+        let mut options = self.columns.options()?.with_colours(with_colours);
         let unusable = match sky {
             Ok(sky) => {
                 options = options.with_sky(sky);

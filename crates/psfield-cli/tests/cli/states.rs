@@ -90,6 +90,112 @@ fn a_wavelength_is_chosen_from_samples_and_from_models() {
 }
 
 #[test]
+fn each_source_has_the_psf_of_its_spectrum() {
+    let desk = Desk::new();
+    desk.write_samples("colour.fits", &coloured());
+    desk.done("fit colour.fits -o colour_model.fits --rank full");
+    // Photons per wavelength are constant, and the bandpass is symmetric about 0.7 um.
+    desk.write(
+        "band.csv",
+        "wavelength_nm,throughput\n500,0\n600,1\n800,1\n900,0\n",
+    );
+    desk.write("blue.txt", "0.4 1\n0.55 1\n0.551 0\n1.0 0\n");
+    desk.write_image("point.fits", points(&[(20, 20, 1000.0)]));
+    desk.write_image("other.fits", points(&[(40, 30, 500.0)]));
+    let image = |arguments: &str, name: &str| {
+        desk.done(&format!(
+            "simulate --psf colour_model.fits -o {name} --tolerance 1e-6 {arguments}"
+        ));
+        desk.image(name)
+    };
+    let flat = "--bandpass band.csv --sed powerlaw:-1";
+    let mean = image(&format!("point.fits {flat} --spot-check 200"), "mean.fits");
+    let at_the_middle = image("point.fits --psf-wavelength 0.7", "middle.fits");
+    assert!(difference(&mean, &at_the_middle) < SINGLE * 10.0);
+
+    // Images of two spectra are added, and equal to a catalogue with the spectra.
+    let blue = "blue.txt:um:photons";
+    let layers = image(
+        &format!("point.fits {flat} --layer other.fits:sed={blue} --spot-check 200"),
+        "layers.fits",
+    );
+    let alone = image(
+        &format!("other.fits --bandpass band.csv --sed {blue}"),
+        "alone.fits",
+    );
+    assert!(difference(&layers, &(&mean + &alone)) < SINGLE * 10.0);
+    assert!(difference(&alone, &image(&format!("other.fits {flat}"), "flat.fits")) > 1e-3);
+    desk.write(
+        "seds.csv",
+        &format!("x,y,flux,sed\n20,20,1000,powerlaw:-1\n40,30,500,{blue}\n"),
+    );
+    let stars = image(
+        "--catalog seds.csv --shape 61,51 --bandpass band.csv --spot-check 100",
+        "stars.fits",
+    );
+    assert!(difference(&stars, &layers) < 1e-5);
+    desk.write("teff.csv", "x,y,flux,teff\n20,20,1000,3000\n40,30,500,20000\n");
+    image(
+        "--catalog teff.csv --shape 61,51 --bandpass band.csv --spot-check 100",
+        "teff.fits",
+    );
+
+    desk.write("plain.csv", "x,y,flux\n20,20,1000\n");
+    desk.write("wrong.csv", "x,y,flux,sed\n20,20,1000,sun\n");
+    desk.write("far.txt", "2.0 1\n3.0 1\n");
+    desk.write("unsorted.csv", "wavelength_nm,t\n600,1\n500,1\n");
+    for (arguments, code, needles) in [
+        ("point.fits --bandpass band.csv", 2, &["--sed"][..]),
+        ("point.fits --sed blackbody:3000", 2, &["--bandpass"]),
+        (
+            "point.fits --layer other.fits --bandpass band.csv --sed powerlaw:0",
+            2,
+            &["red.fits:sed="],
+        ),
+        (
+            "point.fits --bandpass blue.txt --sed powerlaw:0",
+            1,
+            &["blue.txt", "unit of its wavelengths"],
+        ),
+        (
+            "point.fits --bandpass unsorted.csv --sed powerlaw:0",
+            1,
+            &["unsorted.csv", "must ascend"],
+        ),
+        (
+            "point.fits --bandpass band.csv --sed blackbody:cold",
+            1,
+            &["blackbody:KELVIN"],
+        ),
+        (
+            "point.fits --bandpass band.csv --sed far.txt:um",
+            1,
+            &["no light in the bandpass"],
+        ),
+        (
+            "point.fits --stream --bandpass band.csv --sed powerlaw:0",
+            2,
+            &["--stream", "--bandpass"],
+        ),
+        (
+            "--catalog plain.csv --shape 61,51 --bandpass band.csv",
+            1,
+            &["plain.csv", "sed", "teff"],
+        ),
+        (
+            "--catalog wrong.csv --shape 61,51 --bandpass band.csv",
+            1,
+            &["sun"],
+        ),
+    ] {
+        let psf = "--psf colour_model.fits";
+        desk.refused(&format!("simulate {psf} {arguments} -o no.fits"), code, needles);
+    }
+    let plain = "simulate point.fits --psf samples.fits --bandpass band.csv --sed powerlaw:0 -o no.fits";
+    desk.refused(plain, 1, &["samples.fits", "does not depend on the wavelength"]);
+}
+
+#[test]
 fn files_of_several_frames_get_one_basis() {
     let desk = Desk::new();
     let turned = coloured();

@@ -54,8 +54,11 @@ pub struct ColourSimulator<T: ConvReal> {
     /// The PSF on the pixels of the scenes' images, with all its states.
     on_pixels: OnceLock<Psf>,
     /// The engines for the images of some spectra, by the numbers of these spectra.
-    engines: Mutex<Vec<(Vec<usize>, Arc<Engine<T>>)>>,
+    engines: Mutex<Vec<OfSpectra<T>>>,
 }
+
+/// An engine, and the numbers of the spectra whose images it convolves.
+type OfSpectra<T> = (Vec<usize>, Arc<Engine<T>>);
 
 impl<T: ConvReal> ColourSimulator<T> {
     /// Makes a simulator for scenes of `shape` `(ny, nx)`, in the scenes' own pixels. Each state of
@@ -239,7 +242,7 @@ impl<T: ConvReal> ColourSimulator<T> {
     ) -> Result<SpotCheck, PsfieldError> {
         self.check_scenes(scenes, false)?;
         let stars: Vec<_> = scenes.iter().flat_map(Scene::stars).copied().collect();
-        let galaxies: Vec<_> = scenes.iter().flat_map(Scene::galaxies).cloned().collect();
+        let galaxies: Vec<_> = scenes.iter().flat_map(Scene::galaxies).copied().collect();
         let any_image = scenes.iter().find_map(Scene::image);
         let all = any_image.map_or_else(Scene::dark, |image| Scene::from(image.view()));
         let all = all.with_stars(stars).with_galaxies(galaxies);

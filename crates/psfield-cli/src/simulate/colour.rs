@@ -1,0 +1,158 @@
+//! Scenes in colour: the options, and the simulation.
+
+use std::path::PathBuf;
+use std::str::FromStr;
+
+use conv_core::ConvReal;
+use ndarray::ArrayViewMut2;
+use psf_types::{Image, NoProgress, Progress};
+use psfield::{ColourScene, ColourSimulator, Psf, PsfieldError, Scene, Simulator, SpotCheck, open_bandpass};
+
+use crate::context::{Context, with_option};
+use crate::simulate::SimulateArgs;
+use crate::simulate::execute::MakesImage;
+use crate::simulate::exposure_args::Exposing;
+use crate::simulate::prepared::timed;
+use crate::simulate::report::{Report, Seconds};
+use crate::simulate::scene::ReadScene;
+
+/// The bandpass of the image, and the spectra of the light.
+#[derive(Debug, Clone, clap::Args)]
+#[command(next_help_heading = "Colour (for a PSF that depends on the wavelength)")]
+pub(super) struct ColourArgs {
+    /// Throughput of the instrument: table of wavelengths and throughputs
+    ///
+    /// Text or FITS table. The first column is the wavelength, the second the fraction of photons that
+    /// is detected. If the file does not state the unit of the wavelengths, give it behind the name:
+    /// filter.txt:nm (um, nm, Angstrom, mm or m).
+    ///
+    /// Each source then has the PSF of its own spectrum: the mean over its detected photons. Fluxes
+    /// are those in the bandpass.
+    #[arg(long, value_name = "FILE[:UNIT]")]
+    pub(super) bandpass: Option<String>,
+    /// Spectrum of SCENE.fits, and of catalogues without a column sed or teff
+    ///
+    /// blackbody:KELVIN, powerlaw:INDEX (f_lambda proportional to lambda^INDEX), or FILE[:UNIT][:VALUES],
+    /// a table of wavelengths and values as for --bandpass. VALUES is flambda (energy per wavelength,
+    /// default), fnu (energy per frequency) or photons. Behind any of them, @z=REDSHIFT sets the
+    /// redshift: galaxy.txt:nm@z=0.5.
+    ///
+    /// A catalogue may have a column sed with the name of each source's spectrum, or a column teff with
+    /// the temperature of a black body (kelvin).
+    #[arg(long, value_name = "SPECTRUM", requires = "bandpass")]
+    pub(super) sed: Option<String>,
+    /// A further image of the scene, with its spectrum (may be repeated)
+    ///
+    /// It has the pixels of SCENE.fits. The images of all spectra are added up.
+    #[arg(
+        long,
+        value_name = "IMAGE.fits:sed=SPECTRUM",
+        requires = "bandpass",
+        hide_short_help = true
+    )]
+    pub(super) layer: Vec<Layer>,
+}
+
+/// An image and its spectrum.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Layer {
+    pub(super) image: PathBuf,
+    pub(super) spectrum: String,
+}
+
+impl FromStr for Layer {
+    type Err = String;
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text.split_once(":sed=") {
+            Some((image, spectrum)) if !image.is_empty() && !spectrum.is_empty() => Ok(Self {
+                image: image.into(),
+                spectrum: spectrum.to_owned(),
+            }),
+            _ => Err("an image and its spectrum are needed, as in red.fits:sed=blackbody:4000".to_owned()),
+        }
+    }
+}
+
+/// A simulator of several spectra, and the scene of each.
+struct InColour<'a, T: ConvReal>(&'a ColourSimulator<T>, &'a [Scene<'static, T>]);
+
+impl<T: ConvReal> MakesImage<T> for InColour<'_, T> {
+    fn of_frame(&self) -> &Simulator<T> {
+        &self.0.spectra()[0]
+    }
+
+    fn simulate_into(
+        &self,
+        image: ArrayViewMut2<'_, T>,
+        progress: &dyn Progress,
+    ) -> Result<conv_core::TileCounts, PsfieldError> {
+        self.0.simulate_into(self.1, image, progress)
+    }
+
+    fn spot_check(&self, image: &Image<T>, pixels: (usize, u64)) -> Result<SpotCheck, PsfieldError> {
+        self.0.spot_check(self.1, image, pixels, &NoProgress)
+    }
+}
+
+impl SimulateArgs {
+    /// Returns an error message if the options of colours do not fit together with others.
+    pub(super) fn misused_colour(&self) -> Option<String> {
+        self.colour.bandpass.as_ref()?;
+        let first_image = self.scene.scene.as_ref();
+        let message = if self.stream {
+            "--stream cannot be used with --bandpass"
+        } else if !self.colour.layer.is_empty() && first_image.is_none() {
+            "--layer needs a first image (SCENE.fits), whose spectrum is --sed"
+        } else if first_image.is_some() && self.colour.sed.is_none() {
+            "--bandpass needs the spectrum of SCENE.fits: --sed SPECTRUM"
+        } else {
+            return None;
+        };
+        Some(message.to_owned())
+    }
+
+    /// Simulates a scene in colour.
+    pub(super) fn simulate_in_colour<T: ConvReal>(
+        &self,
+        bandpass: &str,
+        psf: &Psf,
+        exposing: Option<&Exposing>,
+        mut seconds: Seconds,
+        context: &Context,
+    ) -> anyhow::Result<Report> {
+        let spinner = context.spinner("reading");
+        let ((bandpass, (light, read)), taken) = timed(|| {
+            let bandpass = open_bandpass(bandpass)?;
+            Ok((
+                bandpass,
+                self.scene.read_colours::<T>(&self.colour, psf.field_shape())?,
+            ))
+        })?;
+        seconds.read += taken;
+        drop(spinner);
+        self.note_of_scene(&read, context);
+
+        let shape = (read.shape.ny(), read.shape.nx());
+        let made = light.into_simulator(psf, &bandpass, shape, &self.options());
+        let (simulator, scenes) = made.map_err(|error| self.explained(error))?;
+        let spinner = context.spinner("fitting and planning");
+        let made = simulator
+            .prepare(&scenes, &NoProgress)
+            .map_err(|error| self.explained(error))?;
+        [seconds.fit, seconds.plan] = [made.fit_seconds, made.plan_seconds];
+        drop(spinner);
+        for warning in simulator.warnings(&scenes) {
+            context.warn(&with_option(&warning, warning.setting()));
+        }
+        let in_colour = InColour(&simulator, &scenes);
+        let outcome = self.in_memory((&in_colour, &made), &read, exposing, &mut seconds, context)?;
+        let sources = (
+            scenes.iter().map(|scene| scene.stars().len()).sum(),
+            scenes.iter().map(|scene| scene.galaxies().len()).sum(),
+        );
+        Ok(self.report((in_colour.of_frame(), &made), &read, sources, outcome, seconds))
+    }
+}
+
+/// The parts of a scene in colour: its light, and the other data of its files.
+pub(super) type ReadColours<T> = (ColourScene<T>, ReadScene<T>);
