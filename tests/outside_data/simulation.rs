@@ -25,6 +25,7 @@ const QUOTED: f64 = 0.1;
 pub(crate) const ANCHORS: [(Anchor, &str); 2] = [(Anchor::Source, "source"), (Anchor::Output, "output")];
 /// Every component, centred.
 pub(crate) const FULL: FitOptions = FitOptions {
+    shift_copies: 0,
     rank: RankSelection::Full,
     centring: Centring::Mean,
     noise: psfield::psf_basis::PixelNoise::Known(0.0),

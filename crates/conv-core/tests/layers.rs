@@ -53,12 +53,11 @@ fn light<T: ConvReal>(kind: usize, layer: usize) -> Array2<T> {
         let even = ((3 * x + 5 * y + 7 * layer) % 11) as f64;
         let lit = (31 * x + 17 * y + layer).is_multiple_of(1409);
         T::nearest(match kind {
-            0 => even,
             1 if lit => 100.0,
             2 if (x, y) == (90 + layer, 60) => 1e6,
-            2 => even,
-            3 if layer == 1 => even,
-            _ => 0.0,
+            1 => 0.0,
+            3 if layer != 1 => 0.0,
+            _ => even,
         })
     })
 }

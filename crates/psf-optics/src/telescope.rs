@@ -12,7 +12,7 @@ use crate::focal_plane::{AxisTransfer, FocalPlane, even_smooth_at_least};
 use crate::pupil::{Aperture, PupilCells};
 use crate::seeing::Seeing;
 use crate::wavefront::Wavefront;
-use crate::{FieldCoordinates, OpticsError, TelescopeParams};
+use crate::{FieldCoordinates, OpticsError, TelescopeParams, WavefrontUnit};
 
 /// The TOML text of [`Telescope::survey_2m`].
 pub const SURVEY_2M_TOML: &str = include_str!("../presets/survey_2m.toml");
@@ -142,6 +142,32 @@ impl Telescope {
             detector,
             params,
         })
+    }
+
+    /// This telescope at another wavelength, in micrometres. Diffraction and seeing change with it.
+    /// The wavefront keeps its lengths: if the parameters give it in waves, they are waves of this
+    /// telescope's wavelength.
+    ///
+    /// ```
+    /// use psf_optics::Telescope;
+    /// let telescope = Telescope::wide_field_lens();
+    /// let blue = telescope.at_wavelength_um(0.45)?;
+    /// assert_eq!(blue.params().wavelength_nm, 450.0);
+    /// # Ok::<(), psf_optics::OpticsError>(())
+    /// ```
+    ///
+    /// # Errors
+    /// The errors of [`new`](Self::new).
+    pub fn at_wavelength_um(&self, um: f64) -> Result<Self, OpticsError> {
+        let mut params = self.params.clone();
+        if params.wavefront.unit == WavefrontUnit::Waves {
+            params.wavefront.unit = WavefrontUnit::Nm;
+            for term in params.wavefront.modes.iter_mut().flat_map(|mode| &mut mode.terms) {
+                term.value *= params.wavelength_nm;
+            }
+        }
+        params.wavelength_nm = 1e3 * um;
+        Self::new(params)
     }
 
     /// Makes a telescope from TOML text with the keys of [`TelescopeParams`].

@@ -3,7 +3,9 @@
 use std::collections::HashMap;
 
 use ndarray::{Array2, Array3, Axis};
-use psf_types::{FrameShape, Position, Progress, PsfSamples, PsfSource, SamplePositions, Stamp};
+use psf_types::{
+    FrameShape, Position, Progress, PsfSamples, PsfSource, SamplePositions, SampleStates, Stamp, StateKind,
+};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use rayon::prelude::*;
@@ -48,6 +50,42 @@ fn draw_all(
         })
         .collect();
     drawn.into_iter().collect()
+}
+
+/// Draws the PSFs of several sources at the same positions: one source for each state, such as a
+/// wavelength. The samples of the first state come first.
+///
+/// # Errors
+/// [`SampleError::Draw`] when a source cannot draw. [`SampleError::Stamp`] or
+/// [`SampleError::NoLight`] when a drawn stamp is not a valid PSF. [`SampleError::Cancelled`] if
+/// `progress` cancels the work. [`SampleError::Data`] for states that are not valid.
+///
+/// # Panics
+/// When there are no sources, or not one for each state.
+pub fn draw_states(
+    sources: &[&dyn PsfSource],
+    (kind, values): (StateKind, &[f64]),
+    positions: &[Position],
+    progress: &dyn Progress,
+) -> Result<PsfSamples, SampleError> {
+    assert_eq!(sources.len(), values.len(), "one source for each state");
+    let (first, count) = (sources[0], positions.len());
+    progress.start((sources.len() * count) as u64);
+    let (ny, nx) = first.grid().dim();
+    let mut stamps = Array3::zeros((sources.len() * count, ny, nx));
+    for (source, mut block) in sources.iter().zip(stamps.axis_chunks_iter_mut(Axis(0), count)) {
+        for (mut to, stamp) in block
+            .outer_iter_mut()
+            .zip(draw_all(*source, positions, progress)?)
+        {
+            to.assign(&stamp);
+        }
+    }
+    let per_sample: Vec<f64> = values.iter().flat_map(|&value| vec![value; count]).collect();
+    let states = SampleStates::new(kind, &per_sample)?;
+    let at = positions.repeat(sources.len());
+    let positions = SamplePositions::with_states(at, Some(first.field()), Some(states))?;
+    Ok(PsfSamples::new(stamps, positions, first.grid())?)
 }
 
 /// All PSFs drawn so far. The keys are their nodes of the mesh.

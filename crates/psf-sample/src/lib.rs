@@ -47,6 +47,6 @@ pub use criteria::{
     CellProbes, CellStamps, CellVariation, DifferenceMeasure, InterpolationError, NeighbourDifference,
     RefinementCriterion,
 };
-pub use draws::{ShiftAugmentation, ShiftedStamps, UniformSampling, hold_out};
+pub use draws::{ShiftAugmentation, ShiftedStamps, UniformSampling, draw_states, hold_out};
 pub use options::{Criterion, SamplingOptions};
 pub use sampling::{CapReached, SampleError, Sampling, SamplingMethod, SamplingOutcome, SamplingReport};

@@ -12,7 +12,7 @@ use psf_sample::{
     Criterion, DifferenceMeasure, SampleError, Sampling, SamplingOptions, SamplingOutcome, hold_out,
 };
 use psf_stars::{CoverageMap, SOURCE_COLUMNS, StarSamples};
-use psf_types::{PsfSamples, PsfSource};
+use psf_types::{Position, PsfSamples, PsfSource, StateKind};
 
 use crate::UsageError;
 use crate::context::{Context, object, signature, write_samples};
@@ -231,6 +231,12 @@ struct TelescopeArgs {
     /// Sample a regular grid of NX x NY positions, without --criterion and --threshold
     #[arg(long, value_name = "NX,NY", conflicts_with_all = ["criterion", "threshold", "start", "max_samples", "accept_cap"])]
     uniform: Option<Pair>,
+    /// Draw the PSF at these wavelengths, two or more (micrometres)
+    ///
+    /// Diffraction and seeing depend on the wavelength. The positions are chosen at the telescope's own
+    /// wavelength. A scene in colour then needs --bandpass in `psfield simulate`.
+    #[arg(long, value_name = "UM,UM,...", value_parser = above_zero, value_delimiter = ',', conflicts_with = "hold_out")]
+    wavelengths: Vec<f64>,
 }
 
 /// A telescope that comes with the program.
@@ -264,6 +270,7 @@ impl TelescopeArgs {
             ("--max-samples", self.max_samples.is_some()),
             ("--accept-cap", self.accept_cap),
             ("--uniform", self.uniform.is_some()),
+            ("--wavelengths", !self.wavelengths.is_empty()),
         ]
         .into_iter()
         .find_map(|(name, given)| given.then_some(name))
@@ -282,7 +289,16 @@ impl TelescopeArgs {
             }
             _ => error,
         };
-        let sampling = self.draw(&telescope, context).map_err(named)?;
+        if let [_] = self.wavelengths[..] {
+            const ONE: &str =
+                "--wavelengths needs two or more wavelengths: for one, set wavelength_nm of the telescope";
+            return Err(UsageError(ONE.to_owned()).into());
+        }
+        let mut sampling = self.draw(&telescope, context).map_err(named)?;
+        if !self.wavelengths.is_empty() {
+            let at = sampling.samples.positions().as_slice().to_vec();
+            sampling.samples = self.draw_wavelengths(&telescope, &at, context)?;
+        }
         let positions = sampling.samples.positions();
         let held_out = asked.hold_out.map(|count| {
             let drawn = (usize::from(count), asked.seed);
@@ -298,7 +314,7 @@ impl TelescopeArgs {
             hold_out: asked.hold_out_file(),
             held_out: held_out.map(PsfSamples::len),
             // PSFs drawn: the samples, and PSFs at points that only the criterion uses.
-            draws: found.draws,
+            draws: if self.wavelengths.is_empty() { found.draws } else { found.draws + sampling.samples.len() },
             cells: found.cells,
             unmet_cells: found.unmet_cells,
             worst: found.worst,
@@ -336,6 +352,22 @@ impl TelescopeArgs {
                 asked.held_out_text(held_out)
             )
         })
+    }
+
+    /// Draws the PSF at every wavelength.
+    fn draw_wavelengths(
+        &self,
+        telescope: &Telescope,
+        positions: &[Position],
+        context: &Context,
+    ) -> anyhow::Result<PsfSamples> {
+        psfield::check_stack(positions.len() * self.wavelengths.len(), telescope.grid())?;
+        let telescopes = self.wavelengths.iter().map(|&um| telescope.at_wavelength_um(um));
+        let telescopes = telescopes.collect::<Result<Vec<_>, _>>()?;
+        let sources: Vec<&dyn PsfSource> = telescopes.iter().map(|t| t as &dyn PsfSource).collect();
+        let states = (StateKind::Wavelength, &self.wavelengths[..]);
+        let bar = context.bar("drawing wavelengths");
+        Ok(psf_sample::draw_states(&sources, states, positions, &bar)?)
     }
 
     fn draw(&self, telescope: &Telescope, context: &Context) -> anyhow::Result<Sampling> {

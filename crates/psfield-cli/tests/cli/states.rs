@@ -127,7 +127,7 @@ fn each_source_has_the_psf_of_its_spectrum() {
     assert!(difference(&alone, &image(&format!("other.fits {flat}"), "flat.fits")) > 1e-3);
     desk.write(
         "seds.csv",
-        &format!("x,y,flux,sed\n20,20,1000,powerlaw:-1\n40,30,500,{blue}\n"),
+        format!("x,y,flux,sed\n20,20,1000,powerlaw:-1\n40,30,500,{blue}\n"),
     );
     let stars = image(
         "--catalog seds.csv --shape 61,51 --bandpass band.csv --spot-check 100",
@@ -193,6 +193,38 @@ fn each_source_has_the_psf_of_its_spectrum() {
     }
     let plain = "simulate point.fits --psf samples.fits --bandpass band.csv --sed powerlaw:0 -o no.fits";
     desk.refused(plain, 1, &["samples.fits", "does not depend on the wavelength"]);
+}
+
+#[test]
+fn a_telescope_is_sampled_at_several_wavelengths() {
+    let desk = Desk::empty();
+    let sample = "sample --preset wide-field-lens --uniform 2,2 -o lens.fits";
+    desk.done(&format!("{sample} --wavelengths 0.75,0.45"));
+    let samples = desk.samples("lens.fits");
+    let states = samples.positions().states().unwrap();
+    assert_eq!(
+        (samples.len(), states.kind(), states.values()),
+        (8, StateKind::Wavelength, &[0.45, 0.75][..])
+    );
+    // The aberrations are lengths, so that they are fewer waves in the red: the PSF is sharper.
+    let peak = |sample: usize| samples.stamp(sample).iter().fold(0.0_f64, |m, v| m.max(*v));
+    assert!(peak(0) > 1.05 * peak(4), "{} {}", peak(0), peak(4));
+    desk.refused(
+        &format!("{sample} --overwrite --wavelengths 0.5"),
+        2,
+        &["two or more wavelengths"],
+    );
+    desk.refused(
+        &format!("{sample} --overwrite --wavelengths 0.5,-1"),
+        2,
+        &["--wavelengths"],
+    );
+    desk.write_image("frame.fits", points(&[(20, 20, 1000.0)]));
+    desk.refused(
+        "sample frame.fits -o no.fits --wavelengths 0.5,0.6",
+        2,
+        &["--wavelengths", "frame"],
+    );
 }
 
 #[test]
