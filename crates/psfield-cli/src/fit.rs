@@ -142,6 +142,7 @@ impl FitCommandArgs {
 fn text(report: &FitReport, output: &str) -> String {
     let left_out = &report.leave_one_out;
     let noise = match report.noise_sigma {
+        _ if report.singular_values.is_empty() => "not estimated (given basis)".to_owned(),
         Some(sigma) => format!("sigma {sigma:.3e} per pixel"),
         None => "none found".to_owned(),
     };
