@@ -746,6 +746,61 @@ class PsfModel:
             raise ValueError(f"this PSF does not depend on the {kind}")
         return PsfModel._of(self._handle.at_state(value), self._sampling)
 
+    def for_spectrum(
+        self,
+        bandpass: PathLike | tuple[ArrayLike, ArrayLike],
+        spectrum: PathLike | tuple[ArrayLike, ArrayLike],
+    ) -> PsfModel:
+        """Return the PSF of sources with a spectrum: the mean over their detected photons.
+
+        The model must depend on the wavelength. The basis stays the same.
+
+        Parameters
+        ----------
+        bandpass : path or (array_like, array_like)
+            Throughput of the instrument: wavelengths in micrometres and fractions of photons, or a
+            file with these two columns. If the file does not state the unit of its wavelengths,
+            give it behind the name, as in ``"filter.txt:nm"``.
+        spectrum : str, path or (array_like, array_like)
+            ``"blackbody:KELVIN"``, ``"powerlaw:INDEX"`` (the flux density per wavelength is
+            proportional to ``wavelength**INDEX``), wavelengths in micrometres and flux densities
+            per wavelength, or a file with these two columns (``"FILE[:UNIT][:VALUES]"``, where
+            ``VALUES`` is ``flambda``, ``fnu`` or ``photons``). ``@z=REDSHIFT`` behind a name sets
+            the redshift.
+
+        Returns
+        -------
+        PsfModel
+
+        Raises
+        ------
+        ValueError
+            The PSF does not depend on the wavelength, the spectrum has no light in the bandpass, or
+            the bandpass reaches beyond the wavelengths of the samples.
+
+        Notes
+        -----
+        ``h(u; x) = int h(u; x, w) f(w) w T(w) dw / int f(w) w T(w) dw`` over the wavelengths ``w``,
+        with the flux density per wavelength ``f`` and the throughput ``T``.
+
+        Examples
+        --------
+        >>> import psfield
+        >>> narrow, wide = [[0, 1, 0], [1, 4, 1], [0, 1, 0]], [[1, 2, 1], [2, 4, 2], [1, 2, 1]]
+        >>> model = psfield.PsfModel.from_samples(
+        ...     [narrow, wide], [(0, 0), (0, 0)], wavelengths_um=[0.5, 0.7]
+        ... )
+        >>> bandpass = ([0.5, 0.6, 0.7], [0, 1, 0])
+        >>> red = model.for_spectrum(bandpass, "blackbody:3000").evaluate(0, 0)
+        >>> blue = model.for_spectrum(bandpass, "blackbody:20000").evaluate(0, 0)
+        >>> bool(red.max() < blue.max())
+        True
+        """
+        native = self._handle.for_spectrum(
+            _curve(bandpass, "bandpass"), _curve(spectrum, "spectrum")
+        )
+        return PsfModel._of(native, self._sampling)
+
     @property
     def rank(self) -> int:
         """Number of components. The mean stamp does not count.
@@ -1162,6 +1217,19 @@ def _fit(
         "normalise": text_or_none(normalise, "normalise"),
         "shift_copies": integer_or_none(shift_copies, "shift_copies"),
     }
+
+
+def _curve(
+    given: PathLike | tuple[ArrayLike, ArrayLike], name: str
+) -> str | tuple[list[float], list[float]]:
+    """Return the name of a curve, or its wavelengths and values."""
+    if isinstance(given, (str, os.PathLike)):
+        return os.fspath(given)
+    try:
+        wavelengths, values = given
+    except (TypeError, ValueError):
+        raise TypeError(f"{name} must be a name or a pair (wavelengths, values)") from None
+    return column(wavelengths, name).tolist(), column(values, name).tolist()
 
 
 def _states(

@@ -199,6 +199,15 @@ def test_the_page_of_the_package(tmp_path, monkeypatch):
     assert names["check"].passed and 0 < names["difference"].relative_l2 < 1e-3
 
 
+def test_the_page_on_colour(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, Any] = {}
+    for _, blocks in sections("colour.md"):
+        execute(blocks, "colour.md", names)
+    peaks = [names[name].evaluate(0, 0).max() for name in ("green", "star")]
+    assert all(0 < peak < 1 for peak in peaks)
+
+
 def coming_from(section: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     """Run the blocks of a section and return their variables."""
     monkeypatch.chdir(folder)
@@ -238,7 +247,7 @@ def test_coming_from_regularizepsf(tmp_path, monkeypatch):
     assert 2e-3 < np.linalg.norm(theirs - exact) / np.linalg.norm(exact) < 2e-2
 
 
-@pytest.mark.parametrize("document", ["python.md", "coming_from.md"])
+@pytest.mark.parametrize("document", ["python.md", "coming_from.md", "colour.md"])
 def test_links_lead_somewhere(document):
     text = (ROOT / "docs" / document).read_text(encoding="utf-8")
     for target in re.findall(r"\]\(([^)#]+)[^)]*\)", text):

@@ -426,3 +426,27 @@ def test_a_given_basis_is_kept():
         psfield.PsfModel.from_samples(
             stamps[:, 1:, 1:], positions[:1] * 6, times_s=range(6), basis=model
         )
+
+
+def test_the_psf_of_a_spectrum(tmp_path):
+    stamps, positions, wavelengths = coloured()
+    model = psfield.PsfModel.from_samples(
+        stamps, positions, wavelengths_um=wavelengths, rank="full", noise=0
+    )
+    # A narrow bandpass is a single wavelength.
+    narrow = ([0.5999, 0.6, 0.6001], [0.0, 1.0, 0.0])
+    alone = model.for_spectrum(narrow, "powerlaw:0").evaluate(10.0, 0.0)
+    assert_near(alone, model.at(wavelength_um=0.6).evaluate(10.0, 0.0), atol=1e-7)
+    wide = ([0.5, 0.55, 0.75, 0.8], [0.0, 1.0, 1.0, 0.0])
+    (tmp_path / "band.csv").write_text("wavelength_nm,t\n500,0\n550,1\n750,1\n800,0\n")
+    flat = ([0.4, 0.9], [1.0, 1.0])
+    by_name = model.for_spectrum(tmp_path / "band.csv", "powerlaw:0").evaluate(0.0, 0.0)
+    assert_near(model.for_spectrum(wide, flat).evaluate(0.0, 0.0), by_name, atol=1e-14)
+    with pytest.raises(ValueError, match="no light in the bandpass"):
+        model.for_spectrum(wide, ([2.0, 3.0], [1.0, 1.0]))
+    with pytest.raises(ValueError, match="must ascend"):
+        model.for_spectrum(([0.6, 0.5], [1.0, 1.0]), "powerlaw:0")
+    with pytest.raises(TypeError, match="a name or a pair"):
+        model.for_spectrum(3, "powerlaw:0")
+    with pytest.raises(ValueError, match="does not depend on the wavelength"):
+        model.at(wavelength_um=0.6).for_spectrum(wide, flat)

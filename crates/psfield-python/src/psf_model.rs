@@ -12,9 +12,10 @@ use psfield::psf_types::{
     FrameShape, PsfBasis, PsfModelRecord, PsfSamples, SampleCoefficients, SamplePositions, SampleStates,
     StateKind,
 };
+use psfield::spectra::{Bandpass, Curve, FluxDensity, Spectrum};
 use psfield::{
     EvaluateOptions, Fit, FitOptions, OutputGrid, Psf, PsfieldError, evaluate_stamps, fit_in_basis,
-    provenance_cards,
+    open_bandpass, open_spectrum, provenance_cards,
 };
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -37,6 +38,13 @@ type Basis<'py> = (Option<Plane<'py>>, Cube<'py>, Plane<'py>);
 type Choices = (String, String, String);
 /// The name of the quantity on which the PSF depends besides the position, and its values.
 type States = Option<(String, Vec<f64>)>;
+/// A bandpass or a spectrum: its name, or wavelengths in micrometres and values.
+#[derive(FromPyObject)]
+enum Curved {
+    Name(String),
+    Rows((Vec<f64>, Vec<f64>)),
+}
+
 /// Columns x and y.
 type Points<'py> = (Bound<'py, PyArray1<f64>>, Bound<'py, PyArray1<f64>>);
 
@@ -196,6 +204,24 @@ impl PsfModel {
     /// Returns the PSF at a wavelength, a time or a frame.
     fn at_state(&self, py: Python<'_>, value: f64) -> PyResult<Self> {
         self.apart(py, move |psf| psf.at_state(value)).map(Self)
+    }
+
+    /// Returns the PSF of a spectrum in a bandpass: the mean over the detected photons.
+    fn for_spectrum(&self, py: Python<'_>, bandpass: Curved, spectrum: Curved) -> PyResult<Self> {
+        let spectral = |error| Failure::from(PsfieldError::from(error));
+        let bandpass = match bandpass {
+            Curved::Name(name) => open_bandpass(&name).map_err(Failure::from)?,
+            Curved::Rows(rows) => Bandpass::new(Curve::new(rows.0, rows.1).map_err(spectral)?),
+        };
+        let spectrum = match spectrum {
+            Curved::Name(name) => open_spectrum(&name).map_err(Failure::from)?,
+            Curved::Rows(rows) => Spectrum::table(
+                Curve::new(rows.0, rows.1).map_err(spectral)?,
+                FluxDensity::PerWavelength,
+            ),
+        };
+        let mixed = move |psf: &Psf| psf.for_spectra(&bandpass, &[spectrum])?.at_state(0.0);
+        self.apart(py, mixed).map(Self)
     }
 
     /// (ny, nx) of the field, if it is known.
