@@ -2,7 +2,7 @@
 
 use std::collections::{HashMap, HashSet};
 
-use ndarray::{Array2, ArrayView2};
+use ndarray::{Array2, ArrayView2, s};
 use psf_types::{
     Interpolation, OutsidePolicy, Position, SampleCoefficients, SamplePositions, SampleStates, StateKind,
 };
@@ -69,10 +69,8 @@ pub fn mix_states(
     let on_nodes = on_nodes.collect::<Result<Vec<_>, _>>()?;
     let (nodes, components) = (at.len(), samples.component_count());
     let mut values = Array2::zeros((mixtures.nrows() * nodes, components));
-    for (weights, mut block) in mixtures
-        .outer_iter()
-        .zip(values.exact_chunks_mut((nodes, components)))
-    {
+    for (mixture, weights) in mixtures.outer_iter().enumerate() {
+        let mut block = values.slice_mut(s![mixture * nodes..(mixture + 1) * nodes, ..]);
         for (&state, of_state) in used.iter().zip(&on_nodes) {
             block.scaled_add(weights[state], of_state);
         }
@@ -208,6 +206,17 @@ mod tests {
                 assert!((row[0] - f(p.x(), p.y(), v)).abs() < ROUNDING * 10.0, "{v}");
             }
         }
+    }
+
+    #[test]
+    fn a_model_without_components_has_states_too() {
+        let positions = samples(|_, _, _| 0.0, &[]).positions().clone();
+        let samples = SampleCoefficients::new(Array2::zeros((positions.len(), 0)), positions).unwrap();
+        let labels = Some((StateKind::Spectrum, &[0.0, 1.0][..]));
+        let half = Array2::from_elem((2, 4), 0.25);
+        let method = (Interpolation::Bilinear, OutsidePolicy::Nearest);
+        let mixed = mix_states(&samples, method, half.view(), labels).unwrap();
+        assert_eq!(mixed.values().dim(), (8, 0));
     }
 
     #[test]

@@ -6,7 +6,9 @@ use psf_io::{Catalog, SourceColours};
 use psf_types::{DataError, Image, PointSource, SersicSource};
 use spectra::Bandpass;
 
-use crate::{ColourSimulator, ErrorKind, Psf, PsfieldError, Scene, SimulateOptions, open_spectrum};
+use crate::{
+    ColourSimulator, Dispersion, ErrorKind, Psf, PsfieldError, Scene, SimulateOptions, open_spectrum,
+};
 
 /// Light of several spectra, each with its name ([`open_spectrum`]): images, stars and galaxies.
 ///
@@ -118,15 +120,16 @@ impl<T: ConvReal> ColourScene<T> {
     }
 
     /// Makes the simulator of this scene, and the scenes for it, one for each spectrum. `psf` depends
-    /// on the wavelength, and `shape` is that of the scene `(ny, nx)`, in its own pixels.
+    /// on the wavelength, and `shape` is that of the scene `(ny, nx)`, in its own pixels. `dispersion` is
+    /// that of the atmosphere, if it matters.
     ///
     /// # Errors
-    /// The errors of [`open_spectrum`], [`Psf::for_spectra`] and [`ColourSimulator::new`], and
+    /// The errors of [`open_spectrum`], [`Psf::for_dispersed_spectra`] and [`ColourSimulator::new`], and
     /// [`ErrorKind::Data`] for a scene without light or an image with a value that is not finite.
     pub fn into_simulator(
         self,
         psf: &Psf,
-        bandpass: &Bandpass,
+        (bandpass, dispersion): (&Bandpass, Option<&Dispersion>),
         shape: (usize, usize),
         options: &SimulateOptions,
     ) -> Result<(ColourSimulator<T>, Vec<Scene<'static, T>>), PsfieldError> {
@@ -149,7 +152,10 @@ impl<T: ConvReal> ColourScene<T> {
             };
             scenes.push(scene.with_stars(light.stars).with_galaxies(light.galaxies));
         }
-        let psf = psf.for_spectra(bandpass, &spectra)?;
+        let psf = match dispersion {
+            Some(dispersion) => psf.for_dispersed_spectra(bandpass, &spectra, dispersion)?,
+            None => psf.for_spectra(bandpass, &spectra)?,
+        };
         Ok((ColourSimulator::new(&psf, shape, options)?, scenes))
     }
 

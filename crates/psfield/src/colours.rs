@@ -2,7 +2,7 @@
 
 use ndarray::Array2;
 use psf_types::StateKind;
-use spectra::{Bandpass, Curve, FluxDensity, SpectraError, Spectrum, photons};
+use spectra::{Bandpass, Curve, FluxDensity, PhotonFraction, SpectraError, Spectrum, photons};
 
 use crate::{ErrorKind, Psf, PsfieldError};
 
@@ -86,33 +86,42 @@ impl Psf {
         let wavelengths = self.wavelengths()?;
         let mut mixtures = Array2::zeros((spectra.len(), wavelengths.len()));
         for (spectrum, mut weights) in spectra.iter().zip(mixtures.outer_iter_mut()) {
-            let (first, last) = (wavelengths[0], wavelengths[wavelengths.len() - 1]);
-            let mut outside = 0.0;
-            for fraction in photons(bandpass, spectrum, wavelengths)? {
-                let at = fraction.wavelength_um;
-                if !(first..=last).contains(&at) {
-                    outside += fraction.weight;
-                }
-                for (state, weight) in coeff_field::state_weights(wavelengths, at) {
+            for fraction in self.photons_of(bandpass, spectrum)? {
+                for (state, weight) in coeff_field::state_weights(wavelengths, fraction.wavelength_um) {
                     weights[state] += fraction.weight * weight;
                 }
-            }
-            if outside > MAX_OUTSIDE {
-                let (low, high) = bandpass.range_um();
-                let message = format!(
-                    "{:.1} % of the photons that the bandpass ({low} to {high} um) detects have wavelengths outside those of \
-                     the PSF's samples ({first} to {last} um): sample the PSF at more wavelengths, or cut the bandpass",
-                    100.0 * outside
-                );
-                return Err(PsfieldError::new(ErrorKind::Data, message));
             }
         }
         let numbers: Vec<f64> = (0..).take(spectra.len()).map(f64::from).collect();
         self.mixed(mixtures.view(), Some((StateKind::Spectrum, &numbers)))
     }
 
+    /// The detected photons of a spectrum. At most 0.1 % of them have wavelengths outside those of the
+    /// samples.
+    pub(crate) fn photons_of(
+        &self,
+        bandpass: &Bandpass,
+        spectrum: &Spectrum,
+    ) -> Result<Vec<PhotonFraction>, PsfieldError> {
+        let wavelengths = self.wavelengths()?;
+        let (first, last) = (wavelengths[0], wavelengths[wavelengths.len() - 1]);
+        let found = photons(bandpass, spectrum, wavelengths)?;
+        let is_outside = |f: &&PhotonFraction| !(first..=last).contains(&f.wavelength_um);
+        let outside: f64 = found.iter().filter(is_outside).map(|f| f.weight).sum();
+        if outside <= MAX_OUTSIDE {
+            return Ok(found);
+        }
+        let (low, high) = bandpass.range_um();
+        let message = format!(
+            "{:.1} % of the photons that the bandpass ({low} to {high} um) detects have wavelengths outside those of \
+             the PSF's samples ({first} to {last} um): sample the PSF at more wavelengths, or cut the bandpass",
+            100.0 * outside
+        );
+        Err(PsfieldError::new(ErrorKind::Data, message))
+    }
+
     /// The wavelengths of the samples, two or more.
-    fn wavelengths(&self) -> Result<&[f64], PsfieldError> {
+    pub(crate) fn wavelengths(&self) -> Result<&[f64], PsfieldError> {
         let problem = match self.states() {
             Some(states) if states.kind() == StateKind::Wavelength => match states.values() {
                 [only] => format!("all samples of the PSF have the wavelength {only} um"),

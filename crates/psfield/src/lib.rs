@@ -55,6 +55,7 @@ mod colour_scene;
 mod colours;
 pub mod convert;
 mod device;
+mod dispersion;
 mod error;
 mod evaluate;
 mod exposure_files;
@@ -80,6 +81,7 @@ pub use colours::{open_bandpass, open_spectrum};
 pub use device::{
     CpuReason, GpuSeconds, MIN_SECONDS_FOR_GPU, Placement, PredictedSeconds, forget_gpus, open_gpu,
 };
+pub use dispersion::Dispersion;
 pub use error::{ErrorKind, PsfieldError, error_text, in_plain_words};
 pub use evaluate::{
     EvaluateOptions, OutputGrid, check_frame_on_field, check_on_field, evaluate, evaluate_stamps,

@@ -6,7 +6,9 @@ use std::str::FromStr;
 use conv_core::ConvReal;
 use ndarray::ArrayViewMut2;
 use psf_types::{Image, NoProgress, Progress};
-use psfield::{ColourScene, ColourSimulator, Psf, PsfieldError, Scene, Simulator, SpotCheck, open_bandpass};
+use psfield::{
+    ColourScene, ColourSimulator, Dispersion, Psf, PsfieldError, Scene, Simulator, SpotCheck, open_bandpass,
+};
 
 use crate::context::{Context, with_option};
 use crate::simulate::SimulateArgs;
@@ -41,6 +43,23 @@ pub(super) struct ColourArgs {
     /// the temperature of a black body (kelvin).
     #[arg(long, value_name = "SPECTRUM", requires = "bandpass")]
     pub(super) sed: Option<String>,
+    /// Dispersion of the atmosphere: zenith=DEG,scale=ARCSEC and more
+    ///
+    /// Light of each wavelength is shifted towards the zenith by its refraction (Filippenko 1982).
+    /// zenith: zenith distance (degrees). scale: size of a pixel of the output image (arcsec).
+    /// direction: direction of the zenith, degrees from +x towards +y [default: 90].
+    /// reference: wavelength without a shift (micrometres) [default: the mean of the bandpass].
+    /// pressure (hPa), temperature (Celsius), humidity (0 to 1) [default: those of Filippenko,
+    /// 800 hPa, 7 C, 10.7 hPa of water vapour].
+    /// The stamps of the PSF should have two or more pixels per pixel of the image.
+    #[arg(
+        long,
+        value_name = "KEY=VALUE,...",
+        requires = "bandpass",
+        hide_short_help = true,
+        verbatim_doc_comment
+    )]
+    pub(super) dispersion: Option<Dispersion>,
     /// A further image of the scene, with its spectrum (may be repeated)
     ///
     /// It has the pixels of SCENE.fits. The images of all spectra are added up.
@@ -133,7 +152,16 @@ impl SimulateArgs {
         self.note_of_scene(&read, context);
 
         let shape = (read.shape.ny(), read.shape.nx());
-        let made = light.into_simulator(psf, &bandpass, shape, &self.options());
+        let dispersion = self.colour.dispersion.as_ref();
+        if dispersion.is_some() && psf.grid().oversampling() < 2.0 {
+            context.warn(
+                "--dispersion shifts stamps by fractions of a pixel, but these stamps have fewer than two pixels per pixel \
+                 of the image: use oversampled stamps",
+            );
+        }
+        let spinner = context.spinner("mixing wavelengths");
+        let made = light.into_simulator(psf, (&bandpass, dispersion), shape, &self.options());
+        drop(spinner);
         let (simulator, scenes) = made.map_err(|error| self.explained(error))?;
         let spinner = context.spinner("fitting and planning");
         let made = simulator

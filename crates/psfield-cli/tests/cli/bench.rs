@@ -329,7 +329,16 @@ fn other_commands_take_no_file_for_json() {
     let desk = Desk::new();
     let fitted = desk.done("fit samples.fits -o model.fits --json").json();
     assert_keys(&fitted, &["rank"]);
-    desk.refused("fit samples.fits -o other.fits --json out.json", 2, &["out.json"]);
+    desk.refused(
+        "fit samples.fits -o other.fits --json out.json",
+        1,
+        &["out.json", "cannot read"],
+    );
+    desk.refused(
+        "convert samples.fits -o other.fits --json out.json",
+        2,
+        &["out.json"],
+    );
     let quiet = desk.done("-q bench --sizes 32 --grids 2 --methods single --repeat 1");
     assert_eq!(quiet.stdout, "");
     let global = desk

@@ -152,7 +152,7 @@ const CASES: &[Case] = &[
     ("sample t-oversampling.toml -o out.fits", 1, &["t-oversampling.toml", "stamp.oversampling", "1 to 64"]),
     ("sample t-padding.toml -o out.fits", 1, &["t-padding.toml", "stamp.padding", "1 to 16"]),
     // fit
-    ("fit", 2, &["not provided:\n  --output", "\n  <SAMPLES.fits>\n"]),
+    ("fit", 2, &["not provided:\n  --output", "\n  <SAMPLES.fits>...\n"]),
     ("fit samples.fits model.fits -o out.fits", 2, &["'model.fits' found"]),
     ("fit samples.fits -o out.fits --basis pca", 2, &["'--basis'"]),
     ("fit samples.fits -o out.fits --json x", 2, &["'x' found"]),
