@@ -87,8 +87,8 @@ pub enum SourceError {
 
 /// PSF stamps `[sample, y, x]` on one grid, each with its position.
 ///
-/// There is one stamp per position, or per position and state ([`SamplePositions`]). Every value is finite and every stamp has positive, finite
-/// flux. Negative pixels are kept.
+/// There is one stamp per position, or per position and state ([`SamplePositions`]). Every value is
+/// finite and every stamp has positive, finite flux. Negative pixels are kept.
 ///
 /// ```
 /// use ndarray::Array3;

@@ -116,9 +116,9 @@ impl RegionCells {
         }
     }
 
-    /// The cells of a few rows of each layer of a region, which include the first and the last row. Each of these
-    /// rows is a band of its own, with cells between a few columns unless the field has runs. The
-    /// other rows have no cells.
+    /// The cells of a few rows of each layer of a region, which include the first and the last row.
+    /// Each of these rows is a band of its own, with cells between a few columns unless the field has
+    /// runs. The other rows have no cells.
     pub(crate) fn sampled<'a>(fields: impl Iterator<Item = LayerField<'a>>, region: PixelRegion) -> Self {
         let mut all = Self::default();
         for (field, nodes) in fields {

@@ -153,9 +153,9 @@ const CASES: &[Case] = &[
     ("sample t-padding.toml -o out.fits", 1, &["t-padding.toml", "stamp.padding", "1 to 16"]),
     // fit
     ("fit", 2, &["not provided:\n  --output", "\n  <SAMPLES.fits>...\n"]),
-    ("fit samples.fits model.fits -o out.fits", 2, &["'model.fits' found"]),
-    ("fit samples.fits -o out.fits --basis pca", 2, &["'--basis'"]),
-    ("fit samples.fits -o out.fits --json x", 2, &["'x' found"]),
+    ("fit samples.fits model.fits -o out.fits", 1, &["model.fits is a fitted model already"]),
+    ("fit samples.fits -o out.fits --basis pca", 1, &["pca: cannot read the file"]),
+    ("fit samples.fits -o out.fits --json x", 1, &["x: cannot read the file"]),
     ("fit samples.fits -o out.fits --rank 1.5", 2, &["'1.5' for '--rank"]),
     ("fit samples.fits -o out.fits --rank=", 2, &["'' for '--rank"]),
     ("fit samples.fits -o out.fits --rank 99999999999999999999999", 2, &["for '--rank", "whole number"]),
