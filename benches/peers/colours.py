@@ -1,7 +1,7 @@
 """Compares stars in colour with GalSim: Roman's PSF in the band W146, six black bodies.
 
     pip install -r benches/peers/requirements.txt
-    python benches/peers/colours.py --psfield target/release/psfield --work /tmp/colours
+    python benches/peers/colours.py --psfield target/release/psfield --work FOLDER
 
 The PSF is sampled by GalSim at 5 x 5 positions of a tile of 512 x 512 pixels and at 9 wavelengths.
 psfield interpolates between them. The reference is GalSim's monochromatic PSF at the position of each
