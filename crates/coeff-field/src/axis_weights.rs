@@ -282,16 +282,30 @@ fn points_between(lines: &Axis, cell: usize) -> Vec<f64> {
     if is_apart { points } else { Vec::new() }
 }
 
-/// The weights of ascending lines at a coordinate: those of a cubic interpolation, without the
-/// pieces of [`AxisWeights::cubic`]. Beyond the lines, the outermost line has weight 1.
-pub(crate) fn cubic_weights(lines: &[f64], v: f64) -> Vec<(usize, f64)> {
-    let last = lines.len() - 1;
-    let above = lines.partition_point(|&line| line <= v);
+/// The weights `l_s(v)` of states, such as wavelengths, at a value `v` between them: pairs of a state
+/// and its weight. Their sum is 1. `states` are the values of the states, ascending.
+///
+/// The interpolation is cubic, through the two states on either side (at an end, through the four
+/// outermost ones). With uneven distances at which a cubic would oscillate, and with fewer than four
+/// states, the degree is lower. Beyond the first and the last state, the PSF stays that of this
+/// state.
+///
+/// ```
+/// use coeff_field::state_weights;
+/// assert_eq!(state_weights(&[0.5, 0.75], 0.625), [(0, 0.5), (1, 0.5)]);
+/// assert_eq!(state_weights(&[0.5, 0.75], 0.9), [(1, 1.0)]);
+/// ```
+///
+/// # Panics
+/// When there are no states.
+pub fn state_weights(states: &[f64], v: f64) -> Vec<(usize, f64)> {
+    let last = states.len() - 1;
+    let above = states.partition_point(|&state| state <= v);
     if above == 0 || above > last {
         return vec![(above.min(last), 1.0)];
     }
-    let stencil = Stencil::around(lines, above - 1, &[v]);
-    let weights = stencil.weights(lines, v).into_iter().enumerate();
+    let stencil = Stencil::around(states, above - 1, &[v]);
+    let weights = stencil.weights(states, v).into_iter().enumerate();
     let nonzero = weights.filter(|(_, w)| *w != 0.0);
     nonzero.map(|(i, w)| (stencil.first + i, w)).collect()
 }

@@ -43,13 +43,7 @@ pub fn resolve(choice: Interpolation, positions: &SamplePositions) -> Interpolat
         return choice;
     }
     if positions.states().is_some() {
-        let of_states = (0..positions.state_count()).map(|state| {
-            let of_state = positions.select(&positions.samples_of_state(state));
-            resolve(
-                choice,
-                &of_state.expect("a state has samples, at distinct positions"),
-            )
-        });
+        let of_states = (0..positions.state_count()).map(|state| resolve(choice, &positions.of_state(state)));
         let agreed = of_states.reduce(|a, b| {
             if a == b {
                 a

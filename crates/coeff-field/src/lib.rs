@@ -114,6 +114,7 @@ mod search_tree;
 mod states;
 mod triangles;
 
+pub use axis_weights::state_weights;
 pub use bilinear::{Bicubic, Bilinear};
 pub use delaunay::{Delaunay, NaturalNeighbour};
 pub use error::CoeffFieldError;
@@ -124,4 +125,4 @@ pub use interpolation::{
 };
 pub use neighbours::{InverseDistance, Nearest};
 pub use polynomial::Polynomial;
-pub use states::{mix_states, state_weights};
+pub use states::mix_states;

@@ -3,34 +3,11 @@
 use std::collections::{HashMap, HashSet};
 
 use ndarray::{Array2, ArrayView2, s};
-use psf_types::{
-    Interpolation, OutsidePolicy, Position, SampleCoefficients, SamplePositions, SampleStates, StateKind,
-};
+use psf_types::{Interpolation, OutsidePolicy, Position, SampleCoefficients, SamplePositions, StateKind};
 
-use crate::axis_weights::cubic_weights;
 use crate::error::CoeffFieldError;
 use crate::field::interpolation;
 use crate::interpolation::WeightList;
-
-/// The weights `l_s(v)` of states, such as wavelengths, at a value `v` between them: pairs of a state
-/// and its weight. Their sum is 1. `values` are the states' own values, ascending.
-///
-/// The interpolation is cubic, through the two states on either side (at an end, through the four
-/// outermost ones). With uneven distances at which a cubic would oscillate, and with fewer than four
-/// states, the degree is lower. Beyond the first and the last state, the PSF stays that of this
-/// state.
-///
-/// ```
-/// use coeff_field::state_weights;
-/// assert_eq!(state_weights(&[0.5, 0.75], 0.625), [(0, 0.5), (1, 0.5)]);
-/// assert_eq!(state_weights(&[0.5, 0.75], 0.9), [(1, 1.0)]);
-/// ```
-///
-/// # Panics
-/// When there are no states.
-pub fn state_weights(values: &[f64], v: f64) -> Vec<(usize, f64)> {
-    cubic_weights(values, v)
-}
 
 /// The coefficients of mixtures of states: `v_p = sum_s W_ps v_s`. `mixtures` are the weights `W`
 /// `[mixture, state]`. The result has one state for each mixture, of the given kind and value. If
@@ -77,11 +54,7 @@ pub fn mix_states(
     }
     let positions = match labels {
         None => SamplePositions::new(at, all.field()),
-        Some((kind, of_mixtures)) => {
-            let per_sample: Vec<f64> = of_mixtures.iter().flat_map(|&v| vec![v; nodes]).collect();
-            let states = SampleStates::new(kind, &per_sample)?;
-            SamplePositions::with_states(at.repeat(of_mixtures.len()), all.field(), Some(states))
-        }
+        Some((kind, of_mixtures)) => SamplePositions::in_every_state(&at, all.field(), kind, of_mixtures),
     };
     Ok(SampleCoefficients::new(values, positions?)?)
 }
@@ -92,14 +65,8 @@ fn positions_of(all: &SamplePositions, states: &[usize]) -> Vec<Position> {
     let samples = states.iter().flat_map(|&state| all.samples_of_state(state));
     let positions = samples.map(|sample| all.as_slice()[sample]);
     positions
-        .filter(|&position| seen.insert(bits(position)))
+        .filter(|&position| seen.insert(position.bits()))
         .collect()
-}
-
-/// Equal positions have equal bits.
-fn bits(p: Position) -> (u64, u64) {
-    // Adding 0.0 turns -0.0 into 0.0.
-    ((p.x() + 0.0).to_bits(), (p.y() + 0.0).to_bits())
 }
 
 /// The coefficients of one state at these positions, `[position, component]`. They are interpolated
@@ -114,12 +81,12 @@ fn on_positions(
     let positions = samples.positions().as_slice();
     let known: HashMap<_, _> = own
         .iter()
-        .map(|&sample| (bits(positions[sample]), sample))
+        .map(|&sample| (positions[sample].bits(), sample))
         .collect();
     let mut values = Array2::zeros((at.len(), samples.component_count()));
     let mut unknown = Vec::new();
     for (node, &position) in at.iter().enumerate() {
-        match known.get(&bits(position)) {
+        match known.get(&position.bits()) {
             Some(&sample) => values.row_mut(node).assign(&samples.values().row(sample)),
             None => unknown.push(node),
         }
@@ -148,7 +115,10 @@ fn on_positions(
 
 #[cfg(test)]
 mod tests {
+    use psf_types::SampleStates;
+
     use super::*;
+    use crate::state_weights;
 
     /// Rounding of sums of a few terms of order 10.
     const ROUNDING: f64 = 1e-13;

@@ -3,9 +3,7 @@
 use std::collections::HashMap;
 
 use ndarray::{Array2, Array3, Axis};
-use psf_types::{
-    FrameShape, Position, Progress, PsfSamples, PsfSource, SamplePositions, SampleStates, Stamp, StateKind,
-};
+use psf_types::{FrameShape, Position, Progress, PsfSamples, PsfSource, SamplePositions, Stamp, StateKind};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use rayon::prelude::*;
@@ -81,10 +79,7 @@ pub fn draw_states(
             to.assign(&stamp);
         }
     }
-    let per_sample: Vec<f64> = values.iter().flat_map(|&value| vec![value; count]).collect();
-    let states = SampleStates::new(kind, &per_sample)?;
-    let at = positions.repeat(sources.len());
-    let positions = SamplePositions::with_states(at, Some(first.field()), Some(states))?;
+    let positions = SamplePositions::in_every_state(positions, Some(first.field()), kind, values)?;
     Ok(PsfSamples::new(stamps, positions, first.grid())?)
 }
 

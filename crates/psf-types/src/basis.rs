@@ -150,10 +150,7 @@ impl SampleCoefficients {
         let samples = self.positions.samples_of_state(state);
         Self {
             values: self.values.select(Axis(0), &samples),
-            positions: self
-                .positions
-                .select(&samples)
-                .expect("a state has samples, at distinct positions"),
+            positions: self.positions.of_state(state),
         }
     }
 }

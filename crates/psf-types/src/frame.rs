@@ -79,6 +79,12 @@ impl Position {
         self.y
     }
 
+    /// The bits of both coordinates, to look positions up. Equal positions have equal bits.
+    pub fn bits(self) -> [u64; 2] {
+        // Adding 0.0 turns -0.0 into 0.0.
+        [(self.x + 0.0).to_bits(), (self.y + 0.0).to_bits()]
+    }
+
     /// The point half way to `other`.
     #[must_use]
     pub fn midpoint(self, other: Self) -> Self {

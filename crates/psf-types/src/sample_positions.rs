@@ -219,12 +219,10 @@ impl SamplePositions {
                 field,
             });
         }
-        // Adding 0.0 turns -0.0 into 0.0, so that equal coordinates have equal bits.
-        let bits = |p: Position| ((p.x() + 0.0).to_bits(), (p.y() + 0.0).to_bits());
         let mut seen = HashMap::with_capacity(positions.len());
         for (second, &position) in positions.iter().enumerate() {
             let state = states.as_ref().map(|states| states.of_samples[second]);
-            if let Some(first) = seen.insert((bits(position), state), second) {
+            if let Some(first) = seen.insert((position.bits(), state), second) {
                 return Err(match states {
                     None => DataError::DuplicatePosition {
                         first,
@@ -245,6 +243,31 @@ impl SamplePositions {
             field,
             states,
         })
+    }
+
+    /// The same positions in every state, one value of `kind` each. The samples of the first state come
+    /// first.
+    ///
+    /// ```
+    /// use psf_types::{Position, SamplePositions, StateKind};
+    /// let at = [Position::of_pixel(0, 0), Position::of_pixel(9, 0)];
+    /// let positions = SamplePositions::in_every_state(&at, None, StateKind::Wavelength, &[0.5, 0.7])?;
+    /// assert_eq!((positions.len(), positions.samples_of_state(1)), (4, vec![2, 3]));
+    /// # Ok::<(), psf_types::DataError>(())
+    /// ```
+    ///
+    /// # Errors
+    /// The errors of [`SampleStates::new`] and [`with_states`](Self::with_states).
+    pub fn in_every_state(
+        positions: &[Position],
+        field: Option<FrameShape>,
+        kind: StateKind,
+        values: &[f64],
+    ) -> Result<Self, DataError> {
+        let each = |&value| std::iter::repeat_n(value, positions.len());
+        let per_sample: Vec<f64> = values.iter().flat_map(each).collect();
+        let states = SampleStates::new(kind, &per_sample)?;
+        Self::with_states(positions.repeat(values.len()), field, Some(states))
     }
 
     /// The positions, in sample order.
@@ -277,6 +300,16 @@ impl SamplePositions {
     pub fn samples_of_state(&self, state: usize) -> Vec<usize> {
         let in_state = |&sample: &usize| self.states.as_ref().is_none_or(|s| s.of_samples[sample] == state);
         (0..self.len()).filter(in_state).collect()
+    }
+
+    /// The positions of the samples in one state.
+    ///
+    /// # Panics
+    /// When there is no such state.
+    #[must_use]
+    pub fn of_state(&self, state: usize) -> Self {
+        self.select(&self.samples_of_state(state))
+            .expect("positions in a state are distinct")
     }
 
     /// The positions of some samples, without their states.

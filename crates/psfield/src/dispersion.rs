@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use ndarray::{Array2, Array3, ArrayView2, Axis};
 use psf_basis::{PixelNoise, RankSelection};
-use psf_types::{DataError, PsfModelRecord, PsfSamples, SamplePositions, SampleStates, StampGrid, StateKind};
+use psf_types::{DataError, PsfModelRecord, PsfSamples, SamplePositions, StampGrid, StateKind};
 use rayon::prelude::*;
 use rustfft::num_complex::Complex64;
 use rustfft::{Fft, FftPlanner};
@@ -207,10 +207,8 @@ impl Psf {
         check_stack(nodes.len() * spectra.len(), wide)?;
         let mixed = dispersed(&stamps, nodes.len(), &shifted, margin, wide);
         let numbers: Vec<f64> = (0..).take(spectra.len()).map(f64::from).collect();
-        let per_sample: Vec<f64> = numbers.iter().flat_map(|&p| vec![p; nodes.len()]).collect();
-        let states = SampleStates::new(StateKind::Spectrum, &per_sample)?;
-        let at = nodes.as_slice().repeat(spectra.len());
-        let positions = SamplePositions::with_states(at, nodes.field(), Some(states))?;
+        let (at, field) = (nodes.as_slice(), nodes.field());
+        let positions = SamplePositions::in_every_state(at, field, StateKind::Spectrum, &numbers)?;
         let options = FitOptions {
             rank: RankSelection::Error(BASIS_ERROR),
             noise: PixelNoise::Known(0.0),

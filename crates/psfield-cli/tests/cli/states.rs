@@ -1,7 +1,7 @@
 //! PSFs that depend on a wavelength or a frame: `fit` of several files, and the choice of a state.
 
 use ndarray::concatenate;
-use psfield::psf_types::{PsfSamples, SamplePositions, SampleStates, StateKind};
+use psfield::psf_types::{PsfSamples, SamplePositions, StateKind};
 use serde_json::json;
 
 use crate::desk::{Desk, difference, points, samples};
@@ -16,10 +16,8 @@ fn coloured() -> PsfSamples {
     blue.swap_axes(1, 2);
     let blue = blue.as_standard_layout().to_owned();
     let stamps = concatenate(ndarray::Axis(0), &[red.stamps(), blue.view()]).unwrap();
-    let at = red.positions().as_slice();
-    let wavelengths: Vec<f64> = [0.9, 0.5].into_iter().flat_map(|w| vec![w; at.len()]).collect();
-    let states = SampleStates::new(StateKind::Wavelength, &wavelengths).unwrap();
-    let positions = SamplePositions::with_states(at.repeat(2), red.positions().field(), Some(states));
+    let (at, field) = (red.positions().as_slice(), red.positions().field());
+    let positions = SamplePositions::in_every_state(at, field, StateKind::Wavelength, &[0.9, 0.5]);
     PsfSamples::new(stamps, positions.unwrap(), red.grid()).unwrap()
 }
 
