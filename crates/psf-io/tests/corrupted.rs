@@ -118,7 +118,7 @@ fn tiled(scratch: &Scratch, how: &str, scale: f32) -> Vec<u8> {
 fn read_all(path: &Path) -> usize {
     let outcomes = [
         detect(path).map(drop),
-        read_image::<f32>(path).map(|read| drop(read.header().shifted_origin(3, 4))),
+        read_image::<f32>(path).map(|read| drop(read.header().shifted_origin(3.0, 4.0))),
         read_image::<f64>(path).map(drop),
         read_cube::<f64>(path).map(drop),
         read_header(path).map(|header| {

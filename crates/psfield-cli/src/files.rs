@@ -81,9 +81,14 @@ impl OutputFile {
     /// The default name of another FITS file, which is written next to this output: `a/b.fits` and
     /// the ending `truth` give `a/b_truth.fits`.
     pub(crate) fn beside(&self, ending: &str) -> PathBuf {
-        let stem = self.file_stem().unwrap_or_default().to_string_lossy();
-        self.with_file_name(format!("{stem}_{ending}.fits"))
+        beside(self, ending)
     }
+}
+
+/// The name of another FITS file next to an output ([`OutputFile::beside`]).
+pub(crate) fn beside(output: &Path, ending: &str) -> PathBuf {
+    let stem = output.file_stem().unwrap_or_default().to_string_lossy();
+    output.with_file_name(format!("{stem}_{ending}.fits"))
 }
 
 impl AsRef<Path> for OutputFile {

@@ -5,7 +5,7 @@ use clap::{Command, CommandFactory};
 /// Commands by purpose. All others are listed under [`LAST_GROUP`].
 const GROUPS: [(&str, &[&str]); 3] = [
     ("Make a PSF", &["sample", "fit", "convert", "evaluate"]),
-    ("Simulate", &["simulate", "expose", "batch", "demo"]),
+    ("Simulate", &["simulate", "expose", "series", "batch", "demo"]),
     ("Look and check", &["preview", "measure", "compare", "validate"]),
 ];
 const LAST_GROUP: &str = "Measure psfield itself";

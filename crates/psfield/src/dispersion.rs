@@ -1,18 +1,16 @@
 //! The dispersion of the atmosphere: light of each wavelength is shifted by another distance.
 
-use std::f64::consts::TAU;
 use std::str::FromStr;
-use std::sync::Arc;
 
-use ndarray::{Array2, Array3, ArrayView2, Axis};
+use ndarray::{Array2, Array3, Axis};
 use psf_basis::{PixelNoise, RankSelection};
 use psf_types::{DataError, PsfModelRecord, PsfSamples, SamplePositions, StampGrid, StateKind};
 use rayon::prelude::*;
 use rustfft::num_complex::Complex64;
-use rustfft::{Fft, FftPlanner};
 use spectra::{Atmosphere, Bandpass, PhotonFraction, Spectrum};
 
 use crate::stack_size::check_stack;
+use crate::stamp_plane::{StampPlane, margin_of, widened};
 use crate::{ErrorKind, FitOptions, Psf, PsfieldError};
 
 /// The dispersion of the atmosphere on a frame. It shifts light of wavelength `lambda` towards the
@@ -33,8 +31,6 @@ pub struct Dispersion {
 
 /// The largest relative L2 error of the basis of dispersed PSFs.
 const BASIS_ERROR: f64 = 1e-6;
-/// Stamp pixels around the shifted stamps, in which the interpolation between pixels fades.
-const MARGIN: f64 = 8.0;
 
 impl Dispersion {
     /// The shift `(dx, dy)` of light of a wavelength in micrometres, in frame pixels.
@@ -191,18 +187,9 @@ impl Psf {
                 }))
             })
             .collect::<Result<_, PsfieldError>>()?;
-        let margin = [0, 1].map(|axis| {
-            let all = shifted.iter().flat_map(|s| &s.photons);
-            (all.map(|photon| photon.2[axis].abs()).fold(0.0, f64::max) + MARGIN).ceil() as usize
-        });
-        let wide = StampGrid::new(grid.nx() + 2 * margin[0], grid.ny() + 2 * margin[1])?
-            .with_centre(
-                grid.centre_x() + margin[0] as f64,
-                grid.centre_y() + margin[1] as f64,
-            )?
-            .with_oversampling(grid.oversampling())?
-            .with_pixel_response_included(grid.pixel_response_included())
-            .with_interpolation(grid.interpolation());
+        let all = || shifted.iter().flat_map(|s| &s.photons);
+        let margin = [0, 1].map(|axis| margin_of(all().map(|photon| photon.2[axis])));
+        let wide = widened(grid, margin)?;
         let (nodes, stamps) = stamps_at_nodes(record, wavelengths)?;
         check_stack(nodes.len() * spectra.len(), wide)?;
         let mixed = dispersed(&stamps, nodes.len(), &shifted, margin, wide);
@@ -237,36 +224,11 @@ impl Shifted {
         }
     }
 
-    /// The factor of a state's stamps in Fourier space, `[qy, qx]` for `n` frequencies along each axis:
-    /// `sum_j w_j exp(-2 pi i q d_j)`. None if the state does not count.
-    fn factor(&self, state: usize, [ny, nx]: [usize; 2]) -> Option<Array2<Complex64>> {
-        let own: Vec<_> = self.photons.iter().filter(|photon| photon.0 == state).collect();
-        if own.is_empty() {
-            return None;
-        }
-        let frequency = |k: usize, n: usize| {
-            let k = if 2 * k < n { k as f64 } else { k as f64 - n as f64 };
-            k / n as f64
-        };
-        // The exponential of a sum is the product of those of its terms.
-        let along = |n: usize, axis: usize| -> Vec<Vec<Complex64>> {
-            let of_photon = |photon: &&(usize, f64, [f64; 2])| {
-                let turn = |k| Complex64::cis(-TAU * frequency(k, n) * photon.2[axis]);
-                (0..n).map(turn).collect()
-            };
-            own.iter().map(of_photon).collect()
-        };
-        let (xs, ys) = (along(nx, 0), along(ny, 1));
-        let mut factor = Array2::zeros((ny, nx));
-        for ((photon, x), y) in own.iter().zip(&xs).zip(&ys) {
-            for (mut row, y) in factor.outer_iter_mut().zip(y) {
-                let weight = photon.1 * y;
-                for (sum, x) in row.iter_mut().zip(x) {
-                    *sum += weight * x;
-                }
-            }
-        }
-        Some(factor)
+    /// The factor of a state's stamps in Fourier space. None if the state does not count.
+    fn factor(&self, state: usize, plane: &StampPlane) -> Option<Array2<Complex64>> {
+        let own = self.photons.iter().filter(|photon| photon.0 == state);
+        let own: Vec<_> = own.map(|&(_, weight, shift)| (weight, shift)).collect();
+        (!own.is_empty()).then(|| plane.shift_factor(&own))
     }
 }
 
@@ -303,7 +265,7 @@ fn dispersed(
     margin: [usize; 2],
     wide: StampGrid,
 ) -> Array3<f64> {
-    let plane = Plane::new(wide.dim());
+    let plane = StampPlane::new(wide.dim());
     let transformed: Vec<Array2<Complex64>> = (0..stamps.dim().0)
         .into_par_iter()
         .map(|stamp| plane.forward(stamps.index_axis(Axis(0), stamp), margin))
@@ -311,17 +273,13 @@ fn dispersed(
     let states = stamps.dim().0 / nodes;
     let factors: Vec<Vec<_>> = spectra
         .par_iter()
-        .map(|spectrum| {
-            (0..states)
-                .map(|state| spectrum.factor(state, plane.size))
-                .collect()
-        })
+        .map(|spectrum| (0..states).map(|state| spectrum.factor(state, &plane)).collect())
         .collect();
     let mut mixed = Array3::zeros((spectra.len() * nodes, wide.ny(), wide.nx()));
     let planes: Vec<_> = mixed.outer_iter_mut().collect();
     planes.into_par_iter().enumerate().for_each(|(number, mut into)| {
         let (spectrum, node) = (number / nodes, number % nodes);
-        let mut sum = Array2::zeros(plane.size);
+        let mut sum = Array2::zeros(plane.shape());
         for (state, factor) in factors[spectrum].iter().enumerate() {
             if let Some(factor) = factor {
                 ndarray::Zip::from(&mut sum)
@@ -330,75 +288,9 @@ fn dispersed(
                     .for_each(|sum, f, t| *sum += f * t);
             }
         }
-        into.assign(&plane.inverse(sum).slice(ndarray::s![..wide.ny(), ..wide.nx()]));
+        into.assign(&plane.inverse(sum));
     });
     mixed
-}
-
-/// Transforms of planes of one size.
-struct Plane {
-    /// Rows and columns.
-    size: [usize; 2],
-    /// Along y and x, forward and inverse.
-    steps: [[Arc<dyn Fft<f64>>; 2]; 2],
-}
-
-impl Plane {
-    /// Planes with room for stamps of `(ny, nx)` pixels.
-    fn new((ny, nx): (usize, usize)) -> Self {
-        let mut planner = FftPlanner::new();
-        let size = [ny, nx].map(|n| {
-            let sizes = n..=n.next_power_of_two();
-            sizes.into_iter().find(|&n| is_smooth(n)).unwrap_or(n)
-        });
-        let steps = size.map(|n| [planner.plan_fft_forward(n), planner.plan_fft_inverse(n)]);
-        Self { size, steps }
-    }
-
-    /// The transform of a stamp that begins `margin` pixels (x, y) inside the plane.
-    fn forward(&self, stamp: ArrayView2<'_, f64>, [mx, my]: [usize; 2]) -> Array2<Complex64> {
-        let mut values = Array2::zeros(self.size);
-        for ((y, x), &value) in stamp.indexed_iter() {
-            values[(y + my, x + mx)] = Complex64::from(value);
-        }
-        self.transform(&mut values, 0);
-        values
-    }
-
-    fn inverse(&self, mut values: Array2<Complex64>) -> Array2<f64> {
-        self.transform(&mut values, 1);
-        let [ny, nx] = self.size;
-        values.mapv(|v| v.re / (ny * nx) as f64)
-    }
-
-    fn transform(&self, values: &mut Array2<Complex64>, direction: usize) {
-        for mut row in values.outer_iter_mut() {
-            self.steps[1][direction].process(row.as_slice_mut().expect("row-major"));
-        }
-        let mut column = vec![Complex64::default(); self.size[0]];
-        for x in 0..self.size[1] {
-            let mut of_plane = values.column_mut(x);
-            column
-                .iter_mut()
-                .zip(&of_plane)
-                .for_each(|(to, from)| *to = *from);
-            self.steps[0][direction].process(&mut column);
-            of_plane
-                .iter_mut()
-                .zip(&column)
-                .for_each(|(to, from)| *to = *from);
-        }
-    }
-}
-
-/// Returns whether a number has no prime factor above 5, so that its transforms are fast.
-fn is_smooth(mut n: usize) -> bool {
-    for p in [2, 3, 5] {
-        while n.is_multiple_of(p) {
-            n /= p;
-        }
-    }
-    n == 1
 }
 
 #[cfg(test)]

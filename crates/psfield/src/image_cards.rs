@@ -1,6 +1,6 @@
 //! Header cards of simulated images.
 
-use std::time::{SystemTime, UNIX_EPOCH};
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use conv_core::ConvReal;
 use psf_io::{Card, CardError, HeaderCards};
@@ -39,29 +39,60 @@ pub fn utc_now() -> String {
     let set = std::env::var("SOURCE_DATE_EPOCH")
         .ok()
         .and_then(|text| text.trim().parse().ok());
-    let clock = || {
-        SystemTime::now()
-            .duration_since(UNIX_EPOCH)
-            .map_or(0, |passed| passed.as_secs())
-    };
-    utc(set.unwrap_or_else(clock).min(END - 1))
+    let now = set.map_or_else(SystemTime::now, |seconds: u64| {
+        UNIX_EPOCH + Duration::from_secs(seconds.min(END - 1))
+    });
+    without_zone(&humantime::format_rfc3339_seconds(now))
 }
 
-/// The date `YYYY-MM-DDThh:mm:ss` of a number of seconds since 1970.
-fn utc(seconds: u64) -> String {
-    const DAYS_IN_400_YEARS: u64 = 146_097;
-    let (days, time) = (seconds / 86_400, seconds % 86_400);
-    // Years begin in March here, so that the leap day is the last. Day 0 is 0000-03-01.
-    let days = days + 719_468;
-    let (era, day) = (days / DAYS_IN_400_YEARS, days % DAYS_IN_400_YEARS);
-    let year = (day - day / 1460 + day / 36_524 - day / (DAYS_IN_400_YEARS - 1)) / 365;
-    let day = day - (365 * year + year / 4 - year / 100);
-    let month = (5 * day + 2) / 153;
-    let day = day - (153 * month + 2) / 5 + 1;
-    let month = if month < 10 { month + 3 } else { month - 9 };
-    let year = 400 * era + year + u64::from(month <= 2);
-    let (hour, minute, second) = (time / 3600, time / 60 % 60, time % 60);
-    format!("{year:04}-{month:02}-{day:02}T{hour:02}:{minute:02}:{second:02}")
+/// Parses a date and time (UTC), `YYYY-MM-DDThh:mm:ss` with or without fractions of a second. None for
+/// another text, and for a time zone other than UTC.
+///
+/// ```
+/// assert!(psfield::parse_utc("2026-11-27T21:00:00.25").is_some());
+/// assert!(psfield::parse_utc("2026-11-27T21:00:00+02:00").is_none());
+/// ```
+pub fn parse_utc(text: &str) -> Option<SystemTime> {
+    humantime::parse_rfc3339_weak(text).ok()
+}
+
+/// Header cards with the times of an exposure. `from_s` and `to_s` are its start and end in seconds
+/// after `start`.
+///
+/// | keyword | value |
+/// |---|---|
+/// | `DATE-OBS`, `DATE-END` | start and end (UTC), with microseconds |
+/// | `EXPTIME` | duration in seconds |
+///
+/// ```
+/// let start = psfield::parse_utc("2026-12-31T23:59:50").expect("a time");
+/// let cards = psfield::exposure_time_cards(start, (5.0, 35.5))?;
+/// assert_eq!(cards[1].value(), Some("2027-01-01T00:00:25.500000".into()));
+/// # Ok::<(), psfield::psf_io::CardError>(())
+/// ```
+///
+/// # Errors
+/// [`CardError`] for a time that is not finite.
+pub fn exposure_time_cards(start: SystemTime, (from_s, to_s): (f64, f64)) -> Result<[Card; 3], CardError> {
+    let date = |seconds: f64| {
+        let distance = Duration::from_micros((seconds.abs() * 1e6).round() as u64);
+        let time = if seconds < 0.0 {
+            start - distance
+        } else {
+            start + distance
+        };
+        without_zone(&humantime::format_rfc3339_micros(time))
+    };
+    Ok([
+        Card::new("DATE-OBS", date(from_s), "start of the exposure (UTC)")?,
+        Card::new("DATE-END", date(to_s), "end of the exposure (UTC)")?,
+        Card::new("EXPTIME", to_s - from_s, "[s] exposure time")?,
+    ])
+}
+
+/// FITS writes no letter for UTC.
+fn without_zone(time: &humantime::Rfc3339Timestamp) -> String {
+    time.to_string().trim_end_matches('Z').to_owned()
 }
 
 impl<T: ConvReal> Simulator<T> {
@@ -131,9 +162,11 @@ impl<T: ConvReal> Simulator<T> {
         let (frame, s) = (self.frame(), self.options().oversample);
         let mut header = if of_image {
             let s0 = s as i64;
-            header.shifted_origin(frame.x0() * s0, frame.y0() * s0).binned(s)
+            header
+                .shifted_origin((frame.x0() * s0) as f64, (frame.y0() * s0) as f64)
+                .binned(s)
         } else {
-            header.shifted_origin(frame.x0(), frame.y0())
+            header.shifted_origin(frame.x0() as f64, frame.y0() as f64)
         };
         // The scene may be an image that psfield made. Its spot check, batch job and PSF do not
         // apply to the new image.
@@ -142,25 +175,5 @@ impl<T: ConvReal> Simulator<T> {
             header.remove(keyword);
         }
         header
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::utc;
-
-    #[test]
-    fn dates() {
-        for (seconds, text) in [
-            (0, "1970-01-01T00:00:00"),
-            (951_782_399, "2000-02-28T23:59:59"),
-            (951_782_400, "2000-02-29T00:00:00"),
-            (1_735_689_599, "2024-12-31T23:59:59"),
-            (1_740_787_200, "2025-03-01T00:00:00"),
-            (4_107_542_399, "2100-02-28T23:59:59"),
-            (4_107_542_400, "2100-03-01T00:00:00"),
-        ] {
-            assert_eq!(utc(seconds), text);
-        }
     }
 }

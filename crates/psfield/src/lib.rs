@@ -66,10 +66,12 @@ mod measure;
 mod psf;
 mod readable;
 mod scene;
+mod series;
 mod simulate_options;
 mod simulator;
 mod spot_check;
 mod stack_size;
+mod stamp_plane;
 
 pub use {
     coeff_field, conv_core, detector, metrics, psf_basis, psf_io, psf_optics, psf_sample, psf_stars,
@@ -90,12 +92,17 @@ pub use exposure_files::{ExposureFiles, exposure_cards, read_bad_pixel_mask};
 pub use fit::{
     Fit, FitOptions, FitReport, LeaveOneOutReport, fit, fit_in_basis, fit_trained, fit_with, model_of,
 };
-pub use image_cards::{JOB_KEYWORD, PSF_FILE_KEYWORD, provenance_cards, utc_now};
+pub use image_cards::{
+    JOB_KEYWORD, PSF_FILE_KEYWORD, exposure_time_cards, parse_utc, provenance_cards, utc_now,
+};
 pub use light_on_pixels::light_on_pixels;
 pub use measure::{MEASUREMENT_COLUMNS, MeasureOptions, Measurement};
-pub use psf::{Extrapolation, FitChoices, Note, Psf, PsfFileOptions, join_samples, record_of_psfex};
+pub use psf::{Extrapolation, FitChoices, Motion, Note, Psf, PsfFileOptions, join_samples, record_of_psfex};
 pub use readable::readable;
 pub use scene::Scene;
+pub use series::{
+    Exposures, LightCurves, Pointing, PointingPath, Series, SeriesExposure, SeriesSimulator, SourceInExposure,
+};
 pub use simulate_options::{Device, Method, ScenePixels, SimulateOptions};
 pub use simulator::{
     ColourSimulator, OwnMethodBuilder, Preparation, SimulationWarning, Simulator, SimulatorBuilder,

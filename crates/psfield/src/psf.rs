@@ -2,6 +2,7 @@
 
 mod extrapolation;
 mod format_records;
+mod motion;
 mod open;
 mod resample;
 mod states;
@@ -22,6 +23,8 @@ use crate::{ErrorKind, FitOptions, PsfieldError};
 
 pub use extrapolation::Extrapolation;
 pub use format_records::record_of_psfex;
+pub use motion::Motion;
+pub(crate) use motion::QUADRATURE;
 pub use open::{FitChoices, PsfFileOptions};
 pub(crate) use resample::native_grid_of;
 pub use states::join_samples;

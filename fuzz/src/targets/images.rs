@@ -20,7 +20,7 @@ pub fn image(data: &[u8]) -> usize {
         for card in &header {
             drop((card.value(), card.comment_text(), card.to_string()));
         }
-        drop(header.shifted_origin(3, 4));
+        drop(header.shifted_origin(3.0, 4.0));
     }
     whole_and_by_bands(&mut case);
     case.reads()
@@ -84,7 +84,7 @@ pub fn sky(data: &[u8]) -> usize {
     let Some(header) = case.read(|path| read_header(path)) else {
         return case.reads();
     };
-    let shifted = header.shifted_origin(-3, 1 << 40);
+    let shifted = header.shifted_origin(-3.0, 1e12);
     for header in [header, shifted] {
         let Ok(sky) = SkyCoordinates::from_header(&header) else {
             continue;

@@ -24,7 +24,8 @@ use crate::fits::hdu::HduChoice;
 /// | `g1`, `g2` | `g1`, `g2` | galaxies: reduced shear, `sqrt(g1^2 + g2^2)` below 1; no shear without such columns |
 ///
 /// The spectra of sources are in a column `sed` or `teff`, which is read only on request
-/// ([`CatalogOptions::with_colours`]).
+/// ([`CatalogOptions::with_colours`]). So are the columns `vx` and `vy` with the velocities of sources
+/// ([`CatalogOptions::with_velocities`]).
 ///
 /// The caller may choose the column of a role. A role without a choice uses its default column, if
 /// that column exists. If the default columns of `x`, `y`, `ra` and `dec` all exist, `x` and `y`
@@ -243,6 +244,7 @@ pub struct CatalogOptions {
     pub(crate) zero_point: Option<f64>,
     pub(crate) skip_invalid: bool,
     pub(crate) with_colours: bool,
+    pub(crate) with_velocities: bool,
     pub(crate) table: Option<HduChoice>,
     pub(crate) sky: Option<SkyCoordinates>,
 }
@@ -289,6 +291,16 @@ impl CatalogOptions {
     #[must_use]
     pub fn with_colours(self, with_colours: bool) -> Self {
         Self { with_colours, ..self }
+    }
+
+    /// Sets whether the velocities of the sources are read
+    /// ([`Catalog::velocities`](crate::Catalog::velocities)).
+    #[must_use]
+    pub fn with_velocities(self, with_velocities: bool) -> Self {
+        Self {
+            with_velocities,
+            ..self
+        }
     }
 
     /// Chooses a table of a FITS file. For a text file, which holds one table, a choice is an

@@ -35,7 +35,7 @@ use std::path::Path;
 use psf_types::{DataError, PointSource, Position, SersicProfile, SersicSource};
 
 use crate::error::{IoError, IoErrorKind, Place};
-use crate::fits::columns::{Nans, NumberColumns, Table, bad_value};
+use crate::fits::columns::{Nans, NumberColumns, Table, bad_value, missing_column};
 use crate::fits::structure::FitsStructure;
 use columns::{CatalogColumns, CatalogOptions, Picked, Role};
 use table_file::{AnyTable, TableFile};
@@ -95,6 +95,9 @@ pub struct Catalog {
     stars: Vec<PointSource>,
     galaxies: Vec<SersicSource>,
     colours: Option<SourceColours>,
+    /// Of the stars, then of the galaxies.
+    rows: Vec<usize>,
+    velocities: Option<Vec<[f64; 2]>>,
     invalid_rows: usize,
     rows_off_projection: usize,
 }
@@ -110,6 +113,16 @@ pub enum SourceColours {
 }
 
 impl Catalog {
+    /// A catalogue of these stars and galaxies. The rows are counted through both, the stars first.
+    pub fn new(stars: Vec<PointSource>, galaxies: Vec<SersicSource>) -> Self {
+        Self {
+            rows: (0..stars.len() + galaxies.len()).collect(),
+            stars,
+            galaxies,
+            ..Self::default()
+        }
+    }
+
     /// The point sources.
     pub fn stars(&self) -> &[PointSource] {
         &self.stars
@@ -124,6 +137,19 @@ impl Catalog {
     /// they were not asked for ([`CatalogOptions::with_colours`]).
     pub fn colours(&self) -> Option<&SourceColours> {
         self.colours.as_ref()
+    }
+
+    /// The row of the table from which each source comes, counted from 0: of the stars, then of the
+    /// galaxies. Empty for a catalogue that was not read from a file.
+    pub fn rows(&self) -> &[usize] {
+        &self.rows
+    }
+
+    /// The velocities of the stars, then of the galaxies, along x and y in pixels per second: the
+    /// columns `vx` and `vy`. None without these columns, or if they were not asked for
+    /// ([`CatalogOptions::with_velocities`]).
+    pub fn velocities(&self) -> Option<&[[f64; 2]]> {
+        self.velocities.as_deref()
     }
 
     /// Number of rows skipped because they are not valid sources. It is 0 unless
@@ -184,6 +210,7 @@ pub fn read_catalog_with(path: impl AsRef<Path>, options: &CatalogOptions) -> Re
         let (stars, galaxies) = (catalog.stars.len(), catalog.galaxies.len());
         match rows
             .check_colour(row)
+            .and_then(|()| rows.check_velocity(row))
             .and_then(|()| rows.add_source(row, &mut catalog))
         {
             Ok(()) => {}
@@ -204,8 +231,33 @@ pub fn read_catalog_with(path: impl AsRef<Path>, options: &CatalogOptions) -> Re
             SourceColours::Temperatures(order().map(|&row| all[row]).collect())
         }
     });
+    let of = |velocities: &[Vec<f64>; 2], row: usize| [velocities[0][row], velocities[1][row]];
+    catalog.velocities = rows
+        .velocities
+        .as_ref()
+        .map(|velocities| order().map(|&row| of(velocities, row)).collect());
+    catalog.rows = order().copied().collect();
     Ok(catalog)
 }
+
+/// Reads the columns of the velocities, if both exist.
+fn velocities_of(path: &Path, table: &AnyTable<'_>) -> Result<Option<[Vec<f64>; 2]>, IoError> {
+    let names = table.names();
+    let has = |column: &&str| names.iter().any(|name| name.eq_ignore_ascii_case(column));
+    match VELOCITIES.iter().filter(|column| has(column)).count() {
+        0 => return Ok(None),
+        1 => {
+            let missing = VELOCITIES.iter().find(|column| !has(column)).expect("one of two");
+            return Err(missing_column(path, &names, missing));
+        }
+        _ => {}
+    }
+    let columns = table.read(&VELOCITIES, Nans::Kept)?.values;
+    Ok(columns.try_into().ok())
+}
+
+/// The columns of the velocities of sources.
+const VELOCITIES: [&str; 2] = ["vx", "vy"];
 
 /// Reads the spectra of all rows of a table: the column `sed` or, without it, the column `teff`.
 fn colours_of(table: &AnyTable<'_>) -> Result<Option<SourceColours>, IoError> {
@@ -251,6 +303,7 @@ struct Rows<'a> {
     columns: Picked,
     numbers: NumberColumns,
     colours: Option<SourceColours>,
+    velocities: Option<[Vec<f64>; 2]>,
 }
 
 impl<'a> Rows<'a> {
@@ -273,6 +326,11 @@ impl<'a> Rows<'a> {
             numbers: table.read(&columns.names(), Nans::Kept)?,
             colours: if options.with_colours {
                 colours_of(&table)?
+            } else {
+                None
+            },
+            velocities: if options.with_velocities {
+                velocities_of(path, &table)?
             } else {
                 None
             },
@@ -316,6 +374,21 @@ impl<'a> Rows<'a> {
         let (row, column) = (self.numbers.place(row), column.to_owned());
         let error = IoError::new(self.path, IoErrorKind::Data, problem).at(Place::Value { row, column });
         Err(error.with_setting("invalid_skipped"))
+    }
+
+    /// Returns an error for a source whose velocity is missing.
+    fn check_velocity(&self, row: usize) -> Result<(), IoError> {
+        for (column, values) in VELOCITIES.iter().zip(self.velocities.iter().flatten()) {
+            if !values[row].is_finite() {
+                let problem =
+                    "the velocity must be a finite number of pixels per second, 0 for a source at rest";
+                let (row, column) = (self.numbers.place(row), (*column).to_owned());
+                let error =
+                    IoError::new(self.path, IoErrorKind::Data, problem).at(Place::Value { row, column });
+                return Err(error.with_setting("invalid_skipped"));
+            }
+        }
+        Ok(())
     }
 
     /// The flux of a source. A flux of 0 is refused, because it often stands for a missing value.

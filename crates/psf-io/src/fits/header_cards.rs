@@ -51,7 +51,7 @@ const STANDARD_COMMENTS: [&str; 2] = [
 /// let mut header = HeaderCards::new();
 /// header.push(Card::new("CRPIX1", 512.5, "")?);
 /// header.set(Card::new("TELESCOP", "Roman", "")?);
-/// let cut = header.shifted_origin(100, 0);
+/// let cut = header.shifted_origin(100.0, 0.0);
 /// assert_eq!(cut.get("CRPIX1").and_then(Card::value), Some(412.5.into()));
 /// # Ok::<(), psf_io::CardError>(())
 /// ```
@@ -139,17 +139,16 @@ impl HeaderCards {
     }
 
     /// The cards for a cut image. Its first pixel is pixel (`x0`, `y0`), 0-based, of the image that
-    /// these cards describe.
+    /// these cards describe. It may lie between pixels, as for a telescope that points elsewhere.
     ///
     /// The reference pixels of the world coordinates become `CRPIX1 - x0` and `CRPIX2 - y0`, also
     /// in alternate systems (`CRPIX1A` ...). If a world coordinate has no CRPIX, the default
     /// 0 of FITS is shifted and added as a card. IRAF's `LTV1` and `LTV2` are shifted in the same
     /// way, if present. A card whose value is not a number is kept as it is.
     #[must_use]
-    pub fn shifted_origin(&self, x0: i64, y0: i64) -> Self {
+    pub fn shifted_origin(&self, x0: f64, y0: f64) -> Self {
         let mut shifted = self.clone();
-        for (axis, by) in [(1, x0), (2, y0)].into_iter().filter(|&(_, by)| by != 0) {
-            let by = by as f64;
+        for (axis, by) in [(1, x0), (2, y0)].into_iter().filter(|&(_, by)| by != 0.0) {
             shifted.change(&format!("LTV{axis}"), |value| value - by);
             for version in world_versions() {
                 let keyword = format!("CRPIX{axis}{version}");
@@ -411,7 +410,7 @@ mod tests {
             "CRPIX3  =                  9.0",
             "LTV1    =                 -3.0",
         ]);
-        let cut = wcs.shifted_origin(10, -5);
+        let cut = wcs.shifted_origin(10.0, -5.0);
         let value = |keyword: &str| cut.get(keyword).and_then(Card::value).unwrap();
         assert_eq!(value("CRPIX1"), 502.0.into());
         assert_eq!(cut.get("CRPIX1").unwrap().comment_text(), "reference");
@@ -422,7 +421,7 @@ mod tests {
         assert_eq!(value("CRPIX3"), 9.0.into());
         assert_eq!(value("LTV1"), (-13.0).into());
         assert!(cut.get("LTV2").is_none());
-        assert_eq!(wcs.shifted_origin(0, 0), wcs);
+        assert_eq!(wcs.shifted_origin(0.0, 0.0), wcs);
     }
 
     #[test]

@@ -61,15 +61,13 @@ impl Job {
             (format!("{}: [defaults]", file.path.display()), &file.defaults),
         ];
         for (place, settings) in named {
-            if settings.get("name").is_some() {
+            if settings.has("name") {
                 return Err(UsageError(format!(
                     "{place}: name cannot be set for all jobs at once: give each job its own name"
                 )));
             }
         }
-        let mut command = SimulateArgs::augment_args(Command::new("simulate"))
-            .no_binary_name(true)
-            .disable_help_flag(true);
+        let mut command = simulate_command();
         let mut uses = FileUses::default();
         uses.read(&file.path, "the jobs file");
         let mut jobs = Vec::with_capacity(file.jobs.len());
@@ -88,20 +86,11 @@ impl Job {
 
     fn new(number: usize, mut settings: Settings, command: &mut Command) -> Result<Self, String> {
         let name = settings.take("name").map(|name| name.value);
-        if settings.get("overwrite").is_some() {
+        if settings.has("overwrite") {
             return Err("overwrite applies only to the whole batch: psfield batch --overwrite".to_owned());
         }
         let name = name.or_else(|| Some(settings.get("output")?.value.clone()));
-        let arguments = arguments(&settings, command)?;
-        let mut matches = command
-            .try_get_matches_from_mut(&arguments)
-            .map_err(|e| in_one_line(&e))?;
-        let mut files = NamedFiles::of(command, &matches).map_err(|e| e.to_string())?;
-        let args = SimulateArgs::from_arg_matches_mut(&mut matches).map_err(|e| in_one_line(&e))?;
-        files.outputs.extend(args.default_truth());
-        if let Some(what) = args.misused() {
-            return Err(what);
-        }
+        let (args, files, arguments) = parsed(&settings, command)?;
         Ok(Self {
             number,
             name: name.unwrap_or_default(),
@@ -145,6 +134,36 @@ impl Job {
             digest: self.digest.clone(),
         };
         self.args.for_job(mark, overwrite)
+    }
+}
+
+/// The options of `simulate`, for [`parsed`].
+pub(crate) fn simulate_command() -> Command {
+    SimulateArgs::augment_args(Command::new("simulate"))
+        .no_binary_name(true)
+        .disable_help_flag(true)
+}
+
+/// Parses options of `simulate` that stand in a file. Returns the options, the files that they name, and
+/// the equivalent arguments.
+///
+/// # Errors
+/// A message for an option or a value that `simulate` does not accept, and for options that do not fit
+/// together.
+pub(crate) fn parsed(
+    settings: &Settings,
+    command: &mut Command,
+) -> Result<(SimulateArgs, NamedFiles, Vec<OsString>), String> {
+    let arguments = arguments(settings, command)?;
+    let mut matches = command
+        .try_get_matches_from_mut(&arguments)
+        .map_err(|e| in_one_line(&e))?;
+    let mut files = NamedFiles::of(command, &matches).map_err(|e| e.to_string())?;
+    let args = SimulateArgs::from_arg_matches_mut(&mut matches).map_err(|e| in_one_line(&e))?;
+    files.outputs.extend(args.default_truth());
+    match args.misused() {
+        Some(what) => Err(what),
+        None => Ok((args, files, arguments)),
     }
 }
 

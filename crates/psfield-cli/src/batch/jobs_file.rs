@@ -144,7 +144,7 @@ fn line_of(bytes: &[u8], position: &csv::Position) -> u64 {
 }
 
 /// Converts a TOML table to options.
-fn settings(table: Table, folder: &Path) -> Result<Settings, String> {
+pub(crate) fn settings(table: Table, folder: &Path) -> Result<Settings, String> {
     let mut settings = Settings::default();
     for (name, value) in table {
         let value = match value {
@@ -211,7 +211,7 @@ pub(super) struct Setting {
 
 /// Options by name, without leading hyphens.
 #[derive(Debug, Clone, Default)]
-pub(super) struct Settings(BTreeMap<String, Setting>);
+pub(crate) struct Settings(BTreeMap<String, Setting>);
 
 impl Settings {
     /// Sets an option given on the command line.
@@ -222,7 +222,7 @@ impl Settings {
 
     /// Sets an option. Returns an error if it is set already. Underscores in the name count as
     /// hyphens: `stamp_size` is `stamp-size`.
-    pub(super) fn set(&mut self, option: &str, value: String, folder: &Path) -> Result<(), String> {
+    pub(crate) fn set(&mut self, option: &str, value: String, folder: &Path) -> Result<(), String> {
         let name = old_names::option("simulate", &option.trim().replace('_', "-"));
         let folder = folder.to_owned();
         match self.0.insert(name, Setting { value, folder }) {
@@ -241,6 +241,10 @@ impl Settings {
 
     pub(super) fn take(&mut self, name: &str) -> Option<Setting> {
         self.0.remove(name)
+    }
+
+    pub(crate) fn has(&self, name: &str) -> bool {
+        self.0.contains_key(name)
     }
 
     pub(super) fn get(&self, name: &str) -> Option<&Setting> {

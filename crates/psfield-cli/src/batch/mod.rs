@@ -13,9 +13,12 @@ use psf_types::Progress;
 use serde::Serialize;
 
 use crate::batch::job::{Job, JobState};
-use crate::batch::jobs_file::{Assignment, JobsFile, Settings};
+use crate::batch::jobs_file::{Assignment, JobsFile};
 use crate::context::{Context, message_of};
 use crate::simulate::{Report, Simulators};
+
+pub(crate) use crate::batch::job::{parsed, simulate_command};
+pub(crate) use crate::batch::jobs_file::{Settings, settings};
 
 /// Simulate many scenes, and reuse PSF models and plans between them
 ///

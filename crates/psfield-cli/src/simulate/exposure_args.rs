@@ -2,14 +2,14 @@
 
 use std::path::PathBuf;
 
-use detector::{Detector, ExposureReport};
+use detector::{Detector, DetectorParams, ExposureReport};
 use psf_io::{Card, HeaderCards};
 use psf_types::{Image, Real};
 use psfield::ExposureFiles;
 
 use super::super::context::Context;
 use super::super::expose::check_detector;
-use super::super::files::OutputFile;
+use super::super::files::{OutputFile, beside};
 
 /// A detector that exposes the image.
 #[derive(Debug, Clone, clap::Args)]
@@ -88,6 +88,37 @@ impl ExposureArgs {
 }
 
 impl Exposing {
+    /// The detector for one frame of a series, with the exposure time of the series.
+    pub(super) fn for_frame(
+        &self,
+        raw: PathBuf,
+        (seed, exposure_s): (u64, f64),
+        overwrite: bool,
+    ) -> anyhow::Result<Self> {
+        let params = self.detector.params();
+        if let Some(other) = params.exposure_s.filter(|&other| other != exposure_s) {
+            anyhow::bail!(
+                "the detector file states an exposure time of {other} s, but the exposures of the series last {exposure_s} s: \
+                 remove it from the detector file"
+            );
+        }
+        let params = DetectorParams {
+            exposure_s: Some(exposure_s),
+            ..params.clone()
+        };
+        let files = ExposureFiles {
+            truth: self.files.truth.is_some().then(|| beside(&raw, "truth")),
+            quality: None,
+            raw,
+            overwrite,
+        };
+        Ok(Self {
+            detector: Detector::new(params)?,
+            files,
+            seed,
+        })
+    }
+
     /// Exposes an image and writes all files.
     pub(super) fn write<T: Real>(
         &self,

@@ -6,6 +6,7 @@ mod exposure_args;
 mod prepared;
 mod report;
 mod scene;
+mod series;
 
 use std::path::PathBuf;
 
@@ -32,6 +33,7 @@ use crate::values::{Frame, Precision, bytes, stamp_size, text_of_bytes, toleranc
 
 pub(crate) use crate::simulate::prepared::Simulators;
 pub(crate) use crate::simulate::report::{Report, verdict};
+pub(crate) use crate::simulate::series::SeriesArgs;
 
 /// Convolve a scene with a PSF that varies over the field
 ///
@@ -181,6 +183,9 @@ pub(crate) struct SimulateArgs {
     /// The mark of the batch job, if this run is a job of a batch.
     #[arg(skip)]
     job: Option<JobMark>,
+    /// Further header cards.
+    #[arg(skip)]
+    cards: Vec<Card>,
 }
 
 const ACCURACY: &str = "Accuracy and method";
@@ -466,6 +471,7 @@ impl SimulateArgs {
         let psf = self.psf.file_name().unwrap_or_default().to_string_lossy();
         cards.push(Card::new(PSF_FILE_KEYWORD, psf.as_ref(), "file of the PSF")?);
         cards.extend(simulator.cards(made)?);
+        cards.extend(self.cards.iter().cloned());
         Ok(cards)
     }
 }

@@ -214,7 +214,7 @@ impl SceneArgs {
             }
             (None, None) => (self.dark_shape::<T>(field)?, HeaderCards::new()),
         };
-        let catalog = self.read_catalog(&header, false)?;
+        let catalog = self.read_catalog(&header, |options| options)?;
         let (invalid_rows, rows_off_projection) = (catalog.invalid_rows(), catalog.rows_off_projection());
         let (stars, galaxies) = catalog.into_parts();
         let read = ReadScene {
@@ -249,6 +249,26 @@ impl SceneArgs {
         Ok(FrameShape::new(nx * s, ny * s)?)
     }
 
+    /// Reads the scene of a series: its image, and its catalogue with the velocities of the sources. The
+    /// scene in the first part of the result has the image only.
+    pub(super) fn read_series<T: ConvReal>(
+        &self,
+        field: Option<FrameShape>,
+    ) -> anyhow::Result<(ReadScene<T>, Catalog)> {
+        let mut read = self.without_catalog().read::<T>(false, field)?.0;
+        let catalog = self.read_catalog(&read.header, |options| options.with_velocities(true))?;
+        (read.invalid_rows, read.rows_off_projection) =
+            (catalog.invalid_rows(), catalog.rows_off_projection());
+        Ok((read, catalog))
+    }
+
+    fn without_catalog(&self) -> Self {
+        Self {
+            catalog: None,
+            ..self.clone()
+        }
+    }
+
     /// Reads a scene in colour: images and sources, each with its spectrum. The scene in the second
     /// part of the result is dark.
     pub(super) fn read_colours<T: ConvReal>(
@@ -257,11 +277,7 @@ impl SceneArgs {
         field: Option<FrameShape>,
     ) -> anyhow::Result<ReadColours<T>> {
         let mut light = ColourScene::new();
-        let without_catalog = Self {
-            catalog: None,
-            ..self.clone()
-        };
-        let (mut read, _) = without_catalog.read::<T>(false, field)?;
+        let (mut read, _) = self.without_catalog().read::<T>(false, field)?;
         let dark = std::mem::replace(&mut read.scene, Scene::dark());
         if let (Some(image), Some(sed)) = (dark.image(), &colour.sed) {
             light.add_image(sed, image.pixels().to_owned())?;
@@ -274,7 +290,7 @@ impl SceneArgs {
             let added = light.add_image(&layer.spectrum, pixels);
             added.with_context(|| layer.image.display().to_string())?;
         }
-        let catalog = self.read_catalog(&read.header, true)?;
+        let catalog = self.read_catalog(&read.header, |options| options.with_colours(true))?;
         (read.invalid_rows, read.rows_off_projection) =
             (catalog.invalid_rows(), catalog.rows_off_projection());
         let added = light.add_catalog(catalog, colour.sed.as_deref());
@@ -290,8 +306,12 @@ impl SceneArgs {
     }
 
     /// Reads the catalogue, which may be missing. The positions that it returns are in pixels of the
-    /// output image. If `with_colours` is true, reads the spectra of the sources.
-    fn read_catalog(&self, header: &HeaderCards, with_colours: bool) -> anyhow::Result<Catalog> {
+    /// output image. `more` chooses further columns.
+    fn read_catalog(
+        &self,
+        header: &HeaderCards,
+        more: fn(CatalogOptions) -> CatalogOptions,
+    ) -> anyhow::Result<Catalog> {
         let Some(path) = &self.catalog else {
             return Ok(Catalog::default());
         };
@@ -301,7 +321,7 @@ impl SceneArgs {
             Some(_) => SkyCoordinates::from_header(&header.binned(self.finer())),
             None => SkyCoordinates::from_header(header),
         };
-        let mut options = self.columns.options()?.with_colours(with_colours);
+        let mut options = more(self.columns.options()?);
         let unusable = match sky {
             Ok(sky) => {
                 options = options.with_sky(sky);

@@ -5,6 +5,7 @@ use ndarray::{Array2, Array3, ArrayView2, ArrayView3, Axis};
 use psf_types::{
     Anchor, FrameShape, Position, PsfModelRecord, PsfSamples, SampleCoefficients, SamplePositions, StampGrid,
 };
+use rayon::prelude::*;
 
 use super::{Origin, Psf};
 use crate::stack_size::check_stack;
@@ -168,7 +169,7 @@ impl Psf {
     /// For a model, only the mean and the components are changed. The change and interpolation are
     /// linear, so each PSF of the new model equals the changed PSF of the old model, before the
     /// scaling to unit flux. The scaling is done last, on the new stamps.
-    fn changed(&self, change: &dyn StampChange) -> Result<Self, PsfieldError> {
+    pub(super) fn changed(&self, change: &dyn StampChange) -> Result<Self, PsfieldError> {
         let target = change.target();
         match &self.0.origin {
             Origin::Samples(samples, options) => {
@@ -208,7 +209,7 @@ impl Psf {
 }
 
 /// A linear operation on stamps.
-trait StampChange {
+pub(super) trait StampChange: Sync {
     /// The pixel grid of the new stamps.
     fn target(&self) -> StampGrid;
 
@@ -222,9 +223,10 @@ trait StampChange {
     fn stamps(&self, stamps: ArrayView3<'_, f64>, grid: StampGrid) -> Array3<f64> {
         let (ny, nx) = self.target().dim();
         let mut changed = Array3::zeros((stamps.dim().0, ny, nx));
-        for (mut to, stamp) in changed.outer_iter_mut().zip(stamps.outer_iter()) {
-            to.assign(&self.stamp(stamp, grid));
-        }
+        let pairs: Vec<_> = changed.outer_iter_mut().zip(stamps.outer_iter()).collect();
+        pairs
+            .into_par_iter()
+            .for_each(|(mut to, stamp)| to.assign(&self.stamp(stamp, grid)));
         changed
     }
 }

@@ -1,0 +1,392 @@
+//! `psfield series`.
+
+use std::path::{Path, PathBuf};
+use std::time::{Instant, SystemTime};
+
+use anyhow::Context as _;
+use conv_core::ConvReal;
+use psf_io::Catalog;
+use psf_types::{Image, NoProgress, Progress};
+use psfield::{
+    Exposures, LightCurves, Motion, Pointing, PointingPath, Series, SeriesSimulator, exposure_time_cards,
+};
+use serde::Deserialize;
+
+use crate::UsageError;
+use crate::batch::{Settings, parsed, settings, simulate_command};
+use crate::context::{Context, object, with_option};
+use crate::files::{FileUses, OutputFile, OutputFolder};
+use crate::simulate::exposure_args::Exposing;
+use crate::simulate::report::{Report, Seconds};
+use crate::simulate::scene::ReadScene;
+use crate::simulate::{SimulateArgs, Simulators};
+use crate::values::Precision;
+
+/// Simulate a series of exposures, during which the PSF, the pointing and the sources change
+///
+/// The file of the series gives the times of the exposures, and the options of psfield simulate in a
+/// table `[simulate]`. The PSF may depend on the time (column TIME of its samples) or on the frame
+/// (column FRAME: the frame's number is that of the exposure, counted from 0). Relative paths refer to the
+/// folder of the file.
+///
+/// For each exposure, the folder gets an image (frame_0000.fits, ...), and a table of the sources as they
+/// are in this exposure (frame_0000_sources.csv with row, x, y, flux). With a detector, the image holds
+/// its counts, and frame_0000_truth.fits the noise-free image.
+#[derive(Debug, clap::Args)]
+#[command(after_long_help = SAMPLE)]
+pub(crate) struct SeriesArgs {
+    /// File of the series (TOML)
+    #[arg(value_name = "SERIES.toml")]
+    series: PathBuf,
+    /// Folder for the frames. It is made if it does not exist
+    #[arg(short, long, value_name = "DIR")]
+    out: OutputFolder,
+    /// Replace files that exist
+    #[arg(long)]
+    overwrite: bool,
+}
+
+/// The end of the long help.
+const SAMPLE: &str = r#"The file of a series:
+
+  start = "2026-11-27T21:00:00"    # UTC. All other times are seconds after it
+  exposure_s = 30.0
+  count = 100
+  cadence_s = 40.0                 # from start to start [default: exposure_s]
+  light_curves = "curves.csv"      # columns row, time, factor
+
+  [pointing]                       # by how far light is shifted on the frame (pixels)
+  drift_px_per_s = [0.001, 0.0]
+  jitter_px = 0.05                 # r.m.s. along each axis
+  path = "pointing.csv"            # columns time, dx, dy
+
+  [simulate]
+  psf = "night.fits"
+  catalog = "stars.csv"
+  shape = [2048, 2048]
+  detector = "camera.toml"
+
+starts_s = [0.0, 40.0, 90.0] in place of count and cadence_s sets each start. exposure_s is required, and
+so is [simulate]. All other keys are optional.
+
+light_curves: the flux of a source is that of the catalogue times the factor, which is linear between the
+times. row is the row of the catalogue, counted from 0. Sources without rows are constant.
+
+Columns vx and vy of the catalogue are velocities in pixels per second. Positions are those at the start
+of the series.
+
+Fluxes are those of one exposure. --seed in [simulate] is the seed of exposure 0, and each next exposure
+has the next seed."#;
+
+/// The content of the file.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct SeriesFile {
+    start: toml::Value,
+    exposure_s: f64,
+    count: Option<usize>,
+    cadence_s: Option<f64>,
+    starts_s: Option<Vec<f64>>,
+    light_curves: Option<PathBuf>,
+    #[serde(default)]
+    pointing: PointingTable,
+    simulate: toml::Table,
+}
+
+#[derive(Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+struct PointingTable {
+    drift_px_per_s: [f64; 2],
+    jitter_px: f64,
+    path: Option<PathBuf>,
+}
+
+/// Options of `simulate` that a series sets itself.
+const OF_SERIES: [&str; 5] = ["output", "truth", "quality", "overwrite", "stream"];
+/// Options of `simulate` that a series does not support.
+const UNSUPPORTED: [&str; 4] = ["bandpass", "sed", "layer", "dispersion"];
+
+impl SeriesArgs {
+    pub(crate) fn run(self, context: &Context) -> anyhow::Result<()> {
+        let folder = self.series.parent().unwrap_or(Path::new(""));
+        let text = std::fs::read_to_string(&self.series)
+            .with_context(|| format!("cannot read {}", self.series.display()))?;
+        let in_file = |what: String| UsageError(format!("{}: {what}", self.series.display()));
+        let mut file: SeriesFile = toml::from_str(&text).map_err(|e| in_file(e.to_string()))?;
+        let start = file.start_time().map_err(in_file)?;
+        let table = std::mem::take(&mut file.simulate);
+        let options = self.options(table, folder).map_err(in_file)?;
+        let exposures = file.exposures().map_err(in_file)?;
+        let series = Series {
+            pointing: file
+                .pointing(folder)
+                .map_err(|error| match error.downcast::<UsageError>() {
+                    Ok(UsageError(what)) => in_file(what).into(),
+                    Err(error) => error,
+                })?,
+            light_curves: file.light_curves(folder)?,
+            exposures,
+        };
+        match options.precision {
+            Precision::F32 => self.simulate::<f32>(&options, series, start, context),
+            Precision::F64 => self.simulate::<f64>(&options, series, start, context),
+        }
+    }
+
+    /// Parses the options of `simulate`, with the output of the first exposure.
+    fn options(&self, table: toml::Table, folder: &Path) -> Result<SimulateArgs, String> {
+        let in_table = |what: String| format!("[simulate]: {what}");
+        let mut options: Settings = settings(table, folder).map_err(in_table)?;
+        for name in OF_SERIES {
+            if options.has(name) {
+                return Err(in_table(format!(
+                    "{name} cannot be set: the series names its files itself"
+                )));
+            }
+        }
+        for name in UNSUPPORTED {
+            if options.has(name) {
+                return Err(in_table(format!(
+                    "{name} cannot be used in a series: use psfield simulate"
+                )));
+            }
+        }
+        let first = self.frame(0).display().to_string();
+        options.set("output", first, Path::new("")).map_err(in_table)?;
+        let (args, files, _) = parsed(&options, &mut simulate_command()).map_err(in_table)?;
+        let mut uses = FileUses::default();
+        for input in &files.inputs {
+            uses.read(input, "an input of the series");
+        }
+        Ok(args)
+    }
+
+    /// The image of an exposure.
+    fn frame(&self, number: usize) -> PathBuf {
+        self.out.join(format!("frame_{number:04}.fits"))
+    }
+
+    /// The table of the sources in an exposure.
+    fn sources(&self, number: usize) -> PathBuf {
+        self.out.join(format!("frame_{number:04}_sources.csv"))
+    }
+
+    fn simulate<T: ConvReal>(
+        &self,
+        options: &SimulateArgs,
+        series: Series,
+        start: SystemTime,
+        context: &Context,
+    ) -> anyhow::Result<()> {
+        let clock = Instant::now();
+        let first = OutputFile::from(self.frame(0).into_os_string());
+        let exposing = options
+            .exposure
+            .exposing(&first, self.overwrite, options.seed, context)?;
+        options.open_gpu(context)?;
+        let psf = options.psf(&mut Simulators::default(), &mut Seconds::default(), context)?;
+        let spinner = context.spinner("reading");
+        let (read, catalog) = options.scene.read_series::<T>(psf.field_shape())?;
+        drop(spinner);
+        options.note_of_scene(&read, context);
+        if series.pointing != Pointing::default() && psf.grid().oversampling() < 2.0 {
+            context.warn(
+                "the pointing shifts stamps by fractions of a pixel, but these stamps have fewer than two pixels per pixel of the \
+                 image: use oversampled stamps",
+            );
+        }
+        let count = series.exposures.len();
+        let with_sources = !catalog.rows().is_empty();
+        std::fs::create_dir_all(&*self.out)
+            .with_context(|| format!("{}: the folder cannot be made", self.out.display()))?;
+        for number in 0..count {
+            let frame = self.frame(number);
+            if exposing.is_some() {
+                psf_io::check_output(crate::files::beside(&frame, "truth"), self.overwrite)?;
+            }
+            psf_io::check_output(frame, self.overwrite)?;
+            psf_io::check_output(self.sources(number), self.overwrite)?;
+        }
+        let sources = (catalog.stars().len(), catalog.galaxies().len());
+        let mut simulator = self.simulator(options, &psf, series, &read, catalog)?;
+        let mut frames = Vec::with_capacity(count);
+        let mut warned = Vec::new();
+        let bar = context.bar("exposures");
+        bar.start(count as u64);
+        for number in 0..count {
+            let made = self.expose(
+                (options, exposing.as_ref(), &read, sources),
+                (&mut simulator, number, start),
+                &mut warned,
+                context,
+            )?;
+            if with_sources {
+                let path = self.sources(number);
+                psf_io::write_csv(path, &["row", "x", "y", "flux"], &made.1, self.overwrite)?;
+            }
+            frames.push(made.0);
+            bar.advance(1);
+        }
+        drop(bar);
+        self.report(&frames, clock.elapsed().as_secs_f64(), context)
+    }
+
+    fn simulator<T: ConvReal>(
+        &self,
+        options: &SimulateArgs,
+        psf: &psfield::Psf,
+        series: Series,
+        read: &ReadScene<T>,
+        catalog: Catalog,
+    ) -> anyhow::Result<SeriesSimulator<T>> {
+        let image = match read.scene.image() {
+            Some(image) => Some(Image::new(image.pixels().to_owned())?),
+            None => None,
+        };
+        let shape = (read.shape.ny(), read.shape.nx());
+        let made = SeriesSimulator::new(psf, shape, options.options(), series, (image, catalog));
+        made.map_err(|error| anyhow::Error::new(error).context(self.series.display().to_string()))
+    }
+
+    /// Simulates an exposure and writes its image. Returns the report and the sources.
+    #[allow(clippy::type_complexity, reason = "what stays, what changes")]
+    fn expose<T: ConvReal>(
+        &self,
+        (options, exposing, read, sources): (&SimulateArgs, Option<&Exposing>, &ReadScene<T>, (usize, usize)),
+        (simulator, number, start): (&mut SeriesSimulator<T>, usize, SystemTime),
+        warned: &mut Vec<String>,
+        context: &Context,
+    ) -> anyhow::Result<(Report, Vec<psfield::SourceInExposure>)> {
+        let context = &context.for_part(&format!("exposure {number}"));
+        let times = simulator.series().exposures.times(number);
+        let exposure_s = simulator.series().exposures.exposure_s();
+        let frame = self.frame(number);
+        let seed = options.seed.wrapping_add(number as u64);
+        let exposing = exposing
+            .map(|exposing| exposing.for_frame(frame.clone(), (seed, exposure_s), self.overwrite))
+            .transpose()?;
+        let clock = Instant::now();
+        let spinner = context.spinner("planning");
+        let exposure = simulator
+            .exposure(number, &NoProgress)
+            .map_err(|error| options.explained(error))?;
+        let made = exposure
+            .simulator
+            .prepare(&exposure.scene, false, &NoProgress)
+            .map_err(|error| options.explained(error))?;
+        drop(spinner);
+        let mut seconds = Seconds {
+            plan: clock.elapsed().as_secs_f64(),
+            ..Seconds::default()
+        };
+        for warning in exposure.simulator.warnings(&exposure.scene) {
+            let text = with_option(&warning, warning.setting());
+            if !warned.contains(&text) {
+                context.warn(&text);
+                warned.push(text);
+            }
+        }
+        let [dx, dy] = exposure.shift_px;
+        let mut cards = exposure_time_cards(start, times)?.to_vec();
+        cards.push(psf_io::Card::new(
+            "SHIFTX",
+            dx,
+            "[pixel] mean shift by the pointing",
+        )?);
+        cards.push(psf_io::Card::new(
+            "SHIFTY",
+            dy,
+            "[pixel] mean shift by the pointing",
+        )?);
+        let of_frame = SimulateArgs {
+            output: OutputFile::from(frame.into_os_string()),
+            overwrite: self.overwrite,
+            seed,
+            cards,
+            ..options.clone()
+        };
+        // The world coordinates move with the light.
+        let s = options.scene.scene.as_ref().map_or(1, |_| options.scene.finer()) as f64;
+        let read = ReadScene {
+            scene: psfield::Scene::dark(),
+            header: read.header.shifted_origin(-dx * s, -dy * s),
+            ..*read
+        };
+        let scene = (&*exposure.simulator, &exposure.scene);
+        let outcome = of_frame.in_memory((&scene, &made), &read, exposing.as_ref(), &mut seconds, context)?;
+        let report = of_frame.report((scene.0, &made), &read, sources, outcome, seconds);
+        Ok((report, exposure.sources))
+    }
+
+    fn report(&self, frames: &[Report], seconds: f64, context: &Context) -> anyhow::Result<()> {
+        let folder = self.out.as_path();
+        let of = |part: fn(&Seconds) -> f64| -> f64 { frames.iter().map(|frame| part(&frame.seconds)).sum() };
+        let (plan, execute, write) = (of(|s| s.plan), of(|s| s.execute), of(|s| s.write));
+        let report = object! { folder, frames, seconds };
+        context.report(&report, || {
+            let [nx, ny] = frames[0].shape;
+            format!(
+                "{}: {} exposures of {nx} x {ny} pixels\n\
+                 seconds: {seconds:.3} in all, plan {plan:.3}, convolve {execute:.3}, write {write:.3}",
+                folder.display(),
+                frames.len()
+            )
+        })?;
+        frames.iter().try_for_each(Report::verdict)
+    }
+}
+
+impl SeriesFile {
+    /// The time of the start.
+    fn start_time(&self) -> Result<SystemTime, String> {
+        let text = match &self.start {
+            toml::Value::String(text) => text.clone(),
+            toml::Value::Datetime(time) => time.to_string(),
+            other => other.to_string(),
+        };
+        psfield::parse_utc(&text).ok_or_else(|| {
+            format!("start: a date and time (UTC) is needed, as in \"2026-11-27T21:00:00\", not {text:?}")
+        })
+    }
+
+    fn exposures(&self) -> Result<Exposures, String> {
+        let made = match (&self.starts_s, self.count, self.cadence_s) {
+            (Some(starts), None, None) => Exposures::new(starts.clone(), self.exposure_s),
+            (None, Some(count), cadence) => {
+                Exposures::regular(count, self.exposure_s, cadence.unwrap_or(self.exposure_s))
+            }
+            _ => return Err("give either count (and cadence_s, if needed) or starts_s".to_owned()),
+        };
+        made.map_err(|error| match error.setting() {
+            Some(key) => format!("{key}: {error}"),
+            None => error.to_string(),
+        })
+    }
+
+    /// The pointing. Its path refers to `folder`.
+    fn pointing(&self, folder: &Path) -> anyhow::Result<Pointing> {
+        let table = &self.pointing;
+        let jitter = Motion::fixed(table.drift_px_per_s).with_jitter_px(table.jitter_px);
+        jitter.map_err(|error| UsageError(format!("[pointing] jitter_px: {error}")))?;
+        let path = table.path.as_ref().map(|path| {
+            let path = folder.join(path);
+            let [times, dx, dy] = psf_io::read_columns(&path, ["time", "dx", "dy"])?;
+            PointingPath::new(times, &dx, &dy).with_context(|| path.display().to_string())
+        });
+        Ok(Pointing {
+            drift_px_per_s: table.drift_px_per_s,
+            jitter_px: table.jitter_px,
+            path: path.transpose()?,
+        })
+    }
+
+    /// The light curves. Their file is relative to `folder`.
+    fn light_curves(&self, folder: &Path) -> anyhow::Result<LightCurves> {
+        let Some(path) = &self.light_curves else {
+            return Ok(LightCurves::default());
+        };
+        let path = folder.join(path);
+        let [rows, times, factors] = psf_io::read_columns(&path, ["row", "time", "factor"])?;
+        LightCurves::new(&rows, &times, &factors).with_context(|| path.display().to_string())
+    }
+}

@@ -1,0 +1,146 @@
+//! Stamps in Fourier space, where they are shifted by fractions of a pixel.
+
+use std::f64::consts::TAU;
+use std::sync::Arc;
+
+use ndarray::{Array2, ArrayView2, s};
+use psf_types::{DataError, StampGrid};
+use rustfft::num_complex::Complex64;
+use rustfft::{Fft, FftPlanner};
+
+/// Stamp pixels around the shifted stamps, in which the interpolation between pixels fades.
+const MARGIN: f64 = 8.0;
+
+/// The pixels by which stamps grow on either side if they are shifted by these distances in stamp
+/// pixels.
+pub(crate) fn margin_of(shifts: impl Iterator<Item = f64>) -> usize {
+    (shifts.fold(0.0, |most: f64, shift| most.max(shift.abs())) + MARGIN).ceil() as usize
+}
+
+/// A grid with `margin` (x, y) more pixels on either side.
+pub(crate) fn widened(grid: StampGrid, margin: [usize; 2]) -> Result<StampGrid, DataError> {
+    let centre = (
+        grid.centre_x() + margin[0] as f64,
+        grid.centre_y() + margin[1] as f64,
+    );
+    Ok(
+        StampGrid::new(grid.nx() + 2 * margin[0], grid.ny() + 2 * margin[1])?
+            .with_centre(centre.0, centre.1)?
+            .with_oversampling(grid.oversampling())?
+            .with_pixel_response_included(grid.pixel_response_included())
+            .with_interpolation(grid.interpolation()),
+    )
+}
+
+/// Transforms of stamps of one size, with room around them for shifts.
+pub(crate) struct StampPlane {
+    /// Rows and columns of the stamps that come back.
+    room: (usize, usize),
+    /// Rows and columns of the transforms.
+    size: [usize; 2],
+    /// Along y and x, forward and inverse.
+    steps: [[Arc<dyn Fft<f64>>; 2]; 2],
+}
+
+impl StampPlane {
+    /// Room for stamps of `(ny, nx)` pixels, margins included.
+    pub(crate) fn new(room: (usize, usize)) -> Self {
+        let mut planner = FftPlanner::new();
+        let size = [room.0, room.1].map(|n| {
+            let sizes = n..=n.next_power_of_two();
+            sizes.into_iter().find(|&n| is_smooth(n)).unwrap_or(n)
+        });
+        let steps = size.map(|n| [planner.plan_fft_forward(n), planner.plan_fft_inverse(n)]);
+        Self { room, size, steps }
+    }
+
+    /// Rows and columns of the transforms.
+    pub(crate) fn shape(&self) -> [usize; 2] {
+        self.size
+    }
+
+    /// The transform of a stamp that begins `margin` pixels (x, y) inside the plane.
+    pub(crate) fn forward(&self, stamp: ArrayView2<'_, f64>, [mx, my]: [usize; 2]) -> Array2<Complex64> {
+        let mut values = Array2::zeros(self.size);
+        let (ny, nx) = stamp.dim();
+        values
+            .slice_mut(s![my..my + ny, mx..mx + nx])
+            .assign(&stamp.mapv(Complex64::from));
+        self.transform(&mut values, 0);
+        values
+    }
+
+    /// The stamp of a transform, with its margins.
+    pub(crate) fn inverse(&self, mut values: Array2<Complex64>) -> Array2<f64> {
+        self.transform(&mut values, 1);
+        let pixels = (self.size[0] * self.size[1]) as f64;
+        let (ny, nx) = self.room;
+        values.slice(s![..ny, ..nx]).mapv(|v| v.re / pixels)
+    }
+
+    /// The factor in Fourier space that shifts a stamp by several distances and adds up the results,
+    /// `[qy, qx]`: `sum_j w_j exp(-2 pi i q d_j)`. `shifts` are the weights `w_j` and the distances `d_j`
+    /// along x and y, in stamp pixels.
+    pub(crate) fn shift_factor(&self, shifts: &[(f64, [f64; 2])]) -> Array2<Complex64> {
+        let mut factor: Array2<Complex64> = Array2::zeros(self.size);
+        let [ny, nx] = self.size;
+        let turns = |n: usize, shift: f64| -> Vec<Complex64> {
+            (0..n)
+                .map(|k| Complex64::cis(-TAU * frequency(k, n) * shift))
+                .collect()
+        };
+        for &(weight, [dx, dy]) in shifts {
+            // The exponential of a sum is the product of those of its terms.
+            let (xs, ys) = (turns(nx, dx), turns(ny, dy));
+            for (mut row, y) in factor.outer_iter_mut().zip(ys) {
+                let weighted = weight * y;
+                for (sum, x) in row.iter_mut().zip(&xs) {
+                    *sum += weighted * x;
+                }
+            }
+        }
+        factor
+    }
+
+    /// The factor in Fourier space of the convolution with a round Gaussian, `[qy, qx]`:
+    /// `exp(-2 pi^2 sigma^2 q^2)`. `sigma` is in stamp pixels.
+    pub(crate) fn gaussian_factor(&self, sigma: f64) -> Array2<f64> {
+        let [ny, nx] = self.size;
+        let along = |k, n| (-0.5 * (TAU * sigma * frequency(k, n)).powi(2)).exp();
+        Array2::from_shape_fn(self.size, |(y, x)| along(y, ny) * along(x, nx))
+    }
+
+    fn transform(&self, values: &mut Array2<Complex64>, direction: usize) {
+        for mut row in values.outer_iter_mut() {
+            self.steps[1][direction].process(row.as_slice_mut().expect("row-major"));
+        }
+        let mut column = vec![Complex64::default(); self.size[0]];
+        for mut of_plane in values.columns_mut() {
+            column
+                .iter_mut()
+                .zip(&of_plane)
+                .for_each(|(to, from)| *to = *from);
+            self.steps[0][direction].process(&mut column);
+            of_plane
+                .iter_mut()
+                .zip(&column)
+                .for_each(|(to, from)| *to = *from);
+        }
+    }
+}
+
+/// The frequency of index `k` of `n`, in cycles per pixel.
+fn frequency(k: usize, n: usize) -> f64 {
+    let k = if 2 * k < n { k as f64 } else { k as f64 - n as f64 };
+    k / n as f64
+}
+
+/// Returns whether a number has no prime factor above 5, so that its transforms are fast.
+fn is_smooth(mut n: usize) -> bool {
+    for p in [2, 3, 5] {
+        while n.is_multiple_of(p) {
+            n /= p;
+        }
+    }
+    n == 1
+}
