@@ -1,6 +1,6 @@
 //! Orthonormal basis stamps, and the samples' coefficients in the basis.
 
-use ndarray::{Array2, Array3, ArrayView2, ArrayView3, Axis};
+use ndarray::{ArcArray, Array2, Array3, ArrayView2, ArrayView3, Axis, Ix3};
 use serde::{Deserialize, Serialize};
 
 use crate::frame::{DataError, Quantity, read_through_new};
@@ -18,7 +18,8 @@ use crate::stamp::StampGrid;
 #[serde(try_from = "RawPsfBasis")]
 pub struct PsfBasis {
     mean: Option<Array2<f64>>,
-    components: Array3<f64>,
+    /// Clones of a basis share the components.
+    components: ArcArray<f64, Ix3>,
     grid: StampGrid,
 }
 
@@ -55,7 +56,7 @@ impl PsfBasis {
         check_orthonormal(components.view())?;
         Ok(Self {
             mean: mean.map(row_major),
-            components,
+            components: components.into_shared(),
             grid,
         })
     }

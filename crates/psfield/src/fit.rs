@@ -301,21 +301,33 @@ pub fn model_of(record: PsfModelRecord) -> Result<PsfModel, PsfieldError> {
 /// # Errors
 /// The errors of [`model_of`].
 pub(crate) fn models_of(record: &PsfModelRecord) -> Result<Vec<PsfModel>, PsfieldError> {
+    let first = state_field(record, 0)?;
+    let first = record.clone().into_model(Arc::new(first))?;
+    let mut others = models_on(record, &first, 1)?;
+    others.insert(0, first);
+    Ok(others)
+}
+
+/// The models of all states from the given one on, on the stamps of a model of the same basis.
+pub(crate) fn models_on(
+    record: &PsfModelRecord,
+    stamps: &PsfModel,
+    from: usize,
+) -> Result<Vec<PsfModel>, PsfieldError> {
+    let states = from..record.coefficients().positions().state_count();
+    states
+        .map(|state| Ok(stamps.with_field(Arc::new(state_field(record, state)?))?))
+        .collect()
+}
+
+/// The coefficient field of a state. 0 if the PSF depends on the position only.
+fn state_field(record: &PsfModelRecord, state: usize) -> Result<InterpolatedField, PsfieldError> {
     let coefficients = record.coefficients();
-    if coefficients.positions().states().is_none() {
-        return Ok(vec![model_of(record.clone())?]);
+    let (interpolation, outside) = (record.interpolation(), record.outside());
+    match coefficients.positions().states() {
+        None => field_of(coefficients, interpolation, outside),
+        Some(_) => field_of(&coefficients.of_state(state), interpolation, outside),
     }
-    let field = |state| {
-        field_of(
-            &coefficients.of_state(state),
-            record.interpolation(),
-            record.outside(),
-        )
-    };
-    let first = record.clone().into_model(Arc::new(field(0)?))?;
-    let others = 1..coefficients.positions().state_count();
-    let others = others.map(|state| Ok(first.with_field(Arc::new(field(state)?))?));
-    std::iter::once(Ok(first.clone())).chain(others).collect()
 }
 
 fn field_of(

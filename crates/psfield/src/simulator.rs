@@ -8,6 +8,7 @@ mod derived;
 mod flux;
 mod geometry;
 mod many;
+mod mixtures;
 mod stream;
 #[cfg(test)]
 mod tests;
@@ -37,6 +38,7 @@ use geometry::Geometry;
 pub use builder::{OwnMethodBuilder, SimulatorBuilder};
 pub use check::SimulationWarning;
 pub use colours::ColourSimulator;
+pub(crate) use mixtures::Mixtures;
 
 /// The start of the error message for a region with a method that makes no plan
 /// ([`PsfieldError::needs_plan`]).
@@ -138,6 +140,24 @@ struct Sources<T: ConvReal> {
     galaxies: GalaxyPlan<T>,
     fit_seconds: f64,
     plan_seconds: f64,
+}
+
+impl<T: ConvReal> Sources<T> {
+    /// Draws sources through another model with the local bases of this one. None if the model has other
+    /// stamps.
+    fn for_other_field(&self, model: &PsfModel) -> Option<Self> {
+        let stars = match &self.stars {
+            Some(stars) => Some(stars.for_other_field(model)?),
+            None => None,
+        };
+        Some(Self {
+            model: model.clone(),
+            stars,
+            galaxies: self.galaxies.for_other_field(model)?,
+            fit_seconds: 0.0,
+            plan_seconds: 0.0,
+        })
+    }
 }
 
 /// The model and the plan for scenes of one kind (with or without an image, stars and galaxies),
@@ -422,26 +442,33 @@ impl<T: ConvReal> Simulator<T> {
     fn sources(&self) -> Result<&Sources<T>, PsfieldError> {
         get_or_make(&self.shared.sources, || {
             let clock = Instant::now();
-            let model = self.psf().with_pixel_response()?.model()?.clone();
-            let fit_seconds = clock.elapsed().as_secs_f64();
-            let size = self.options.stamp_size;
-            let planned = self.planned_for(&model)?;
-            if let Some(options) = &planned {
-                check_flux(self.psf(), &model, options)?;
+            let psf = self.psf().with_pixel_response()?;
+            let models = std::slice::from_ref(psf.model()?);
+            self.sources_of_layers(models, clock.elapsed().as_secs_f64())
+        })
+    }
+
+    /// Draws sources through the first of these models. The local bases represent the PSFs of all.
+    fn sources_of_layers(&self, models: &[PsfModel], fit_seconds: f64) -> Result<Sources<T>, PsfieldError> {
+        let clock = Instant::now();
+        let size = self.options.stamp_size;
+        let planned = self.planned_for(&models[0])?;
+        if let Some(options) = &planned {
+            for model in models {
+                check_flux(self.psf(), model, options)?;
             }
-            let stars = planned
-                .map(|options| StarPlan::new(&model, options, size))
-                .transpose()?;
-            let exact = PlanOptions::new(TOLERANCE_WITHOUT_PLAN)?.with_anchor(self.options.anchor);
-            let galaxies = GalaxyPlan::new(&model, planned.unwrap_or(exact), size)?;
-            let plan_seconds = clock.elapsed().as_secs_f64() - fit_seconds;
-            Ok(Sources {
-                model,
-                stars,
-                galaxies,
-                fit_seconds,
-                plan_seconds,
-            })
+        }
+        let stars = planned
+            .map(|options| StarPlan::of_layers(models, options, size))
+            .transpose()?;
+        let exact = PlanOptions::new(TOLERANCE_WITHOUT_PLAN)?.with_anchor(self.options.anchor);
+        let galaxies = GalaxyPlan::of_layers(models, planned.unwrap_or(exact), size)?;
+        Ok(Sources {
+            model: models[0].clone(),
+            stars,
+            galaxies,
+            fit_seconds,
+            plan_seconds: clock.elapsed().as_secs_f64(),
         })
     }
 

@@ -70,7 +70,7 @@ impl<T: ConvReal> GalaxyPlan<T> {
             let at = galaxy.position();
             let (x, y) = (at.x() - frame.x0() as f64, at.y() - frame.y0() as f64);
             let light = light(galaxy);
-            let (side, reach) = self.extent.side_and_reach(light.as_ref());
+            let (side, reach) = self.shared.extent.side_and_reach(light.as_ref());
             let reach = reach.unwrap_or(farthest_edge(side));
             let mut of_window = None;
             for (index, &(column, row)) in pixels.iter().enumerate() {
@@ -85,11 +85,11 @@ impl<T: ConvReal> GalaxyPlan<T> {
                         None => self.psf_norm(Position::new(x, y).map_err(ConvError::Result)?)?,
                     };
                     of_window = Some(norm);
-                    (1.0 + FRACTION) * self.tolerance * norm
+                    (1.0 + FRACTION) * self.shared.tolerance * norm
                 } else {
                     let mut brightness = [0.0];
                     light.add_blurred([0.0; 3], 1.0, &[[dx as f32, dy as f32]], &mut brightness);
-                    RELATIVE_ERROR[1] * brightness[0] + self.extent.left_out() / reach.powi(2)
+                    RELATIVE_ERROR[1] * brightness[0] + self.shared.extent.left_out() / reach.powi(2)
                 };
                 take(index, error * galaxy.flux().abs());
             }
@@ -119,7 +119,7 @@ impl<T: ConvReal> GalaxyPlan<T> {
         let galaxy = &catalogue.galaxies[index];
         let light = (catalogue.light)(galaxy);
         let (x, y) = catalogue.position(index);
-        let (side, reach) = self.extent.side_and_reach(light.as_ref());
+        let (side, reach) = self.shared.extent.side_and_reach(light.as_ref());
         let farthest = reach.unwrap_or(farthest_edge(side));
         let near = |&(column, row): &(usize, usize)| {
             (column as f64 - x).abs() <= farthest && (row as f64 - y).abs() <= farthest
@@ -190,13 +190,13 @@ impl<T: ConvReal> GalaxyPlan<T> {
         };
         let (count, psf, stamps) = (psf.len(), psf.view(), self.stamps());
         let transformed = |directions: Array2<f64>, largest: &[f64]| {
-            let accuracy = self.extent.accuracy();
+            let accuracy = self.shared.extent.accuracy();
             let kernels = Kernels::new(stamps, directions, largest, psf, accuracy);
             let outline = kernels.power.outline(light);
             let spectra = stamps.spectra_of(&kernels, side, stamps.band_number(outline.radius()));
             (spectra, outline)
         };
-        if self.options.anchor() != Anchor::Output {
+        if self.shared.options.anchor() != Anchor::Output {
             let (spectra, outline) = transformed(psf.to_owned().insert_axis(Axis(0)), &[1.0]);
             return Ok(plane(&spectra, &[1.0], &outline));
         }

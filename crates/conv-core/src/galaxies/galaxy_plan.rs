@@ -14,9 +14,9 @@ use super::window::{Drawn, Spectra, WindowDrawer};
 use crate::image_memory::{check_shape, with_rows_in_memory};
 use crate::kept::Kept;
 use crate::overlap::{self, Piece, add_pieces, shared};
-use crate::plan::PlanOptions;
 use crate::plan::local_modes::LocalModes;
 use crate::plan::psf_space::PsfSpace;
+use crate::plan::{PlanOptions, check_layers, share_stamps};
 use crate::stars::{BlockKey, StarVectors, block_of, check_stamps, region_of};
 use crate::{ConvError, ConvReal};
 
@@ -37,6 +37,14 @@ pub(super) type Light = Box<dyn LightProfile + Send + Sync>;
 #[derive(Debug)]
 pub struct GalaxyPlan<T> {
     pub(super) model: PsfModel,
+    pub(super) shared: Arc<Shared<T>>,
+}
+
+/// The parts of a plan that do not depend on the coefficient field.
+#[derive(Debug)]
+pub(super) struct Shared<T> {
+    /// The models whose PSFs the local bases represent.
+    models: Vec<PsfModel>,
     pub(super) options: PlanOptions,
     size: Option<usize>,
     /// Made when the first galaxy is drawn.
@@ -114,37 +122,66 @@ impl<T: ConvReal> GalaxyPlan<T> {
     /// # Errors
     /// [`ConvError::PixelResponse`] if the stamps do not include the pixel response,
     /// [`ConvError::StampSize`] if `size` is 0.
-    #[inline(never)]
     pub fn new(model: &PsfModel, options: PlanOptions, size: Option<usize>) -> Result<Self, ConvError> {
-        check_stamps(model.grid(), size)?;
+        Self::of_layers(std::slice::from_ref(model), options, size)
+    }
+
+    /// Plans the drawing of galaxies with the PSFs of several models that share their stamps, as
+    /// [`StarPlan::of_layers`](crate::StarPlan::of_layers) does for stars.
+    ///
+    /// # Errors
+    /// As for [`new`](Self::new), and [`ConvError::Layers`] without models, or if their stamps or their
+    /// scaling to unit flux differ.
+    #[inline(never)]
+    pub fn of_layers(
+        models: &[PsfModel],
+        options: PlanOptions,
+        size: Option<usize>,
+    ) -> Result<Self, ConvError> {
+        check_layers(models)?;
+        check_stamps(models[0].grid(), size)?;
         let tolerance = options.tolerance_in::<T>();
-        Ok(Self {
+        let shared = Shared {
             size,
             space: OnceLock::new(),
             stamps: OnceLock::new(),
             tolerance,
-            extent: Extent::new(model, size, tolerance),
+            extent: Extent::new(&models[0], size, tolerance),
             blocks: Kept::new(usize::MAX),
             spectra: Kept::new(options.memory_bytes()),
-            model: model.clone(),
+            models: models.to_vec(),
             options,
+        };
+        Ok(Self {
+            model: models[0].clone(),
+            shared: Arc::new(shared),
+        })
+    }
+
+    /// Returns a plan that draws galaxies with the PSFs of another model, as
+    /// [`StarPlan::for_other_field`](crate::StarPlan::for_other_field) does for stars.
+    pub fn for_other_field(&self, model: &PsfModel) -> Option<Self> {
+        share_stamps(&self.model, model).then(|| Self {
+            model: model.clone(),
+            shared: Arc::clone(&self.shared),
         })
     }
 
     pub(super) fn space(&self) -> &PsfSpace {
-        let make = || PsfSpace::new(std::slice::from_ref(&self.model), self.options.tolerance_on());
-        self.space.get_or_init(make)
+        let shared = &self.shared;
+        let make = || PsfSpace::new(&shared.models, shared.options.tolerance_on());
+        shared.space.get_or_init(make)
     }
 
     pub(super) fn stamps(&self) -> &Stamps {
-        self.stamps.get_or_init(|| {
+        self.shared.stamps.get_or_init(|| {
             let (grid, mut stamps) = (self.model.grid(), self.space().stamps());
-            if let Some(size) = self.size {
+            if let Some(size) = self.shared.size {
                 stamps
                     .outer_iter_mut()
                     .for_each(|stamp| truncate(stamp, grid, size));
             }
-            Stamps::new(stamps, grid, self.options.memory_bytes() / PARTS_OF_MEMORY)
+            Stamps::new(stamps, grid, self.shared.options.memory_bytes() / PARTS_OF_MEMORY)
         })
     }
 
@@ -193,12 +230,13 @@ impl<T: ConvReal> GalaxyPlan<T> {
                 let galaxy = &catalogue.galaxies[index];
                 let light = (catalogue.light)(galaxy);
                 let (x, y) = catalogue.position(index);
-                let (side, reach) = self.extent.side_and_reach(light.as_ref());
-                if galaxy.flux() == 0.0 || !is_near((x, y), self.extent.farthest(side, reach), region) {
+                let (side, reach) = self.shared.extent.side_and_reach(light.as_ref());
+                if galaxy.flux() == 0.0 || !is_near((x, y), self.shared.extent.farthest(side, reach), region)
+                {
                     return Ok(None);
                 }
                 let block = block_of((x.round() as i64, y.round() as i64), BLOCK);
-                let outline = match self.options.anchor() {
+                let outline = match self.shared.options.anchor() {
                     Anchor::Output => Outline::default(),
                     _ => self.block(block).kernels.power.outline(light.as_ref()),
                 };
@@ -242,7 +280,7 @@ impl<T: ConvReal> GalaxyPlan<T> {
     ) -> Result<(Vec<Piece<T>>, Vec<FarLight>), ConvError> {
         let key = group[0].key;
         let (side, ..) = key;
-        let local = (self.options.anchor() != Anchor::Output).then(|| self.local(key));
+        let local = (self.shared.options.anchor() != Anchor::Output).then(|| self.local(key));
         let (mut pieces, mut far) = (Vec::new(), Vec::new());
         let mut drawer = WindowDrawer::new(side);
         let weights = BlockWeights::<T>::new(side);
@@ -311,7 +349,7 @@ impl<T: ConvReal> GalaxyPlan<T> {
         let block = self.block(key.2);
         let make = || self.stamps().spectra_of(&block.kernels, key.0, key.1);
         Local {
-            spectra: self.spectra.get(key, make, Spectra::bytes),
+            spectra: self.shared.spectra.get(key, make, Spectra::bytes),
             block,
         }
     }
@@ -330,7 +368,7 @@ impl<T: ConvReal> GalaxyPlan<T> {
             let whole = vectors.norm();
             let mut coefficients = Vec::new();
             vectors.project(&local.block.modes, &mut coefficients);
-            if vectors.is_within(self.tolerance, whole) {
+            if vectors.is_within(self.shared.tolerance, whole) {
                 for c in &mut coefficients {
                     *c *= scale;
                 }
@@ -345,7 +383,7 @@ impl<T: ConvReal> GalaxyPlan<T> {
         let make = || {
             let region = region_of(key, BLOCK);
             let cells = self.space().sampled_cells(region);
-            let modes = LocalModes::of_exact_cells(self.space(), &cells, MARGIN * self.tolerance);
+            let modes = LocalModes::of_exact_cells(self.space(), &cells, MARGIN * self.shared.tolerance);
             // No rows if the PSF has no value in the block. Then each galaxy uses all components.
             let directions = modes.kernels();
             // The values at the corners of cells begin with the flux, also without a reference.
@@ -359,11 +397,11 @@ impl<T: ConvReal> GalaxyPlan<T> {
                 directions,
                 &largest,
                 typical.view(),
-                self.extent.accuracy(),
+                self.shared.extent.accuracy(),
             );
             Block { modes, kernels }
         };
-        self.blocks.get(key, make, |_| 0)
+        self.shared.blocks.get(key, make, |_| 0)
     }
 
     /// The light of a galaxy outside its window, up to the distance `reach`. `None` if the values of
@@ -379,13 +417,13 @@ impl<T: ConvReal> GalaxyPlan<T> {
         let [flux, mx, my, xx, xy, yy] = moments;
         let (dx, dy) = (mx / flux, my / flux);
         let covariance = [xx / flux - dx * dx, xy / flux - dx * dy, yy / flux - dy * dy];
-        self.extent.holds((dx, dy), covariance).then(|| FarLight {
+        self.shared.extent.holds((dx, dy), covariance).then(|| FarLight {
             flux,
             centre: (x + dx, y + dy),
             covariance,
             window,
-            faintest: self.extent.left_out() / (2.0 * reach).powi(2),
-            relative_error: self.extent.relative_error(light.as_ref(), window.2),
+            faintest: self.shared.extent.left_out() / (2.0 * reach).powi(2),
+            relative_error: self.shared.extent.relative_error(light.as_ref(), window.2),
             reach,
             light,
         })

@@ -252,7 +252,7 @@ fn errors_of_block<T: ConvReal>(
             let position = region.position(column, row);
             let mut psf = space.mean.clone();
             space
-                .psf_into(layer, position, &mut coefficients, &mut psf)
+                .psf_into(&space.models[layer], position, &mut coefficients, &mut psf)
                 .unwrap();
             if model.needs_flux_scaling() {
                 let flux = psf.dot(&space.fluxes);

@@ -48,16 +48,20 @@ use crate::image_memory::zeros;
 use crate::view::{View, in_words};
 use crate::{ConvError, ConvReal};
 
+/// Returns whether models have the same stamps and the same scaling to unit flux.
+pub(crate) fn share_stamps(a: &PsfModel, b: &PsfModel) -> bool {
+    a.has_basis_of(b) && a.needs_flux_scaling() == b.needs_flux_scaling()
+}
+
 /// Checks that models can be layers of one plan.
-fn check_layers(models: &[PsfModel]) -> Result<(), ConvError> {
-    let differ = |model: &PsfModel| {
-        !model.has_basis_of(&models[0]) || model.needs_flux_scaling() != models[0].needs_flux_scaling()
-    };
+pub(crate) fn check_layers(models: &[PsfModel]) -> Result<(), ConvError> {
     match models {
         [] => Err(ConvError::Layers("at least one model is needed")),
-        [_, others @ ..] if others.iter().any(differ) => Err(ConvError::Layers(
-            "the models must have the same stamps and the same scaling to unit flux: fit one basis to all samples",
-        )),
+        [first, others @ ..] if !others.iter().all(|other| share_stamps(first, other)) => {
+            Err(ConvError::Layers(
+                "the models must have the same stamps and the same scaling to unit flux: fit one basis to all samples",
+            ))
+        }
         _ => Ok(()),
     }
 }

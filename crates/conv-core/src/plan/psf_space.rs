@@ -155,16 +155,16 @@ impl PsfSpace {
         stamps.slice_move(s![usize::from(self.model().is_mean_centred()).., ..])
     }
 
-    /// Sets `psf` to the vector of a layer's PSF at a position, not scaled to unit flux. `coefficients`
-    /// is memory for those of the model's stamps.
+    /// Sets `psf` to the vector of a model's PSF at a position, not scaled to unit flux. The model has
+    /// the stamps of this space. `coefficients` is memory for those of the model's stamps.
     pub(crate) fn psf_into(
         &self,
-        layer: usize,
+        model: &PsfModel,
         position: Position,
         coefficients: &mut [f64],
         psf: &mut Array1<f64>,
     ) -> Result<(), FieldError> {
-        self.models[layer].coefficients_into(position, coefficients)?;
+        model.coefficients_into(position, coefficients)?;
         psf.assign(&self.mean);
         let mut along_components = psf.slice_mut(s![self.first_component()..]);
         along_components += &ArrayView1::from(&coefficients[usize::from(self.model().is_mean_centred())..]);
@@ -184,9 +184,9 @@ impl PsfSpace {
         let mut sizes = Vec::new();
         for (column, row) in [(0, 0), (last.0, 0), (0, last.1), last, (last.0 / 2, last.1 / 2)] {
             let position = region.position(column, row);
-            for layer in 0..self.models.len() {
+            for model in &self.models {
                 if self
-                    .psf_into(layer, position, &mut coefficients, &mut psf)
+                    .psf_into(model, position, &mut coefficients, &mut psf)
                     .is_ok()
                 {
                     sizes.push((norm(psf.view()), psf.dot(&self.fluxes).abs()));

@@ -13,8 +13,8 @@ use super::spread::Spreader;
 use super::star_block::RowLayout;
 use crate::image_memory::{check_shape, with_rows_in_memory};
 use crate::kept::Kept;
-use crate::plan::PlanOptions;
 use crate::plan::psf_space::PsfSpace;
+use crate::plan::{PlanOptions, check_layers, share_stamps};
 use crate::{ConvError, ConvReal};
 
 /// A plan for drawing point sources through one model.
@@ -79,7 +79,7 @@ pub struct StarPlan<T> {
     size: Option<usize>,
     stamps: Arc<StarStamps>,
     /// `None` if all stars are drawn from all components.
-    phased: Option<Phased<T>>,
+    phased: Option<Arc<Phased<T>>>,
 }
 
 /// Spread stars keep the light beyond the reach of their stamps, up to 5e-7 of their flux
@@ -95,18 +95,36 @@ impl<T: ConvReal> StarPlan<T> {
     /// # Errors
     /// [`ConvError::PixelResponse`] if the stamps do not include the pixel response,
     /// [`ConvError::StampSize`] if `size` is 0.
-    #[inline(never)]
     pub fn new(model: &PsfModel, options: PlanOptions, size: Option<usize>) -> Result<Self, ConvError> {
+        Self::of_layers(std::slice::from_ref(model), options, size)
+    }
+
+    /// Plans the drawing of stars with the PSFs of several models that share their stamps, such as
+    /// those of one PSF at several times. The plan draws stars with the PSFs of the first. The local
+    /// bases represent the PSFs of all models, so [`for_other_field`](Self::for_other_field) can use them
+    /// for each model, and for sums of them.
+    ///
+    /// # Errors
+    /// As for [`new`](Self::new), and [`ConvError::Layers`] without models, or if their stamps or their
+    /// scaling to unit flux differ.
+    #[inline(never)]
+    pub fn of_layers(
+        models: &[PsfModel],
+        options: PlanOptions,
+        size: Option<usize>,
+    ) -> Result<Self, ConvError> {
+        check_layers(models)?;
+        let model = &models[0];
         let stamps = StarStamps::new(model, options.anchor(), size)?;
         let axes = PhasedAxis::both(model.grid(), stamps.kernel, stamps.window())
             .filter(|_| options.anchor() != Anchor::Output);
         Ok(Self {
             phased: axes
                 .map(|axes| -> Result<_, ConvError> {
-                    let space = PsfSpace::new(std::slice::from_ref(model), options.tolerance_on());
+                    let space = PsfSpace::new(models, options.tolerance_on());
                     let layout = RowLayout::new(&axes[0]);
                     let tolerance = options.tolerance_in::<T>();
-                    Ok(Phased {
+                    Ok(Arc::new(Phased {
                         spreader: Spreader::new(&axes, layout),
                         // Transforms do not truncate stars.
                         may_spread: size.is_none() && tolerance >= LEAST_SPREAD_TOLERANCE,
@@ -118,12 +136,25 @@ impl<T: ConvReal> StarPlan<T> {
                         tolerance,
                         rounding: PlanOptions::rounding_in::<T>(),
                         blocks: Kept::new(options.memory_bytes()),
-                    })
+                    }))
                 })
                 .transpose()?,
             model: model.clone(),
             size,
             stamps: Arc::new(stamps),
+        })
+    }
+
+    /// Returns a plan that draws stars with the PSFs of another model. Both plans share their local
+    /// bases. Stars whose PSFs these do not represent within the tolerance are drawn from all components,
+    /// which is slow: see [`of_layers`](Self::of_layers). `None` if the model has other stamps or another
+    /// scaling to unit flux.
+    pub fn for_other_field(&self, model: &PsfModel) -> Option<Self> {
+        share_stamps(&self.model, model).then(|| Self {
+            model: model.clone(),
+            size: self.size,
+            stamps: Arc::clone(&self.stamps),
+            phased: self.phased.clone(),
         })
     }
 

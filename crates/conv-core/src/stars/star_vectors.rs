@@ -18,6 +18,7 @@ pub(crate) struct StarVectors<'a> {
 }
 
 impl<'a> StarVectors<'a> {
+    /// The model has the stamps of the space.
     pub(crate) fn new(model: &'a PsfModel, space: &'a PsfSpace) -> Self {
         Self {
             model,
@@ -32,7 +33,7 @@ impl<'a> StarVectors<'a> {
     /// to unit flux, or 1 if the model needs no scaling.
     pub(crate) fn set(&mut self, position: Position) -> Result<f64, FieldError> {
         self.space
-            .psf_into(0, position, &mut self.coefficients, &mut self.psf)?;
+            .psf_into(self.model, position, &mut self.coefficients, &mut self.psf)?;
         self.flux = self.psf.dot(&self.space.fluxes);
         if !self.model.needs_flux_scaling() {
             Ok(1.0)

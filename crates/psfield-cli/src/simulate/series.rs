@@ -210,14 +210,12 @@ impl SeriesArgs {
         let sources = (catalog.stars().len(), catalog.galaxies().len());
         let mut simulator = self.simulator(options, &psf, series, &read, catalog)?;
         let mut frames = Vec::with_capacity(count);
-        let mut warned = Vec::new();
         let bar = context.bar("exposures");
         bar.start(count as u64);
         for number in 0..count {
             let made = self.expose(
                 (options, exposing.as_ref(), &read, sources),
                 (&mut simulator, number, start),
-                &mut warned,
                 context,
             )?;
             if with_sources {
@@ -254,7 +252,6 @@ impl SeriesArgs {
         &self,
         (options, exposing, read, sources): (&SimulateArgs, Option<&Exposing>, &ReadScene<T>, (usize, usize)),
         (simulator, number, start): (&mut SeriesSimulator<T>, usize, SystemTime),
-        warned: &mut Vec<String>,
         context: &Context,
     ) -> anyhow::Result<(Report, Vec<psfield::SourceInExposure>)> {
         let context = &context.for_part(&format!("exposure {number}"));
@@ -279,11 +276,10 @@ impl SeriesArgs {
             plan: clock.elapsed().as_secs_f64(),
             ..Seconds::default()
         };
-        for warning in exposure.simulator.warnings(&exposure.scene) {
-            let text = with_option(&warning, warning.setting());
-            if !warned.contains(&text) {
-                context.warn(&text);
-                warned.push(text);
+        // Those of later exposures are alike.
+        if number == 0 {
+            for warning in exposure.simulator.warnings(&exposure.scene) {
+                context.warn(&with_option(&warning, warning.setting()));
             }
         }
         let [dx, dy] = exposure.shift_px;

@@ -4,6 +4,7 @@ use ndarray::{Array2, ArrayView2, Axis, concatenate};
 use psf_types::{PsfModelRecord, PsfSamples, SamplePositions, SampleStates, StateKind};
 
 use super::{Origin, Psf};
+use crate::fit::models_on;
 use crate::{ErrorKind, PsfieldError};
 
 impl Psf {
@@ -113,7 +114,13 @@ impl Psf {
             record.outside(),
             record.normalisation(),
         )?;
-        Ok(Self::with_source(Origin::Record(record), self.0.source.clone()))
+        let mixed = Self::with_source(Origin::Record(record), self.0.source.clone());
+        // If the models of the states exist, the new ones share their stamps.
+        if let Some([first, ..]) = self.0.models.get().map(Vec::as_slice) {
+            let models = models_on(mixed.record()?, first, 0)?;
+            mixed.0.models.get_or_init(|| models);
+        }
+        Ok(mixed)
     }
 
     /// The error where a PSF that depends on the position only is needed.

@@ -12,6 +12,7 @@ use psf_io::Catalog;
 use psf_types::{Image, PointSource, Position, Progress, SersicSource, StateKind};
 
 use crate::psf::QUADRATURE;
+use crate::simulator::Mixtures;
 use crate::{ErrorKind, Motion, Psf, PsfieldError, Scene, SimulateOptions, Simulator};
 
 pub use exposures::Exposures;
@@ -55,11 +56,11 @@ pub struct SeriesSimulator<T: ConvReal> {
     last: Option<Last<T>>,
 }
 
-/// The PSFs and the simulator of the last exposure.
+/// The PSF and the simulator of the last exposure.
 #[derive(Debug)]
 struct Last<T: ConvReal> {
     motion: Motion,
-    moved: Psf,
+    moved: Mixtures<T>,
     weights: Option<Array2<f64>>,
     simulator: Arc<Simulator<T>>,
 }
@@ -145,20 +146,6 @@ impl<T: ConvReal> SeriesSimulator<T> {
         &self.series
     }
 
-    /// The PSF of an exposure, with the motion of the light about `origin`.
-    fn psf_of(&self, motion: &Motion, weights: Option<&Array2<f64>>) -> Result<(Psf, Psf), PsfieldError> {
-        let known = self.last.as_ref().filter(|last| last.motion.equals(motion));
-        let moved = match known {
-            Some(last) => last.moved.clone(),
-            None => self.psf.moved(motion)?,
-        };
-        let psf = match weights {
-            Some(weights) => moved.mixed(weights.view(), None)?,
-            None => moved.clone(),
-        };
-        Ok((moved, psf))
-    }
-
     /// Prepares an exposure: its PSF, its plan and its light.
     ///
     /// # Errors
@@ -181,28 +168,7 @@ impl<T: ConvReal> SeriesSimulator<T> {
         };
         let motion = motion.about(origin);
         let weights = self.state_weights(number)?;
-        let known = self
-            .last
-            .as_ref()
-            .filter(|last| last.motion.equals(&motion) && last.weights == weights);
-        let simulator = if let Some(last) = known {
-            Arc::clone(&last.simulator)
-        } else {
-            let (moved, psf) = self.psf_of(&motion, weights.as_ref())?;
-            let simulator = Arc::new(match &self.last {
-                Some(last) if self.options.method.has_plan() => {
-                    last.simulator.for_other_field(psf, progress)?
-                }
-                _ => psf.simulator(self.shape).options(self.options.clone()).build()?,
-            });
-            self.last = Some(Last {
-                motion,
-                moved,
-                weights,
-                simulator: Arc::clone(&simulator),
-            });
-            simulator
-        };
+        let simulator = self.simulator(motion, weights, progress)?;
         let mut scene = match &self.image {
             Some(image) => self.moved_image(image, origin)?,
             None => Scene::dark(),
@@ -215,6 +181,37 @@ impl<T: ConvReal> SeriesSimulator<T> {
             shift_px,
             sources,
         })
+    }
+
+    /// The simulator for the PSF with this motion and these weights of its states.
+    fn simulator(
+        &mut self,
+        motion: Motion,
+        weights: Option<Array2<f64>>,
+        progress: &dyn Progress,
+    ) -> Result<Arc<Simulator<T>>, PsfieldError> {
+        let last = self.last.take();
+        let (moved, before) = match last {
+            Some(last) if last.motion.equals(&motion) && last.weights == weights => {
+                let simulator = Arc::clone(&last.simulator);
+                self.last = Some(last);
+                return Ok(simulator);
+            }
+            Some(last) if last.motion.equals(&motion) => (last.moved, Some(last.simulator)),
+            Some(last) => (Mixtures::new(self.psf.moved(&motion)?), Some(last.simulator)),
+            None => (Mixtures::new(self.psf.moved(&motion)?), None),
+        };
+        let settings = (self.shape, &self.options);
+        let light = (self.image.is_some(), !self.catalog.rows().is_empty());
+        let made = moved.simulator(weights.as_ref(), settings, light, before.as_deref(), progress)?;
+        let simulator = Arc::new(made);
+        self.last = Some(Last {
+            motion,
+            moved,
+            weights,
+            simulator: Arc::clone(&simulator),
+        });
+        Ok(simulator)
     }
 
     /// The weights of the PSF's states in an exposure, `[1, state]`. None if it has no states.

@@ -54,27 +54,30 @@ impl<T: ConvReal> Simulator<T> {
         }
         let shape = (self.geometry.shape.ny(), self.geometry.shape.nx());
         let other = psf.simulator(shape).options(self.options.clone()).build::<T>()?;
-        if !self.options.method.has_plan() {
-            return Ok(other);
+        if self.options.method.has_plan() {
+            other.plan_as(self, progress)?;
         }
+        Ok(other)
+    }
+
+    /// Plans the convolution of images with the tiles of another simulator, if the stamps have the same
+    /// shape and centre.
+    pub(super) fn plan_as(&self, before: &Self, progress: &dyn Progress) -> Result<(), PsfieldError> {
         let clock = Instant::now();
-        let (model, _) = other.image_model()?;
-        let (Some(engine), Some(options)) = (&self.convolver(progress)?.engine, other.planned_for(model)?)
+        let (model, _) = self.image_model()?;
+        let (Some(engine), Some(options)) = (&before.convolver(progress)?.engine, self.planned_for(model)?)
         else {
-            return Ok(other);
+            return Ok(());
         };
-        check_flux(other.psf(), model, &options)?;
-        let plan =
-            engine
-                .plan()
-                .for_other_fields(std::slice::from_ref(model), options.memory_bytes(), progress)?;
-        let Some(plan) = plan else {
-            return Ok(other);
-        };
-        let convolver = Convolver::of_plan(plan, &other.options, clock)?;
-        Ok(Self {
-            convolver: OnceLock::from(convolver),
-            ..other
-        })
+        check_flux(self.psf(), model, &options)?;
+        let models = std::slice::from_ref(model);
+        let plan = engine
+            .plan()
+            .for_other_fields(models, options.memory_bytes(), progress)?;
+        if let Some(plan) = plan {
+            let convolver = Convolver::of_plan(plan, &self.options, clock)?;
+            self.convolver.get_or_init(|| convolver);
+        }
+        Ok(())
     }
 }
