@@ -7,13 +7,15 @@ use std::sync::Arc;
 
 use common::{ANCHORS, Waves, model_with, options, peak};
 use conv_core::{
-    ConvError, ConvReal, ConvolutionMethod, Direct, Engine, Operation, Paths, Plan, PlanOptions, RowStream,
+    ConvError, ConvReal, ConvolutionMethod, Direct, Engine, GalaxyPlan, Operation, Paths, Plan, PlanOptions,
+    RowStream, StarPlan,
 };
 use ndarray::{Array2, ArrayView2, ArrayViewMut2, s};
 use psf_types::{
-    Anchor, CoefficientField, FieldError, FrameShape, ImageView, NoProgress, Normalisation, Position,
-    PsfModel,
+    Anchor, CoefficientField, FieldError, FrameShape, ImageView, LightProfile, NoProgress, Normalisation,
+    PointSource, Position, PsfModel, SersicProfile, SersicSource,
 };
+use sersic::SersicLight;
 
 const SIZE: (usize, usize) = (170, 131);
 /// Rounding of images in f64, relative to the peak.
@@ -223,4 +225,80 @@ fn layers_that_do_not_belong_together_are_refused() {
         .execute_layers(&[one], image.view_mut(), &NoProgress)
         .unwrap_err();
     assert!(error.to_string().contains("as many layers"), "{error}");
+}
+
+/// A sum of the fields of layers.
+#[derive(Debug)]
+struct Sum(Vec<(f64, PsfModel)>);
+
+impl CoefficientField for Sum {
+    fn component_count(&self) -> usize {
+        Waves.component_count()
+    }
+    fn evaluate_into(&self, p: Position, a: &mut [f64]) -> Result<(), FieldError> {
+        let mut of_layer = vec![0.0; a.len()];
+        a.fill(0.0);
+        for (weight, model) in &self.0 {
+            model.field().evaluate_into(p, &mut of_layer)?;
+            a.iter_mut()
+                .zip(&of_layer)
+                .for_each(|(sum, value)| *sum += weight * value);
+        }
+        Ok(())
+    }
+}
+
+#[test]
+fn sources_of_another_field_share_local_bases() {
+    const TOLERANCE: f64 = 1e-3;
+    let models = models(Normalisation::Unit);
+    let mixed = Sum(vec![(0.3, models[0].clone()), (0.7, models[2].clone())]);
+    let mixed = models[0].with_field(Arc::new(mixed)).unwrap();
+    let options = options(TOLERANCE, Anchor::Source, Paths::Cheapest);
+    let frame = shape().region();
+    let at = |i: usize| {
+        let (x, y) = ((37 * i % 160) as f64 + 5.3, (53 * i % 120) as f64 + 5.7);
+        Position::new(x, y).unwrap()
+    };
+    let stars: Vec<_> = (0..200)
+        .map(|i| PointSource::new(at(i), 1.0 + i as f64).unwrap())
+        .collect();
+    let draw = |plan: &StarPlan<f64>| {
+        let mut image = Array2::zeros((SIZE.1, SIZE.0));
+        plan.draw_into(&stars, frame, frame, image.view_mut(), &NoProgress)
+            .unwrap();
+        image
+    };
+    let shared = StarPlan::<f64>::of_layers(&models, options, None).unwrap();
+    let own = draw(&StarPlan::new(&mixed, options, None).unwrap());
+    for repeat in 0..2 {
+        // The second time, the local bases exist.
+        let found = draw(&shared.for_other_field(&mixed).unwrap());
+        let error = peak(&(&found - &own)) / peak(&own);
+        assert!(error < 2.0 * TOLERANCE && error > 0.0, "{repeat}: {error:e}");
+    }
+    // The plan itself draws with the first model.
+    let first = draw(&StarPlan::new(&models[0], options, None).unwrap());
+    let error = peak(&(&draw(&shared) - &first)) / peak(&first);
+    assert!(error < 2.0 * TOLERANCE, "{error:e}");
+
+    let profile = SersicProfile::new(2.0, 1.0, 0.7, 30.0).unwrap();
+    let galaxies: Vec<_> = (0..30)
+        .map(|i| SersicSource::new(at(i), 10.0, profile).unwrap())
+        .collect();
+    let light =
+        |galaxy: &SersicSource| -> Box<dyn LightProfile + Send + Sync> { Box::new(SersicLight::new(galaxy)) };
+    let draw = |plan: &GalaxyPlan<f64>| {
+        let mut image = Array2::zeros((SIZE.1, SIZE.0));
+        plan.draw_into(&galaxies, &light, frame, frame, image.view_mut(), &NoProgress)
+            .unwrap();
+        image
+    };
+    let shared = GalaxyPlan::<f64>::of_layers(&models, options, None).unwrap();
+    let own = draw(&GalaxyPlan::new(&mixed, options, None).unwrap());
+    let error = peak(&(&draw(&shared.for_other_field(&mixed).unwrap()) - &own)) / peak(&own);
+    assert!(error < 2.0 * TOLERANCE, "{error:e}");
+
+    let other = model_with(Arc::new(Waves), (21, 18), (11, 9), true, Normalisation::Unit);
+    assert!(shared.for_other_field(&other).is_none());
 }

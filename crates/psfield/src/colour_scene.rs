@@ -53,6 +53,21 @@ impl<T: ConvReal> ColourScene<T> {
         &self.names
     }
 
+    /// Adds a spectrum, unless it was added before. Returns its number in [`names`](Self::names). For an
+    /// image that is read row by row ([`ColourSimulator::stream`]).
+    pub fn add_spectrum(&mut self, name: &str) -> usize {
+        let known = self.names.iter().position(|known| known == name);
+        known.unwrap_or_else(|| {
+            self.names.push(name.to_owned());
+            self.light.push(Light {
+                image: None,
+                stars: Vec::new(),
+                galaxies: Vec::new(),
+            });
+            self.names.len() - 1
+        })
+    }
+
     /// Adds an image `[y, x]` to the light of a spectrum.
     ///
     /// # Errors
@@ -160,17 +175,8 @@ impl<T: ConvReal> ColourScene<T> {
     }
 
     fn light_of(&mut self, spectrum: &str) -> &mut Light<T> {
-        let known = self.names.iter().position(|name| name == spectrum);
-        let place = known.unwrap_or_else(|| {
-            self.names.push(spectrum.to_owned());
-            self.light.push(Light {
-                image: None,
-                stars: Vec::new(),
-                galaxies: Vec::new(),
-            });
-            self.names.len() - 1
-        });
-        &mut self.light[place]
+        let number = self.add_spectrum(spectrum);
+        &mut self.light[number]
     }
 }
 

@@ -209,6 +209,12 @@ fn refused(device: &OnDevice) {
     // The plan still runs on the processor.
     let engine = Engine::new(plan);
     assert!(engine.image_of(&scene).is_ok() && engine.gpu().is_none());
+    let layers = [model.clone(), model];
+    let (shape, frame) = (scene.shape(), scene.frame);
+    let options = options(1e-3, Anchor::Source, Paths::Cheapest);
+    let plan = Plan::<f32>::of_layers(&layers, shape, frame, frame, options, &NoProgress).unwrap();
+    let (_, error) = Engine::on_gpu(plan, gpu, GpuOptions::default()).unwrap_err();
+    assert_eq!(error, GpuError::Layers);
     let huge = shaders::error_against_twin(gpu, gpu.adapter(), "add_rows", (1 << 15, 32), false);
     assert!(
         matches!(huge, Err(GpuError::TransformSize { size, most, .. }) if size == 1 << 15 && most < size)

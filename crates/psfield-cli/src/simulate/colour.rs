@@ -3,16 +3,18 @@
 use std::path::PathBuf;
 use std::str::FromStr;
 
-use conv_core::ConvReal;
+use conv_core::{ConvReal, TileCounts};
 use ndarray::ArrayViewMut2;
+use psf_io::ImageReader;
 use psf_types::{Image, NoProgress, Progress};
 use psfield::{
-    ColourScene, ColourSimulator, Dispersion, Psf, PsfieldError, Scene, Simulator, SpotCheck, open_bandpass,
+    ColourScene, ColourSimulator, Dispersion, PixelPicker, Psf, PsfieldError, Scene, Simulator, SpotCheck,
+    open_bandpass,
 };
 
 use crate::context::{Context, with_option};
 use crate::simulate::SimulateArgs;
-use crate::simulate::execute::MakesImage;
+use crate::simulate::execute::{FitsRows, MakesImage};
 use crate::simulate::exposure_args::Exposing;
 use crate::simulate::prepared::timed;
 use crate::simulate::report::{Report, Seconds};
@@ -93,23 +95,46 @@ impl FromStr for Layer {
 }
 
 /// A simulator of several spectra, and the scene of each.
-struct InColour<'a, T: ConvReal>(&'a ColourSimulator<T>, &'a [Scene<'static, T>]);
+struct InColour<'a, T: ConvReal> {
+    simulator: &'a ColourSimulator<T>,
+    scenes: &'a [Scene<'static, T>],
+    /// The spectra whose images are streamed.
+    streamed: Vec<usize>,
+}
 
 impl<T: ConvReal> MakesImage<T> for InColour<'_, T> {
     fn of_frame(&self) -> &Simulator<T> {
-        &self.0.spectra()[0]
+        &self.simulator.spectra()[0]
     }
 
     fn simulate_into(
         &self,
         image: ArrayViewMut2<'_, T>,
         progress: &dyn Progress,
-    ) -> Result<conv_core::TileCounts, PsfieldError> {
-        self.0.simulate_into(self.1, image, progress)
+    ) -> Result<TileCounts, PsfieldError> {
+        self.simulator.simulate_into(self.scenes, image, progress)
     }
 
     fn spot_check(&self, image: &Image<T>, pixels: (usize, u64)) -> Result<SpotCheck, PsfieldError> {
-        self.0.spot_check(self.1, image, pixels, &NoProgress)
+        self.simulator.spot_check(self.scenes, image, pixels, &NoProgress)
+    }
+
+    fn stream(&self, rows: &mut FitsRows<T>, progress: &dyn Progress) -> Result<TileCounts, PsfieldError> {
+        self.simulator.stream(self.scenes, &self.streamed, rows, progress)
+    }
+
+    fn picker(&self, pixels: (usize, u64)) -> PixelPicker {
+        self.simulator.picker(self.scenes, pixels)
+    }
+
+    fn spot_check_stream(
+        &self,
+        rows: &mut FitsRows<T>,
+        picker: PixelPicker,
+    ) -> Result<SpotCheck, PsfieldError> {
+        let streamed = &self.streamed;
+        self.simulator
+            .spot_check_stream(self.scenes, streamed, rows, picker, &NoProgress)
     }
 }
 
@@ -118,9 +143,7 @@ impl SimulateArgs {
     pub(super) fn misused_colour(&self) -> Option<String> {
         self.colour.bandpass.as_ref()?;
         let first_image = self.scene.scene.as_ref();
-        let message = if self.stream {
-            "--stream cannot be used with --bandpass"
-        } else if !self.colour.layer.is_empty() && first_image.is_none() {
+        let message = if !self.colour.layer.is_empty() && first_image.is_none() {
             "--layer needs a first image (SCENE.fits), whose spectrum is --sed"
         } else if first_image.is_some() && self.colour.sed.is_none() {
             "--bandpass needs the spectrum of SCENE.fits: --sed SPECTRUM"
@@ -140,11 +163,13 @@ impl SimulateArgs {
         context: &Context,
     ) -> anyhow::Result<Report> {
         let spinner = context.spinner("reading");
-        let ((bandpass, (light, read)), taken) = timed(|| {
+        let streamed = self.is_streamed::<T>();
+        let ((bandpass, (light, mut rows, read)), taken) = timed(|| {
             let bandpass = open_bandpass(bandpass)?;
             Ok((
                 bandpass,
-                self.scene.read_colours::<T>(&self.colour, psf.field_shape())?,
+                self.scene
+                    .read_colours::<T>(&self.colour, streamed, psf.field_shape())?,
             ))
         })?;
         seconds.read += taken;
@@ -163,24 +188,41 @@ impl SimulateArgs {
         let made = light.into_simulator(psf, (&bandpass, dispersion), shape, &self.options());
         drop(spinner);
         let (simulator, scenes) = made.map_err(|error| self.explained(error))?;
+        // Layers are in the order of their spectra.
+        rows.sort_by_key(|(spectrum, _)| *spectrum);
+        let (streamed, readers): (Vec<usize>, Vec<ImageReader>) = rows.into_iter().unzip();
         let spinner = context.spinner("fitting and planning");
         let made = simulator
-            .prepare(&scenes, &NoProgress)
+            .prepare(&scenes, &streamed, &NoProgress)
             .map_err(|error| self.explained(error))?;
         [seconds.fit, seconds.plan] = [made.fit_seconds, made.plan_seconds];
         drop(spinner);
         for warning in simulator.warnings(&scenes) {
             context.warn(&with_option(&warning, warning.setting()));
         }
-        let in_colour = InColour(&simulator, &scenes);
-        let outcome = self.in_memory((&in_colour, &made), &read, exposing, &mut seconds, context)?;
+        let in_colour = InColour {
+            simulator: &simulator,
+            scenes: &scenes,
+            streamed,
+        };
+        let is_streamed = !readers.is_empty();
+        let ready = (&in_colour, &made);
+        let outcome = if is_streamed {
+            self.by_bands(ready, &read, readers, &mut seconds, context)?
+        } else {
+            self.in_memory(ready, &read, exposing, &mut seconds, context)?
+        };
         let sources = (
             scenes.iter().map(|scene| scene.stars().len()).sum(),
             scenes.iter().map(|scene| scene.galaxies().len()).sum(),
         );
-        Ok(self.report((in_colour.of_frame(), &made), &read, sources, outcome, seconds))
+        Ok(Report {
+            streamed: is_streamed,
+            ..self.report((in_colour.of_frame(), &made), &read, sources, outcome, seconds)
+        })
     }
 }
 
-/// The parts of a scene in colour: its light, and the other data of its files.
-pub(super) type ReadColours<T> = (ColourScene<T>, ReadScene<T>);
+/// The parts of a scene in colour: its light, the images that are read by rows with the numbers of
+/// their spectra, and the other data of its files.
+pub(super) type ReadColours<T> = (ColourScene<T>, Vec<(usize, ImageReader)>, ReadScene<T>);

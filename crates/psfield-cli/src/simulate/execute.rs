@@ -39,6 +39,19 @@ pub(super) trait MakesImage<T: ConvReal> {
 
     /// Compares an image with the direct sum. `pixels` are the number of pixels and the seed.
     fn spot_check(&self, image: &Image<T>, pixels: (usize, u64)) -> Result<SpotCheck, PsfieldError>;
+
+    /// Makes the image row by row.
+    fn stream(&self, rows: &mut FitsRows<T>, progress: &dyn Progress) -> Result<TileCounts, PsfieldError>;
+
+    /// Picks the pixels of a streamed image that a check compares.
+    fn picker(&self, pixels: (usize, u64)) -> PixelPicker;
+
+    /// Compares the picked pixels of a streamed image with the direct sum.
+    fn spot_check_stream(
+        &self,
+        rows: &mut FitsRows<T>,
+        picker: PixelPicker,
+    ) -> Result<SpotCheck, PsfieldError>;
 }
 
 impl<T: ConvReal> MakesImage<T> for (&Simulator<T>, &Scene<'_, T>) {
@@ -56,6 +69,22 @@ impl<T: ConvReal> MakesImage<T> for (&Simulator<T>, &Scene<'_, T>) {
 
     fn spot_check(&self, image: &Image<T>, pixels: (usize, u64)) -> Result<SpotCheck, PsfieldError> {
         self.0.spot_check(self.1, image, pixels, &NoProgress)
+    }
+
+    fn stream(&self, rows: &mut FitsRows<T>, progress: &dyn Progress) -> Result<TileCounts, PsfieldError> {
+        self.0.stream(self.1, rows, progress)
+    }
+
+    fn picker(&self, pixels: (usize, u64)) -> PixelPicker {
+        self.0.picker(self.1, true, pixels)
+    }
+
+    fn spot_check_stream(
+        &self,
+        rows: &mut FitsRows<T>,
+        picker: PixelPicker,
+    ) -> Result<SpotCheck, PsfieldError> {
+        self.0.spot_check_stream(self.1, rows, picker, &NoProgress)
     }
 }
 
@@ -111,15 +140,16 @@ impl SimulateArgs {
         })
     }
 
-    /// Reads the scene and writes the image in bands of rows.
+    /// Reads the scene and writes the image in bands of rows. There is one reader for each layer.
     pub(super) fn by_bands<T: ConvReal>(
         &self,
-        (simulator, made): (&Simulator<T>, &Preparation<'_>),
+        (scene, made): (&impl MakesImage<T>, &Preparation<'_>),
         read: &ReadScene<T>,
-        reader: ImageReader,
+        readers: Vec<ImageReader>,
         seconds: &mut Seconds,
         context: &Context,
     ) -> anyhow::Result<Outcome> {
+        let simulator = scene.of_frame();
         let header = simulator.carried_header(&read.header, true);
         let cards = self.cards(simulator, made)?;
         // Cards of a later check need room in the header. Without a check no room is reserved, so
@@ -136,14 +166,14 @@ impl SimulateArgs {
         let bar = context.bar("convolving");
         let clock = Instant::now();
         let mut rows = FitsRows {
-            reader,
+            readers,
             writer,
-            picker: simulator.picker(&read.scene, true, self.checked_pixels()),
+            picker: scene.picker(self.checked_pixels()),
             read_seconds: 0.0,
             write_seconds: 0.0,
         };
-        let counts = simulator.stream(&read.scene, &mut rows, &bar)?;
-        let nan_pixels = rows.reader.nan_pixels();
+        let counts = scene.stream(&mut rows, &bar)?;
+        let nan_pixels = rows.readers.iter().map(ImageReader::nan_pixels).sum();
         let (read_seconds, write_seconds) = (rows.read_seconds, rows.write_seconds);
         seconds.execute = clock.elapsed().as_secs_f64() - read_seconds - write_seconds;
         seconds.read += read_seconds;
@@ -153,7 +183,7 @@ impl SimulateArgs {
             .then(|| {
                 let _spinner = context.spinner("checking");
                 let picker = rows.picker.clone();
-                simulator.spot_check_stream(&read.scene, &mut rows, picker, &NoProgress)
+                scene.spot_check_stream(&mut rows, picker)
             })
             .transpose()?;
         let clock = Instant::now();
@@ -177,8 +207,9 @@ impl SimulateArgs {
 
 /// Reads rows of the scene from its file and writes rows of the image to its file. Picks the pixels
 /// of the spot check from the rows that it writes.
-struct FitsRows<T: ConvReal> {
-    reader: ImageReader,
+pub(super) struct FitsRows<T: ConvReal> {
+    /// One for each layer.
+    readers: Vec<ImageReader>,
     writer: ImageWriter<T>,
     picker: PixelPicker,
     read_seconds: f64,
@@ -190,13 +221,14 @@ impl<T: ConvReal> RowStream<T> for FitsRows<T> {
 
     fn read(
         &mut self,
-        _layer: usize,
+        layer: usize,
         rows: Range<usize>,
         light: ArrayViewMut2<'_, T>,
     ) -> Result<(), PsfieldError> {
         let clock = Instant::now();
-        let read = self.reader.read_rows_into(rows.start, light);
-        read.map_err(|error| with_nan_as(error, &self.reader))?;
+        let reader = &mut self.readers[layer];
+        let read = reader.read_rows_into(rows.start, light);
+        read.map_err(|error| with_nan_as(error, reader))?;
         self.read_seconds += clock.elapsed().as_secs_f64();
         Ok(())
     }

@@ -336,7 +336,8 @@ impl SimulateArgs {
         }
         let (ready, streamed) = ((&*simulator, &made), rows.is_some());
         let outcome = if let Some(reader) = rows {
-            self.by_bands(ready, &read, reader, &mut seconds, context)?
+            let scene = (&*simulator, &read.scene);
+            self.by_bands((&scene, &made), &read, vec![reader], &mut seconds, context)?
         } else {
             let scene = (&*simulator, &read.scene);
             self.in_memory((&scene, &made), &read, exposing.as_ref(), &mut seconds, context)?
@@ -434,7 +435,8 @@ impl SimulateArgs {
             Some(Frame(frame)) => frame.shape().pixel_count() * self.scene.finer().pow(2),
             None => reader.shape().pixel_count(),
         };
-        let pixels = reader.shape().pixel_count() + shown;
+        let images = 1 + self.colour.layer.len();
+        let pixels = images * reader.shape().pixel_count() + shown;
         pixels as f64 * size_of::<T>() as f64 > IN_MEMORY * free as f64
     }
 }

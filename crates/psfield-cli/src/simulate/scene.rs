@@ -269,21 +269,41 @@ impl SceneArgs {
         }
     }
 
-    /// Reads a scene in colour: images and sources, each with its spectrum. The scene in the second
-    /// part of the result is dark.
+    /// Reads a scene in colour: images and sources, each with its spectrum. If `by_rows`, opens the
+    /// images, but does not read their pixels. The scene in the result is dark.
     pub(super) fn read_colours<T: ConvReal>(
         &self,
         colour: &ColourArgs,
+        by_rows: bool,
         field: Option<FrameShape>,
     ) -> anyhow::Result<ReadColours<T>> {
         let mut light = ColourScene::new();
-        let (mut read, _) = self.without_catalog().read::<T>(false, field)?;
+        let (mut read, first) = self.without_catalog().read::<T>(by_rows, field)?;
+        let mut rows = Vec::new();
         let dark = std::mem::replace(&mut read.scene, Scene::dark());
         if let (Some(image), Some(sed)) = (dark.image(), &colour.sed) {
             light.add_image(sed, image.pixels().to_owned())?;
         }
+        if let (Some(reader), Some(sed)) = (first, &colour.sed) {
+            rows.push((light.add_spectrum(sed), reader));
+        }
         for layer in &colour.layer {
             let mut reader = self.open(&layer.image)?;
+            if by_rows {
+                let spectrum = light.add_spectrum(&layer.spectrum);
+                let (name, file) = (&layer.spectrum, layer.image.display());
+                if rows.iter().any(|(known, _)| *known == spectrum) {
+                    anyhow::bail!(
+                        "{file}: another image has the spectrum {name}, too: add them up before they are streamed"
+                    );
+                }
+                let (expected, found) = (read.shape, reader.shape());
+                if expected != found {
+                    anyhow::bail!("{file}: the image has {found} pixels, but the first image has {expected}");
+                }
+                rows.push((spectrum, reader));
+                continue;
+            }
             let pixels = reader.read_rows(0..reader.shape().ny());
             let pixels = pixels.map_err(|error| with_nan_as(error, &reader))?;
             read.nan_pixels += reader.nan_pixels();
@@ -302,7 +322,7 @@ impl SceneArgs {
         added
             .map_err(|error| anyhow::anyhow!(with_option(&error, error.setting())))
             .with_context(file)?;
-        Ok((light, read))
+        Ok((light, rows, read))
     }
 
     /// Reads the catalogue, which may be missing. The positions that it returns are in pixels of the

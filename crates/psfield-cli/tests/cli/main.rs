@@ -20,6 +20,7 @@ mod misuse;
 mod preview;
 mod reports;
 mod sampling;
+mod series;
 mod simulation;
 mod simulation_input;
 mod stars;

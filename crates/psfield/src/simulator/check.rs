@@ -162,7 +162,7 @@ impl<T: ConvReal> Simulator<T> {
     /// Computes pixels of the image of a streamed scene. The pixels are sorted by rows. Only the
     /// scene's rows that they need are in memory. If `allowed` is given, adds the errors that the
     /// scene's image may have in these pixels.
-    fn exact_by_rows<R: RowStream<T, Error = PsfieldError>>(
+    pub(super) fn exact_by_rows<R: RowStream<T, Error = PsfieldError>>(
         &self,
         scene: &Scene<'_, T>,
         rows: &mut R,

@@ -1,18 +1,18 @@
 //! Images of scenes whose light has several spectra.
 
-use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+use std::ops::Range;
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 
 use conv_core::{ConvError, ConvReal, Engine, Plan, RowStream, TileCounts};
-use ndarray::ArrayViewMut2;
+use ndarray::{ArrayView2, ArrayViewMut2};
 use psf_types::{Image, ImageView, NoProgress, Progress, PsfModel};
 
 use super::flux::check_flux;
 use super::stream::SceneRows;
-use super::{Convolver, Preparation, SimulationWarning, Simulator, on_scene_pixels};
+use super::{Convolver, Mixtures, Preparation, SimulationWarning, Simulator, has_sources};
 use crate::device::{CpuReason, Placement};
-use crate::psf::get_or_make;
-use crate::{ErrorKind, Psf, PsfieldError, Scene, SimulateOptions, SpotCheck};
+use crate::{ErrorKind, PixelPicker, Psf, PsfieldError, Scene, SimulateOptions, SpotCheck};
 
 /// Makes images of scenes in colour: one [`Scene`] for each spectrum, added up in one image.
 ///
@@ -49,10 +49,10 @@ use crate::{ErrorKind, Psf, PsfieldError, Scene, SimulateOptions, SpotCheck};
 #[derive(Debug)]
 pub struct ColourSimulator<T: ConvReal> {
     psf: Psf,
-    /// One for each spectrum.
+    /// One for each spectrum. They share their stamps.
     spectra: Vec<Simulator<T>>,
-    /// The PSF on the pixels of the scenes' images, with all its states.
-    on_pixels: OnceLock<Psf>,
+    /// The parts that the spectra share.
+    shared: Mixtures<T>,
     /// The engines for the images of some spectra, by the numbers of these spectra.
     engines: Mutex<Vec<OfSpectra<T>>>,
 }
@@ -67,6 +67,8 @@ impl<T: ConvReal> ColourSimulator<T> {
     /// # Errors
     /// The errors of [`SimulatorBuilder::build`](crate::SimulatorBuilder::build).
     pub fn new(psf: &Psf, shape: (usize, usize), options: &SimulateOptions) -> Result<Self, PsfieldError> {
+        // The PSFs of the spectra share the stamps of these models.
+        psf.models()?;
         let of_state = |psf: Psf| psf.simulator(shape).options(options.clone()).build::<T>();
         let spectra = match psf.states() {
             None => vec![of_state(psf.clone())?],
@@ -79,7 +81,7 @@ impl<T: ConvReal> ColourSimulator<T> {
         Ok(Self {
             psf: psf.clone(),
             spectra,
-            on_pixels: OnceLock::new(),
+            shared: Mixtures::new(psf.clone()),
             engines: Mutex::new(Vec::new()),
         })
     }
@@ -177,26 +179,28 @@ impl<T: ConvReal> ColourSimulator<T> {
         engine.stream(&mut rows, progress)
     }
 
-    /// Makes the models and the plan that scenes like `scenes` need, unless they exist. The model in the
-    /// result is that of the first spectrum.
+    /// Makes the models and the plan that scenes like `scenes` need, unless they exist. The images of the
+    /// spectra `streamed` will be read row by row ([`stream`](Self::stream)). The model in the result is
+    /// that of the first spectrum.
     ///
     /// # Errors
     /// The errors of [`Simulator::prepare`].
     pub fn prepare(
         &self,
         scenes: &[Scene<'_, T>],
+        streamed: &[usize],
         progress: &dyn Progress,
     ) -> Result<Preparation<'_>, PsfieldError> {
-        self.check_scenes(scenes, false)?;
+        self.check_scenes(scenes, !streamed.is_empty())?;
         let first = &self.spectra[0];
         let used: Vec<usize> = (0..scenes.len())
-            .filter(|&n| scenes[n].image().is_some())
+            .filter(|n| scenes[*n].image().is_some() || streamed.contains(n))
             .collect();
         if used.is_empty() || !first.options.method.has_plan() {
             return first.prepare(&scenes[0], false, progress);
         }
         let clock = Instant::now();
-        let model = &self.on_scene_pixels()?.models()?[0];
+        let model = &self.shared.on_pixels(&self.spectra[0].options)?.models()?[0];
         let fit_seconds = clock.elapsed().as_secs_f64();
         let engine = self.engine(&used, progress)?;
         Ok(Preparation {
@@ -221,13 +225,6 @@ impl<T: ConvReal> ColourSimulator<T> {
         all
     }
 
-    /// The PSF on the pixels of the scenes' images, with all its states.
-    fn on_scene_pixels(&self) -> Result<&Psf, PsfieldError> {
-        get_or_make(&self.on_pixels, || {
-            on_scene_pixels(&self.psf, &self.spectra[0].options)
-        })
-    }
-
     /// Compares `count` random pixels of an image of these scenes, and the pixels around random
     /// sources, with the direct sum in f64. As [`Simulator::spot_check`].
     ///
@@ -241,11 +238,9 @@ impl<T: ConvReal> ColourSimulator<T> {
         progress: &dyn Progress,
     ) -> Result<SpotCheck, PsfieldError> {
         self.check_scenes(scenes, false)?;
-        let stars: Vec<_> = scenes.iter().flat_map(Scene::stars).copied().collect();
-        let galaxies: Vec<_> = scenes.iter().flat_map(Scene::galaxies).copied().collect();
         let any_image = scenes.iter().find_map(Scene::image);
         let all = any_image.map_or_else(Scene::dark, |image| Scene::from(image.view()));
-        let all = all.with_stars(stars).with_galaxies(galaxies);
+        let all = with_all_sources(all, scenes);
         let first = &self.spectra[0];
         let mut picker = first.picker(&all, false, (count, seed));
         for row in image.pixels().outer_iter() {
@@ -271,6 +266,50 @@ impl<T: ConvReal> ColourSimulator<T> {
         })
     }
 
+    /// Picks the pixels of a streamed image that a check compares, as [`Simulator::picker`].
+    pub fn picker(&self, scenes: &[Scene<'_, T>], pixels: (usize, u64)) -> PixelPicker {
+        let all = with_all_sources(Scene::dark(), scenes);
+        self.spectra[0].picker(&all, true, pixels)
+    }
+
+    /// Compares pixels that the [`picker`](Self::picker) has chosen from the rows of a streamed image
+    /// with the direct sum, as [`Simulator::spot_check_stream`]. `with_images` as in
+    /// [`stream`](Self::stream).
+    ///
+    /// # Errors
+    /// The errors of the stream and of [`Simulator::exact_at`].
+    pub fn spot_check_stream<R: RowStream<T, Error = PsfieldError>>(
+        &self,
+        scenes: &[Scene<'_, T>],
+        with_images: &[usize],
+        rows: &mut R,
+        picker: PixelPicker,
+        progress: &dyn Progress,
+    ) -> Result<SpotCheck, PsfieldError> {
+        SpotCheck::of_picked::<T>(picker, |pixels| {
+            let mut exact = vec![0.0; pixels.len()];
+            let mut allowed = self.spectra[0].promised(true, pixels.len());
+            for (n, (simulator, scene)) in self.spectra.iter().zip(scenes).enumerate() {
+                let of_spectrum = match with_images.iter().position(|&with| with == n) {
+                    Some(layer) => {
+                        let mut rows = OneLayer { rows, layer };
+                        let allowed = allowed.as_deref_mut();
+                        simulator.exact_by_rows(scene, &mut rows, pixels, allowed, progress)?
+                    }
+                    None => simulator.exact_at(scene, pixels, progress)?,
+                };
+                exact
+                    .iter_mut()
+                    .zip(of_spectrum)
+                    .for_each(|(sum, value)| *sum += value);
+                if let Some(allowed) = &mut allowed {
+                    simulator.add_errors_of_sources(scene, pixels, allowed)?;
+                }
+            }
+            Ok((exact, allowed))
+        })
+    }
+
     fn check_scenes(&self, scenes: &[Scene<'_, T>], rows: bool) -> Result<(), PsfieldError> {
         let (expected, got) = (self.spectra.len(), scenes.len());
         if expected != got {
@@ -282,6 +321,9 @@ impl<T: ConvReal> ColourSimulator<T> {
         let checked = self.spectra.iter().zip(scenes);
         for (simulator, scene) in checked {
             simulator.check_sources(scene, rows)?;
+        }
+        if scenes.iter().any(has_sources) && self.spectra[0].options.method.has_plan() {
+            self.shared.lend_sources(&self.spectra)?;
         }
         Ok(())
     }
@@ -298,7 +340,7 @@ impl<T: ConvReal> ColourSimulator<T> {
         }
         let clock = Instant::now();
         let first = &self.spectra[0];
-        let all = self.on_scene_pixels()?.models()?;
+        let all = self.shared.on_pixels(&self.spectra[0].options)?.models()?;
         let models: Vec<PsfModel> = used.iter().map(|&n| all[n].clone()).collect();
         let options = first.planned_for(&all[0])?.expect("the method has a plan");
         for model in &models {
@@ -311,5 +353,30 @@ impl<T: ConvReal> ColourSimulator<T> {
         let engine = Arc::new(made.engine.ok_or(ConvError::Layers("no engine was made"))?);
         engines().push((used.to_vec(), Arc::clone(&engine)));
         Ok(engine)
+    }
+}
+
+/// A scene with the stars and galaxies of all scenes.
+fn with_all_sources<'a, T: ConvReal>(all: Scene<'a, T>, scenes: &[Scene<'_, T>]) -> Scene<'a, T> {
+    let stars: Vec<_> = scenes.iter().flat_map(Scene::stars).copied().collect();
+    let galaxies: Vec<_> = scenes.iter().flat_map(Scene::galaxies).copied().collect();
+    all.with_stars(stars).with_galaxies(galaxies)
+}
+
+/// One layer of a stream of several.
+struct OneLayer<'a, R> {
+    rows: &'a mut R,
+    layer: usize,
+}
+
+impl<T: ConvReal, R: RowStream<T>> RowStream<T> for OneLayer<'_, R> {
+    type Error = R::Error;
+
+    fn read(&mut self, _: usize, rows: Range<usize>, light: ArrayViewMut2<'_, T>) -> Result<(), R::Error> {
+        self.rows.read(self.layer, rows, light)
+    }
+
+    fn write(&mut self, rows: ArrayView2<'_, T>) -> Result<(), R::Error> {
+        self.rows.write(rows)
     }
 }

@@ -68,14 +68,36 @@ impl<T: ConvReal> Mixtures<T> {
             }
         }
         if image {
-            let psf = get_or_make(&self.on_pixels, || on_scene_pixels(&self.psf, &simulator.options))?;
-            let model = mixed(psf)?.model()?.clone();
+            let model = mixed(self.on_pixels(&simulator.options)?)?.model()?.clone();
             simulator.shared.image_model.get_or_init(|| (model, 0.0));
             if let Some(before) = before {
                 simulator.plan_as(before, progress)?;
             }
         }
         Ok(simulator)
+    }
+
+    /// The PSF on the pixels of the scenes' images, with all its states.
+    pub(crate) fn on_pixels(&self, options: &SimulateOptions) -> Result<&Psf, PsfieldError> {
+        get_or_make(&self.on_pixels, || on_scene_pixels(&self.psf, options))
+    }
+
+    /// Gives each simulator, one for each state of the PSF, the plan for stars and galaxies that all
+    /// share, unless it has one.
+    pub(super) fn lend_sources(&self, simulators: &[Simulator<T>]) -> Result<(), PsfieldError> {
+        if simulators
+            .iter()
+            .all(|simulator| simulator.shared.sources.get().is_some())
+        {
+            return Ok(());
+        }
+        let (psf, plan) = self.sources(&simulators[0])?;
+        for (simulator, model) in simulators.iter().zip(psf.models()?) {
+            if let Some(plan) = plan.for_other_field(model) {
+                simulator.shared.sources.get_or_init(|| plan);
+            }
+        }
+        Ok(())
     }
 
     /// The plan for stars and galaxies.
