@@ -19,6 +19,7 @@
 //! | FWHM along rows, along columns | FWHM along x and along y of the Gaussian summed over the other axis: `2 sqrt(2 ln 2)` times `sqrt(C_xx)` and times `sqrt(C_yy)` of the covariance `C` |
 //! | MAE, MSE, `relative_l2`, `max_over_peak`, `mae_over_mean` | differences of the two windows, as in [`Comparison`](metrics::Comparison) |
 
+mod colour;
 mod document;
 mod evaluation;
 mod model_rows;
@@ -30,6 +31,7 @@ mod reproduction_document;
 mod scenes;
 mod validation;
 
+pub use colour::{ColourComparison, ColourRow};
 pub use document::{Document, NamedFigure, Section, Software, Table};
 pub use evaluation::{ErrorSummary, Evaluation, Spread, Target};
 pub use model_rows::{InterpolationRow, ModelRow};
