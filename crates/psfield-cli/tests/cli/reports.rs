@@ -104,6 +104,27 @@ fn check_colours(report: &Value) {
 /// The largest relative error of the FWHM of a star, a target of the report.
 const FWHM_ERROR: f64 = 1e-3;
 
+/// Checks the frames with one basis.
+fn check_frames(report: &Value) {
+    let frames = report["frames"]["frames"].as_array().unwrap();
+    assert_eq!(frames.len(), 4);
+    for (row, number_of_frame) in frames.iter().zip(0..) {
+        assert_eq!(
+            (&row["frame"], &row["samples"]),
+            (&number_of_frame.into(), &150.into())
+        );
+        let ratio = number(row, "/sample_signal_to_noise");
+        assert!((20.0 * ratio.log10() - number(row, "/sample_snr_db")).abs() < 1e-9);
+        let errors = ["/psfs/relative_l2", "/psfs/fwhm_px", "/ellipticity"];
+        assert!(
+            errors
+                .iter()
+                .all(|key| number(row, &format!("{key}/median")) > 0.0)
+        );
+        assert!(number(row, "/seconds") > 0.0);
+    }
+}
+
 #[test]
 fn a_tiny_reproduction_has_every_figure_and_number() {
     let desk = Desk::empty();
@@ -115,9 +136,10 @@ fn a_tiny_reproduction_has_every_figure_and_number() {
         assert_eq!(number(report, "/samples"), 64.0);
         assert_eq!(number(report, "/objects"), 9.0);
         assert_eq!(number(report, "/stars/summary/objects"), 9.0);
-        // Four for stars, four for galaxies, two for colours.
-        assert_eq!(report["targets"].as_array().unwrap().len(), 10);
+        // Four for stars, four for galaxies, two for colours, one for frames.
+        assert_eq!(report["targets"].as_array().unwrap().len(), 11);
         check_colours(report);
+        check_frames(report);
         // Two kinds at four tolerances.
         assert_eq!(report["tolerances"].as_array().unwrap().len(), 8);
         assert_eq!(report["interpolations"].as_array().unwrap().len(), 4);

@@ -92,7 +92,7 @@ pub(super) fn placed(
 }
 
 /// Returns a random position on the frame.
-pub(super) fn random_position(frame: FrameShape, rng: &mut ChaCha8Rng) -> Result<Position, PsfieldError> {
+pub(crate) fn random_position(frame: FrameShape, rng: &mut ChaCha8Rng) -> Result<Position, PsfieldError> {
     let mut along = |pixels: usize| rng.random::<f64>() * (pixels - 1) as f64;
     Ok(Position::new(along(frame.nx()), along(frame.ny()))?)
 }

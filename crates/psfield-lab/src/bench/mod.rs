@@ -36,6 +36,7 @@ mod real_case;
 mod real_scenes;
 mod run;
 
+pub(crate) use case::random_position;
 pub use case::{BenchCase, lit_scene, stretched};
 pub use contender::Contender;
 pub use real::{REAL_TOLERANCE, RealRow, run_real_cases};

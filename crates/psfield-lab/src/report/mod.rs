@@ -22,6 +22,7 @@
 mod colour;
 mod document;
 mod evaluation;
+mod frames;
 mod model_rows;
 mod object_figures;
 mod object_row;
@@ -34,6 +35,7 @@ mod validation;
 pub use colour::{ColourComparison, ColourRow};
 pub use document::{Document, NamedFigure, Section, Software, Table};
 pub use evaluation::{ErrorSummary, Evaluation, Spread, Target};
+pub use frames::{FrameComparison, FrameRow};
 pub use model_rows::{InterpolationRow, ModelRow};
 pub use object_row::{OBJECT_COLUMNS, ObjectRow};
 pub use patch_comparison::{GalaxyComparison, PatchComparison};

@@ -16,8 +16,8 @@ use crate::LabError;
 use crate::report::document::load;
 use crate::report::scenes::{GALAXY, Scenes};
 use crate::report::{
-    ColourComparison, ErrorSummary, Evaluation, GalaxyComparison, InterpolationRow, ModelRow,
-    PatchComparison, Target,
+    ColourComparison, ErrorSummary, Evaluation, FrameComparison, GalaxyComparison, InterpolationRow,
+    ModelRow, PatchComparison, Target,
 };
 
 /// All results of the paper from which psfield's method comes (Bai, Jia et al. 2025), measured on
@@ -82,6 +82,8 @@ pub struct Reproduction {
     pub large_galaxy: GalaxyComparison,
     /// Stars of several temperatures, compared with the optics.
     pub colours: ColourComparison,
+    /// Frames with one basis.
+    pub frames: FrameComparison,
     /// Date and time of the start (UTC).
     pub started: String,
     /// The machine's load at the start: the average number of processes that ran or waited during
@@ -178,7 +180,7 @@ impl Reproduction {
         if !tolerances.contains(&default) {
             tolerances.push(default);
         }
-        progress.start(9 + tolerances.len() as u64);
+        progress.start(10 + tolerances.len() as u64);
         let telescope = telescope_on(options.frame)?;
         let frame = telescope.field();
         let grid = telescope.grid();
@@ -235,10 +237,13 @@ impl Reproduction {
         progress.advance(1);
         let colours = ColourComparison::measure(&telescope, options.colour_samples_across)?;
         progress.advance(1);
+        let frames = FrameComparison::measure(options.seed)?;
+        progress.advance(1);
 
         let mut targets = Target::of("stars", &stars.summary);
         targets.extend(Target::of("galaxies", &galaxies.summary));
         targets.extend(colours.targets());
+        targets.extend(frames.targets());
         Ok(Self {
             telescope: telescope.params().name.clone(),
             frame,
@@ -260,6 +265,7 @@ impl Reproduction {
             table_1,
             large_galaxy,
             colours,
+            frames,
             started,
             load,
             seconds: start.elapsed().as_secs_f64(),
@@ -324,7 +330,8 @@ pub struct ReproductionOptions {
     pub adaptive_threshold: f64,
     /// Number of PSF samples along each axis, at each wavelength, for the stars of several colours.
     pub colour_samples_across: usize,
-    /// Seed for the light of the images of Table 1, and for the pixels at which they are compared.
+    /// Seed for the light of the images of Table 1, for the pixels at which they are compared, and for
+    /// the stars of the frames with one basis.
     pub seed: u64,
 }
 

@@ -65,6 +65,7 @@ impl Reproduction {
                 self.galaxy_section()?,
                 self.table_1_section(),
                 self.colours.section()?,
+                self.frames.section(),
             ],
         })
     }
