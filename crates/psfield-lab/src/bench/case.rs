@@ -80,7 +80,9 @@ pub(super) fn placed(
         let [x, y] = place(p);
         Position::new(x, y)
     });
-    let positions = SamplePositions::new(positions.collect::<Result<_, _>>()?, Some(frame))?;
+    let states = record.coefficients().positions().states().cloned();
+    let positions = positions.collect::<Result<_, _>>()?;
+    let positions = SamplePositions::with_states(positions, Some(frame), states)?;
     let values = record.coefficients().values().to_owned();
     PsfModelRecord::new(
         record.basis().clone(),

@@ -2,14 +2,13 @@
 
 use ndarray::Array2;
 use psf_optics::Telescope;
-use psf_sample::{UniformSampling, draw_states};
-use psf_types::{NoProgress, Position, PsfSource, StateKind};
-use psfield::spectra::{self, Bandpass, Spectrum};
-use psfield::{FitOptions, Psf};
+use psf_types::{Position, PsfSource};
+use psfield::spectra::{Bandpass, Spectrum};
 use rayon::prelude::*;
 use serde::Serialize;
 
 use crate::LabError;
+use crate::bench::{bandpass, psf_of_wavelengths};
 use crate::plot::{Axis, Curve, Curves, Marker, PlotError, curve_panels};
 use crate::report::document::{NamedFigure, Section, short};
 use crate::report::scenes::true_psf;
@@ -17,8 +16,6 @@ use crate::report::{ObjectRow, Target};
 
 /// Wavelengths in micrometres of the samples.
 const WAVELENGTHS_UM: [f64; 9] = [0.45, 0.5, 0.55, 0.6, 0.65, 0.7, 0.75, 0.8, 0.85];
-/// The bandpass: wavelengths in micrometres and throughputs.
-const BANDPASS: ([f64; 4], [f64; 4]) = ([0.45, 0.47, 0.83, 0.85], [0.0, 1.0, 1.0, 0.0]);
 /// Number of wavelengths of the true PSF.
 const TRUE_WAVELENGTHS: usize = 100;
 /// Temperatures in kelvin: the lowest, the highest, and how many.
@@ -34,7 +31,7 @@ const ELLIPTICITY_DIFFERENCE: f64 = 1e-3;
 /// PSFs of stars with the spectra of black bodies, seen in one bandpass, compared with the truth.
 ///
 /// The model is fitted to samples at a few wavelengths and gives the PSF of each spectrum
-/// ([`Psf::for_spectra`]). The true PSF is the sum of the PSFs of the optics at many wavelengths, each
+/// ([`Psf::for_spectra`](psfield::Psf::for_spectra)). The true PSF is the sum of the PSFs of the optics at many wavelengths, each
 /// weighted with the detected photons, at the position of the star.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[non_exhaustive]
@@ -92,8 +89,7 @@ impl ColourComparison {
     /// # Errors
     /// [`LabError`] if the sampling or the fit fails, or if the optics cannot draw a PSF.
     pub(super) fn measure(telescope: &Telescope, samples_across: usize) -> Result<Self, LabError> {
-        let (wavelengths, throughputs) = BANDPASS;
-        let bandpass = Bandpass::new(spectra::Curve::new(wavelengths.to_vec(), throughputs.to_vec())?);
+        let bandpass = bandpass()?;
         let (low, high, count) = TEMPERATURES;
         let step = (high / low).powf(1.0 / (count - 1) as f64);
         let kelvins: Vec<f64> = (0..count).map(|k| low * step.powi(k as i32)).collect();
@@ -106,7 +102,7 @@ impl ColourComparison {
         });
         let places: Vec<Position> = places.into_iter().collect::<Result<_, _>>()?;
 
-        let psf = sampled(telescope, samples_across)?;
+        let psf = psf_of_wavelengths(telescope, &WAVELENGTHS_UM, samples_across)?;
         let of_spectra = psf.for_spectra(&bandpass, &spectra)?;
         let truth = true_psfs(telescope, &bandpass, &spectra, &places)?;
         let mut stars = Vec::with_capacity(places.len() * count);
@@ -223,17 +219,6 @@ impl ColourComparison {
             vec![figure],
         ))
     }
-}
-
-/// A PSF with one basis for all wavelengths, from samples on a regular grid.
-fn sampled(telescope: &Telescope, across: usize) -> Result<Psf, LabError> {
-    let telescopes = WAVELENGTHS_UM.map(|um| telescope.at_wavelength_um(um));
-    let telescopes = telescopes.into_iter().collect::<Result<Vec<_>, _>>()?;
-    let sources: Vec<&dyn PsfSource> = telescopes.iter().map(|t| t as &dyn PsfSource).collect();
-    let positions = UniformSampling::new(across, across)?.positions(telescope.field())?;
-    let states = (StateKind::Wavelength, &WAVELENGTHS_UM[..]);
-    let samples = draw_states(&sources, states, &positions, &NoProgress)?;
-    Ok(Psf::new(samples, FitOptions::default()))
 }
 
 /// Returns the true PSFs `[position][spectrum]`. The integral over the wavelength is a sum over equal
