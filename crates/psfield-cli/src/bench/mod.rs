@@ -53,8 +53,8 @@ pub(crate) struct BenchArgs {
     /// galaxies: 10^3 to 10^5 galaxies.
     /// frames: 1000 frames of 256 x 256 pixels with one plan.
     /// fields: 100 frames of 256 x 256 pixels, each with its own PSF field: plan and image.
-    /// colours: frames of --sizes with the light of five black bodies, each with its own image, every
-    /// pixel lit. The column ratio is the run time divided by that of one of the spectra.
+    /// colours: frames of --sizes with the light of five black bodies, each with its own image,
+    /// every pixel lit. The column ratio is the run time divided by that of one of the spectra.
     ///
     /// The method is auto with tolerance 1e-3, in f32. No frame is larger than the largest of
     /// --sizes. A case whose first run takes more than 10 s runs once. All groups together take

@@ -53,8 +53,8 @@ impl BenchArgs {
     }
 }
 
-/// The names of the columns. `single s`: seconds of one convolution with one PSF. `ratio`: `min s` of
-/// several spectra, divided by that of one spectrum.
+/// The names of the columns. `single s`: seconds of one convolution with one PSF. `ratio`: `min s`
+/// of several spectra, divided by that of one spectrum.
 const COLUMNS: [&str; 13] = [
     "group", "PSF", "frame", "amount", "model s", "plan s", "first s", "min s", "median s", "single s",
     "ratio", "rel. L2", "memory",

@@ -1,5 +1,5 @@
-//! A benchmark of real work: how the cost of the method auto grows with pixels, light, sources, frames
-//! and spectra.
+//! A benchmark of real work: how the cost of the method auto grows with pixels, light, sources,
+//! frames and spectra.
 
 use std::time::Instant;
 
@@ -55,8 +55,8 @@ pub struct RealRow {
     pub seconds_median: f64,
     /// Seconds of the fastest run with [`Contender::Single`]. None for stars and galaxies.
     pub seconds_single: Option<f64>,
-    /// Seconds of the fastest run with the light and the PSF of the first spectrum alone, by the method
-    /// auto. None except for [`RealGroup::Colours`].
+    /// Seconds of the fastest run with the light and the PSF of the first spectrum alone, by the
+    /// method auto. None except for [`RealGroup::Colours`].
     pub seconds_one_spectrum: Option<f64>,
     /// Relative L2 difference of the last frame from the direct sum in double precision, at random
     /// pixels. For stars and galaxies, these are at most 3 pixels from a source along x and along
@@ -141,7 +141,7 @@ fn planned(
     }
     let simulator = AUTO.simulator(record, psf, frame, options)?;
     simulator.prepare(&scenes.get(scenes.count - 1)?, false, &NoProgress)?;
-    Ok(CaseSimulator::OneSpectrum(simulator))
+    Ok(CaseSimulator::OneSpectrum(Box::new(simulator)))
 }
 
 /// The direct sum for the last image of a case, at some pixels.
@@ -223,7 +223,8 @@ fn measured(
             others.push(AUTO);
         }
         for other in others {
-            let simulator = CaseSimulator::OneSpectrum(other.simulator(record, &psf, frame, options)?);
+            let simulator = Box::new(other.simulator(record, &psf, frame, options)?);
+            let simulator = CaseSimulator::OneSpectrum(simulator);
             let first = scenes.seconds(&simulator, &[], &mut image)?;
             all.push(timed(simulator, &[], first));
         }

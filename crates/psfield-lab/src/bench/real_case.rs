@@ -161,8 +161,8 @@ impl RealGroup {
     }
 
     /// The cases of the group. `sizes` are the sides of the frames of [`Pixels`](Self::Pixels) and
-    /// [`Colours`](Self::Colours). The frames of the other groups are at most as large as the largest of them. `quick` chooses a
-    /// few small amounts.
+    /// [`Colours`](Self::Colours). The frames of the other groups are at most as large as the
+    /// largest of them. `quick` chooses a few small amounts.
     pub fn cases(self, sizes: &[usize], quick: bool) -> Vec<RealCase> {
         const PSFS: [RealPsf; 5] = [
             RealPsf::Grid,

@@ -24,8 +24,8 @@ pub(crate) fn bandpass() -> Result<Bandpass, PsfieldError> {
     )?))
 }
 
-/// The PSF of a telescope at several wavelengths, with one basis for all of them, from `across` samples
-/// along each axis of a regular grid.
+/// The PSF of a telescope at several wavelengths, with one basis for all of them, from `across`
+/// samples along each axis of a regular grid.
 pub(crate) fn psf_of_wavelengths(
     telescope: &Telescope,
     wavelengths_um: &[f64],
@@ -40,7 +40,8 @@ pub(crate) fn psf_of_wavelengths(
     Ok(Psf::new(samples, FitOptions::default()))
 }
 
-/// The PSFs of the black bodies in the bandpass, on one basis, over the field of the survey telescope.
+/// The PSFs of the black bodies in the bandpass, on one basis, over the field of the survey
+/// telescope.
 pub(super) fn black_bodies() -> Result<PsfModelRecord, PsfieldError> {
     let psf = psf_of_wavelengths(&Telescope::survey_2m(), &WAVELENGTHS_UM, SAMPLES_ACROSS)?;
     let spectra = KELVINS.map(Spectrum::black_body).into_iter();

@@ -46,7 +46,7 @@ const AT_ONCE: usize = 128;
 /// The simulator of a case.
 pub(super) enum CaseSimulator {
     /// All light has the spectrum for which the PSF was made.
-    OneSpectrum(Simulator<f32>),
+    OneSpectrum(Box<Simulator<f32>>),
     /// One scene for each spectrum, added up in one image.
     Colours(ColourSimulator<f32>),
 }

@@ -111,6 +111,7 @@ impl Axis {
     }
 
     /// Sets the values at both ends of the axis.
+    #[must_use]
     pub fn within(self, ends: Range<f64>) -> Self {
         Self {
             ends: Some(ends),

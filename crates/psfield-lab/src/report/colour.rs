@@ -31,8 +31,8 @@ const ELLIPTICITY_DIFFERENCE: f64 = 1e-3;
 /// PSFs of stars with the spectra of black bodies, seen in one bandpass, compared with the truth.
 ///
 /// The model is fitted to samples at a few wavelengths and gives the PSF of each spectrum
-/// ([`Psf::for_spectra`](psfield::Psf::for_spectra)). The true PSF is the sum of the PSFs of the optics at many wavelengths, each
-/// weighted with the detected photons, at the position of the star.
+/// ([`for_spectra`](psfield::Psf::for_spectra)). The true PSF is the sum of the PSFs of the optics
+/// at many wavelengths, each weighted with the detected photons, at the position of the star.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct ColourComparison {
@@ -75,16 +75,16 @@ impl ColourRow {
         Some(self.object.e1?.hypot(self.object.e2?))
     }
 
-    /// Length of the difference of the distortions `(e1, e2)`, model minus truth. None if one of them
-    /// could not be measured.
+    /// Length of the difference of the distortions `(e1, e2)`, model minus truth. None if one of
+    /// them could not be measured.
     pub fn ellipticity_difference(&self) -> Option<f64> {
         Some(self.object.e1_difference()?.hypot(self.object.e2_difference()?))
     }
 }
 
 impl ColourComparison {
-    /// Fits a model to samples of the telescope at several wavelengths, and compares the PSFs of stars.
-    /// With an even number of samples along each axis, no star has the position of a sample.
+    /// Fits a model to samples of the telescope at several wavelengths, and compares the PSFs of
+    /// stars. With an even number of samples along each axis, no star has the position of a sample.
     ///
     /// # Errors
     /// [`LabError`] if the sampling or the fit fails, or if the optics cannot draw a PSF.
@@ -97,7 +97,7 @@ impl ColourComparison {
         let spectra: Vec<Spectrum> = black_bodies.collect::<Result<_, _>>()?;
         let frame = telescope.field();
         let places = PLACES.map(|(_, distance)| {
-            let along = |pixels: usize| (1.0 + distance) / 2.0 * (pixels - 1) as f64;
+            let along = |pixels: usize| f64::midpoint(1.0, distance) * (pixels - 1) as f64;
             Position::new(along(frame.nx()), along(frame.ny()))
         });
         let places: Vec<Position> = places.into_iter().collect::<Result<_, _>>()?;
@@ -192,10 +192,12 @@ impl ColourComparison {
         ])?;
         let [first, last] = self.bandpass_um;
         let text = format!(
-            "A star with the spectrum of a black body, in the band from {first} to {last} um, at three positions. psfield's model has {} \
-             components. It is fitted to {1} x {1} samples at each of {2} wavelengths. The true PSF is the sum over {3} wavelengths of the \
-             optics' own PSF at the position of the star, weighted with the detected photons. Short wavelengths are diffracted less, so that \
-             the PSF of hot stars is narrower at the centre. But aberrations change their phase more, so that it is wider in the corner.",
+            "A star with the spectrum of a black body, in the band from {first} to {last} um, at three \
+             positions. psfield's model has {} components. It is fitted to {1} x {1} samples at each of {2} \
+             wavelengths. The true PSF is the sum over {3} wavelengths of the optics' own PSF at the position \
+             of the star, weighted with the detected photons. Short wavelengths are diffracted less, so that \
+             the PSF of hot stars is narrower at the centre. But aberrations change their phase more, so that \
+             it is wider in the corner.",
             self.rank,
             self.samples_across,
             self.wavelengths_um.len(),
@@ -203,8 +205,8 @@ impl ColourComparison {
         );
         let largest = self.targets();
         let caption = format!(
-            "FWHM and ellipticity of a star's PSF against its temperature, by a Gaussian fit, and their differences from the truth: at most {} \
-             and {}.",
+            "FWHM and ellipticity of a star's PSF against its temperature, by a Gaussian fit, and their \
+             differences from the truth: at most {} and {}.",
             short(largest[0].measured),
             short(largest[1].measured),
         );
@@ -221,8 +223,8 @@ impl ColourComparison {
     }
 }
 
-/// Returns the true PSFs `[position][spectrum]`. The integral over the wavelength is a sum over equal
-/// steps.
+/// Returns the true PSFs `[position][spectrum]`. The integral over the wavelength is a sum over
+/// equal steps.
 fn true_psfs(
     telescope: &Telescope,
     bandpass: &Bandpass,

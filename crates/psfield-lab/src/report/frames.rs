@@ -26,8 +26,8 @@ use crate::report::{ErrorSummary, ObjectRow, Spread, Target};
 const STARS: usize = 150;
 /// Number of positions in each frame at which the model is compared with the truth.
 const HELD_OUT: usize = 60;
-/// Defocus that is added to the telescope's, in waves r.m.s., its slope along x, and the FWHM of the
-/// seeing in arcsec, of each frame.
+/// Defocus that is added to the telescope's, in waves r.m.s., its slope along x, and the FWHM of
+/// the seeing in arcsec, of each frame.
 const DRIFT: [[f64; 3]; 4] = [
     [0.0, 0.0, 1.5],
     [0.06, 0.03, 2.5],
@@ -45,10 +45,11 @@ const SECONDS: f64 = 0.01;
 /// The time of a frame is the least of this number of runs.
 const RUNS: usize = 5;
 
-/// Frames of one telescope with drifting focus and seeing, and one basis for the PSFs of all of them.
+/// Frames of one telescope with drifting focus and seeing, and one basis for the PSFs of all of
+/// them.
 ///
-/// Samples are the images of single stars at random positions, with the noise of their photons and of
-/// the sky. The PSFs of the model at other positions are compared with those of the optics.
+/// Samples are the images of single stars at random positions, with the noise of their photons and
+/// of the sky. The PSFs of the model at other positions are compared with those of the optics.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct FrameComparison {
@@ -71,10 +72,11 @@ pub struct FrameRow {
     /// Number of samples.
     pub samples: usize,
     /// Signal-to-noise ratio of a sample in dB, `10 log10(P_signal / P_noise)` (equation 6 of the
-    /// paper; [`Comparison::snr_db`]). `P` are sums of squares over the pixels of the stamp. The median
-    /// over the samples.
+    /// paper; [`Comparison::snr_db`]). `P` are sums of squares over the pixels of the stamp. The
+    /// median over the samples.
     pub sample_snr_db: f64,
-    /// The same ratio as a plain number, of the r.m.s. of signal and noise: `sqrt(P_signal / P_noise)`.
+    /// The same ratio as a plain number, of the r.m.s. of signal and noise: `sqrt(P_signal /
+    /// P_noise)`.
     pub sample_signal_to_noise: f64,
     /// Errors of the model's PSFs at positions without samples.
     pub psfs: ErrorSummary,
@@ -138,9 +140,10 @@ impl FrameComparison {
 
     pub(super) fn section(&self) -> Section {
         let mut table = Table::new(
-            "Frames of one basis. SNR: 10 log10(P_signal / P_noise) as in equation 6 of the paper, with sums of squares over the pixels of a \
-             sample. Signal / noise: the ratio of the r.m.s. values, not in dB. Both are medians over the samples. Errors: absolute differences \
-             of the model's PSFs from the optics at positions between the samples. Seconds: to find the coefficients of the samples in the \
+            "Frames of one basis. SNR: 10 log10(P_signal / P_noise) as in equation 6 of the paper, with sums \
+             of squares over the pixels of a sample. Signal / noise: the ratio of the r.m.s. values, not in \
+             dB. Both are medians over the samples. Errors: absolute differences of the model's PSFs from the \
+             optics at positions between the samples. Seconds: to find the coefficients of the samples in the \
              given basis.",
             &[
                 "frame",
@@ -170,10 +173,11 @@ impl FrameComparison {
             cells
         }));
         let text = format!(
-            "Four frames of a lens with a wide field ({}), with focus and seeing that drift from frame to frame. Each has {STARS} samples at random \
-             positions of its own: images of single stars, with the noise of their photons and of the sky. One basis with {} components serves \
-             all frames, interpolated over the field by {}. The PSFs are compared with those of the optics at {HELD_OUT} other positions of \
-             each frame.",
+            "Four frames of a lens with a wide field ({}), with focus and seeing that drift from frame to \
+             frame. Each has {STARS} samples at random positions of its own: images of single stars, with the \
+             noise of their photons and of the sky. One basis with {} components serves all frames, \
+             interpolated over the field by {}. The PSFs are compared with those of the optics at {HELD_OUT} \
+             other positions of each frame.",
             self.telescope, self.rank, self.interpolation
         );
         Section {
@@ -203,8 +207,8 @@ fn drifted([defocus, slope, seeing]: [f64; 3]) -> Result<Telescope, LabError> {
     Ok(Telescope::new(params)?)
 }
 
-/// Draws the samples of a frame with their noise. Returns them and their median signal-to-noise ratio
-/// in dB.
+/// Draws the samples of a frame with their noise. Returns them and their median signal-to-noise
+/// ratio in dB.
 fn samples_of(
     frame: usize,
     telescope: &Telescope,
@@ -298,7 +302,7 @@ mod tests {
         assert!(other > 10.0 * MEDIAN_ERROR, "{other}");
     }
 
-    /// Largest median error of a frame (relative L2): that of the noise and of the interpolation over
-    /// 150 stars, measured as 0.008.
+    /// Largest median error of a frame (relative L2): that of the noise and of the interpolation
+    /// over 150 stars, measured as 0.008.
     const MEDIAN_ERROR: f64 = 0.015;
 }

@@ -330,8 +330,8 @@ pub struct ReproductionOptions {
     pub adaptive_threshold: f64,
     /// Number of PSF samples along each axis, at each wavelength, for the stars of several colours.
     pub colour_samples_across: usize,
-    /// Seed for the light of the images of Table 1, for the pixels at which they are compared, and for
-    /// the stars of the frames with one basis.
+    /// Seed for the light of the images of Table 1, for the pixels at which they are compared, and
+    /// for the stars of the frames with one basis.
     pub seed: u64,
 }
 
@@ -355,8 +355,8 @@ impl ReproductionOptions {
     }
 
     /// Smaller sizes: a frame with a quarter of the side, a quarter of the samples, a ninth of the
-    /// objects, a smaller image of the large galaxy, fewer timed turns, fewer samples for the stars of
-    /// several colours, and a larger `adaptive_threshold`.
+    /// objects, a smaller image of the large galaxy, fewer timed turns, fewer samples for the stars
+    /// of several colours, and a larger `adaptive_threshold`.
     pub fn quick() -> Self {
         Self {
             frame: FrameShape::new(2308, 2304).ok(),
