@@ -18,7 +18,7 @@ from pool import Pool
 STARS = 100, 1000
 """Numbers of stars that are drawn. The difference of their times gives the time of a star."""
 GALAXIES = 300
-ORDER = "pixels", "light", "stars", "galaxies", "frames", "fields"
+ORDER = "pixels", "light", "stars", "galaxies", "frames", "fields", "colours"
 
 
 class Peers:
@@ -37,7 +37,7 @@ class Peers:
             return name, seconds * amount
         if row["group"] == "galaxies":
             return galaxies.GalSim.name, self.galaxy(size) * amount
-        frames = int(amount) if row["group"] in ("frames", "fields") else 1
+        frames = int(amount) if row["group"] in ("frames", "fields", "colours") else 1
         return "fftconvolve", self.images(size, frames)
 
     def _samples(self):

@@ -16,8 +16,9 @@ use super::values::Pair;
 /// Uses the built-in survey telescope and no data. The report shows singular values, the sampling,
 /// FWHM and eccentricity (the paper's ellipticity) of simulated and true objects, and errors over
 /// the field and at several tolerances. It compares psfield with patches of constant PSF: for an
-/// extended galaxy, and in run time and error (Table 1). Takes some 10 minutes on two cores, with
-/// --quick less than 3.
+/// extended galaxy, and in run time and error (Table 1). It also shows the PSFs of stars of several
+/// temperatures, and four frames of a lens with a wide field that share one basis. Takes some 10
+/// minutes on two cores, with --quick less than 3.
 #[derive(Debug, clap::Args)]
 pub(crate) struct ReproduceArgs {
     #[command(flatten)]

@@ -41,8 +41,8 @@ use crate::values::{Precision, number, tolerance};
 /// convolves the scene with one PSF: the PSF at the middle of the frame. It is the fastest
 /// convolution with one PSF in psfield.
 ///
-/// --real measures real work instead: how time and memory grow with pixels, light, stars, galaxies
-/// and frames, for PSFs of several kinds.
+/// --real measures real work instead: how time and memory grow with pixels, light, stars, galaxies,
+/// frames and spectra, for PSFs of several kinds.
 #[derive(Debug, clap::Args)]
 pub(crate) struct BenchArgs {
     /// Measure how time and memory grow with real work, in groups [default: all groups]
@@ -53,6 +53,8 @@ pub(crate) struct BenchArgs {
     /// galaxies: 10^3 to 10^5 galaxies.
     /// frames: 1000 frames of 256 x 256 pixels with one plan.
     /// fields: 100 frames of 256 x 256 pixels, each with its own PSF field: plan and image.
+    /// colours: frames of --sizes with the light of five black bodies, each with its own image,
+    /// every pixel lit. The column ratio is the run time divided by that of one of the spectra.
     ///
     /// The method is auto with tolerance 1e-3, in f32. No frame is larger than the largest of
     /// --sizes. A case whose first run takes more than 10 s runs once. All groups together take
@@ -63,7 +65,7 @@ pub(crate) struct BenchArgs {
         num_args = 0..=1,
         require_equals = true,
         value_delimiter = ',',
-        default_missing_value = "pixels,light,stars,galaxies,frames,fields",
+        default_missing_value = "pixels,light,stars,galaxies,frames,fields,colours",
         conflicts_with_all = [
             "grids", "psf", "scene", "stretch", "preset", "rank", "methods", "tolerances", "patches", "ranks", "anchor",
             "precision", "plot", "device", "gpu_adapter"

@@ -1,7 +1,7 @@
 //! `psfield bench --real`.
 
 use anyhow::Context as _;
-use psfield_lab::bench::{self, REAL_TOLERANCE, RealCase, RealGroup, RealRow};
+use psfield_lab::bench::{self, REAL_TOLERANCE, RealCase, RealGroup, RealPsf, RealRow};
 
 use crate::bench::report::{line, mebibytes, or_dash};
 use crate::bench::settings::Settings;
@@ -16,9 +16,11 @@ impl BenchArgs {
             .iter()
             .flat_map(|group| group.cases(&settings.sizes, self.quick))
             .collect();
-        let grid = self.records(&settings, context)?.next().context("one grid")??;
+        let needs_grid = cases.iter().any(|case| case.psf != RealPsf::Spectra);
+        let grid = needs_grid.then(|| self.records(&settings, context)?.next().context("one grid")?);
+        let grid = grid.transpose()?;
         let bar = context.bar("measuring");
-        let rows = bench::run_real_cases(&cases, &grid, &options, &bar).map_err(without_option)?;
+        let rows = bench::run_real_cases(&cases, grid.as_ref(), &options, &bar).map_err(without_option)?;
         drop(bar);
         let threads = rayon::current_num_threads();
         let report = object! {
@@ -27,7 +29,7 @@ impl BenchArgs {
                 groups: groups.to_vec(),
                 sizes: settings.sizes.clone(),
                 grid: settings.grids[0],
-                rank: grid.basis().rank(),
+                rank: grid.as_ref().map(|grid| grid.basis().rank()),
                 tolerance: REAL_TOLERANCE,
                 tolerance_on: settings.tolerance_on,
                 repeat: settings.repeat,
@@ -40,21 +42,24 @@ impl BenchArgs {
         if let Some(path) = self.json.as_ref().and_then(JsonTo::file) {
             psf_io::write_text(path, &serde_json::to_string_pretty(&report)?, self.overwrite)?;
         }
+        let samples = grid.map_or_else(String::new, |_| {
+            format!(", {} PSF samples", settings.grids[0].pow(2))
+        });
         let title = format!(
-            "auto, f32, tolerance {REAL_TOLERANCE:e} on {}, {} PSF samples, threads: {threads}\n",
-            settings.tolerance_on,
-            settings.grids[0].pow(2)
+            "auto, f32, tolerance {REAL_TOLERANCE:e} on {}{samples}, threads: {threads}\n",
+            settings.tolerance_on
         );
         context.report(&report, || title + &table(&rows))
     }
 }
 
-/// The names of the columns. `single s`: seconds of one convolution with one PSF.
-const COLUMNS: [&str; 12] = [
+/// The names of the columns. `single s`: seconds of one convolution with one PSF. `ratio`: `min s`
+/// of several spectra, divided by that of one spectrum.
+const COLUMNS: [&str; 13] = [
     "group", "PSF", "frame", "amount", "model s", "plan s", "first s", "min s", "median s", "single s",
-    "rel. L2", "memory",
+    "ratio", "rel. L2", "memory",
 ];
-const WIDTHS: [usize; 12] = [8, 15, 11, 15, 9, 9, 9, 9, 9, 9, 8, 9];
+const WIDTHS: [usize; 13] = [8, 15, 11, 15, 9, 9, 9, 9, 9, 9, 6, 8, 9];
 
 fn table(rows: &[RealRow]) -> String {
     let seconds = |s: f64| format!("{s:.4}");
@@ -70,6 +75,10 @@ fn table(rows: &[RealRow]) -> String {
             seconds(row.seconds),
             seconds(row.seconds_median),
             or_dash(row.seconds_single.map(seconds)),
+            or_dash(
+                row.seconds_one_spectrum
+                    .map(|one| format!("{:.2}", row.seconds / one)),
+            ),
             or_dash(row.relative_l2.map(|e| format!("{e:.1e}"))),
             or_dash(row.peak_memory_bytes.map(mebibytes)),
         ];

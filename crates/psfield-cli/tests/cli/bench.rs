@@ -188,7 +188,7 @@ fn what_takes_too_long_says_so() {
 }
 
 /// The keys of a row of `bench --real`.
-const WORK_KEYS: [&str; 12] = [
+const WORK_KEYS: [&str; 13] = [
     "group",
     "psf",
     "size",
@@ -199,6 +199,7 @@ const WORK_KEYS: [&str; 12] = [
     "seconds",
     "seconds_median",
     "seconds_single",
+    "seconds_one_spectrum",
     "relative_l2",
     "peak_memory_bytes",
 ];
@@ -226,6 +227,7 @@ fn real_work_has_rows_for_every_group_within_the_tolerance() {
         ("galaxies", 1),
         ("frames", 1),
         ("fields", 5),
+        ("colours", 1),
     ] {
         assert!(
             run.stdout.contains(&format!("\n{group} ")),
@@ -242,6 +244,8 @@ fn real_work_has_rows_for_every_group_within_the_tolerance() {
             assert!(seconds("seconds_plan") > 0.0 && seconds("seconds_first") > 0.0);
             let with_image = !["stars", "galaxies"].contains(&group);
             assert_eq!(row["seconds_single"].is_number(), with_image, "{row}");
+            let is_coloured = group == "colours";
+            assert_eq!(row["seconds_one_spectrum"].is_number(), is_coloured, "{row}");
             match row["relative_l2"].as_f64() {
                 Some(error) => assert!(error <= tolerance, "{row}"),
                 None => assert_eq!(row["amount"], 0.0, "{row}"),

@@ -12,7 +12,7 @@ use crate::desk::Desk;
 const TINY: &str = "reproduce --report out --quick --frame 420,420 --samples 8 --objects 3 --image-side 96 --galaxy-side 96 \
                     --adaptive-threshold 0.2 --json";
 
-const FIGURES: [&str; 10] = [
+const FIGURES: [&str; 11] = [
     "singular-values",
     "sampling",
     "fwhm",
@@ -23,6 +23,7 @@ const FIGURES: [&str; 10] = [
     "e1-map",
     "e2-map",
     "galaxy",
+    "colour",
 ];
 
 fn number(value: &Value, pointer: &str) -> f64 {
@@ -81,6 +82,49 @@ fn check_page(desk: &Desk, name: &str) {
     assert_eq!(page.matches("<img").count(), page.matches("src=\"data:").count());
 }
 
+/// Checks stars of several temperatures: positions, directions of the change, and errors.
+fn check_colours(report: &Value) {
+    let stars = report["colours"]["stars"].as_array().unwrap();
+    // At 13 temperatures, at 3 positions.
+    assert_eq!(stars.len(), 39);
+    assert_eq!(
+        (&stars[0]["place"], &stars[38]["place"]),
+        (&"centre".into(), &"corner".into())
+    );
+    let fwhm = |star: usize, key: &str| number(&stars[star], key);
+    // Blue stars are sharper at the centre, and wider in the corner.
+    assert!(fwhm(12, "/fwhm_px") < 0.95 * fwhm(0, "/fwhm_px"));
+    assert!(fwhm(38, "/fwhm_px") > 1.1 * fwhm(26, "/fwhm_px"));
+    for star in 0..stars.len() {
+        let error = fwhm(star, "/fwhm_px") / fwhm(star, "/fwhm_px_true") - 1.0;
+        assert!(error != 0.0 && error.abs() < FWHM_ERROR, "{star}: {error}");
+    }
+}
+
+/// The largest relative error of the FWHM of a star, a target of the report.
+const FWHM_ERROR: f64 = 1e-3;
+
+/// Checks the frames with one basis.
+fn check_frames(report: &Value) {
+    let frames = report["frames"]["frames"].as_array().unwrap();
+    assert_eq!(frames.len(), 4);
+    for (row, number_of_frame) in frames.iter().zip(0..) {
+        assert_eq!(
+            (&row["frame"], &row["samples"]),
+            (&number_of_frame.into(), &150.into())
+        );
+        let ratio = number(row, "/sample_signal_to_noise");
+        assert!((20.0 * ratio.log10() - number(row, "/sample_snr_db")).abs() < 1e-9);
+        let errors = ["/psfs/relative_l2", "/psfs/fwhm_px", "/ellipticity"];
+        assert!(
+            errors
+                .iter()
+                .all(|key| number(row, &format!("{key}/median")) > 0.0)
+        );
+        assert!(number(row, "/seconds") > 0.0);
+    }
+}
+
 #[test]
 fn a_tiny_reproduction_has_every_figure_and_number() {
     let desk = Desk::empty();
@@ -92,8 +136,10 @@ fn a_tiny_reproduction_has_every_figure_and_number() {
         assert_eq!(number(report, "/samples"), 64.0);
         assert_eq!(number(report, "/objects"), 9.0);
         assert_eq!(number(report, "/stars/summary/objects"), 9.0);
-        // Four for stars and four for galaxies.
-        assert_eq!(report["targets"].as_array().unwrap().len(), 8);
+        // Four for stars, four for galaxies, two for colours, one for frames.
+        assert_eq!(report["targets"].as_array().unwrap().len(), 11);
+        check_colours(report);
+        check_frames(report);
         // Two kinds at four tolerances.
         assert_eq!(report["tolerances"].as_array().unwrap().len(), 8);
         assert_eq!(report["interpolations"].as_array().unwrap().len(), 4);

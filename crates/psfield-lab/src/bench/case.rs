@@ -80,7 +80,9 @@ pub(super) fn placed(
         let [x, y] = place(p);
         Position::new(x, y)
     });
-    let positions = SamplePositions::new(positions.collect::<Result<_, _>>()?, Some(frame))?;
+    let states = record.coefficients().positions().states().cloned();
+    let positions = positions.collect::<Result<_, _>>()?;
+    let positions = SamplePositions::with_states(positions, Some(frame), states)?;
     let values = record.coefficients().values().to_owned();
     PsfModelRecord::new(
         record.basis().clone(),
@@ -92,7 +94,7 @@ pub(super) fn placed(
 }
 
 /// Returns a random position on the frame.
-pub(super) fn random_position(frame: FrameShape, rng: &mut ChaCha8Rng) -> Result<Position, PsfieldError> {
+pub(crate) fn random_position(frame: FrameShape, rng: &mut ChaCha8Rng) -> Result<Position, PsfieldError> {
     let mut along = |pixels: usize| rng.random::<f64>() * (pixels - 1) as f64;
     Ok(Position::new(along(frame.nx()), along(frame.ny()))?)
 }

@@ -83,6 +83,23 @@ impl Contender {
         }
     }
 
+    /// The settings of this contender, except for the method.
+    pub(super) fn settings(self, options: &BenchOptions) -> SimulateOptions {
+        let mut settings = SimulateOptions {
+            tolerance: self.tolerance().unwrap_or(0.0),
+            anchor: options.anchor,
+            tolerance_on: options.tolerance_on,
+            device: Device::Cpu,
+            ..SimulateOptions::default()
+        };
+        if self.tolerance().is_some() {
+            settings.device = options.device;
+            settings.gpu_adapter.clone_from(&options.gpu_adapter);
+            settings.gpu_memory = options.gpu_memory;
+        }
+        settings
+    }
+
     /// Returns the simulator of this contender for frames of one shape. `record` is the model of
     /// `psf`.
     pub(super) fn simulator<T: ConvReal>(
@@ -106,19 +123,10 @@ impl Contender {
             }
             Self::Direct => (psf.clone(), Method::Direct),
         };
-        let mut settings = SimulateOptions {
+        let settings = SimulateOptions {
             method,
-            tolerance: self.tolerance().unwrap_or(0.0),
-            anchor: options.anchor,
-            tolerance_on: options.tolerance_on,
-            device: Device::Cpu,
-            ..SimulateOptions::default()
+            ..self.settings(options)
         };
-        if self.tolerance().is_some() {
-            settings.device = options.device;
-            settings.gpu_adapter.clone_from(&options.gpu_adapter);
-            settings.gpu_memory = options.gpu_memory;
-        }
         psf.simulator((frame.ny(), frame.nx())).options(settings).build()
     }
 }

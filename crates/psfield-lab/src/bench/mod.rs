@@ -9,7 +9,7 @@
 //! [`Contender::Auto`]).
 //!
 //! [`run_real_cases`] measures real work instead of methods: how the cost of [`Contender::Auto`]
-//! grows with pixels, light, stars, galaxies, frames and PSF fields ([`RealGroup`]).
+//! grows with pixels, light, stars, galaxies, frames, PSF fields and spectra ([`RealGroup`]).
 //!
 //! ```
 //! use psfield_lab::bench::{BenchCase, BenchOptions, Contender, lit_scene, run, stretched};
@@ -33,11 +33,14 @@ mod case;
 mod contender;
 mod real;
 mod real_case;
+mod real_colours;
 mod real_scenes;
 mod run;
 
+pub(crate) use case::random_position;
 pub use case::{BenchCase, lit_scene, stretched};
 pub use contender::Contender;
 pub use real::{REAL_TOLERANCE, RealRow, run_real_cases};
 pub use real_case::{RealCase, RealGroup, RealPsf};
+pub(crate) use real_colours::{bandpass, psf_of_wavelengths};
 pub use run::{BenchOptions, BenchOutcome, BenchRow, Skipped, run};

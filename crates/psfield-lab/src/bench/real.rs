@@ -1,22 +1,26 @@
-//! A benchmark of real work: how the cost of the method auto grows with pixels, light, sources and
-//! frames.
+//! A benchmark of real work: how the cost of the method auto grows with pixels, light, sources,
+//! frames and spectra.
 
 use std::time::Instant;
 
 use psf_types::{FrameShape, NoProgress, Progress, PsfModelRecord};
-use psfield::{Psf, PsfieldError, Simulator};
+use psfield::{ColourSimulator, Psf, PsfieldError};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use serde::Serialize;
 
-use crate::bench::real_case::{RealCase, RealGroup};
-use crate::bench::real_scenes::{Scenes, mirrored, of_frame};
+use crate::bench::real_case::{RealCase, RealGroup, RealPsf};
+use crate::bench::real_colours::black_bodies;
+use crate::bench::real_scenes::{CaseSimulator, Scenes, mirrored, of_frame};
 use crate::bench::run::{median, relative_l2, runs_per_turn};
 use crate::bench::{BenchOptions, Contender};
 use crate::memory::PeakMemory;
 
 /// The tolerance of all cases.
 pub const REAL_TOLERANCE: f64 = 1e-3;
+const AUTO: Contender = Contender::Auto {
+    tolerance: REAL_TOLERANCE,
+};
 /// A case whose first run takes more seconds does not run again.
 const LONG_SECONDS: f64 = 10.0;
 
@@ -51,6 +55,9 @@ pub struct RealRow {
     pub seconds_median: f64,
     /// Seconds of the fastest run with [`Contender::Single`]. None for stars and galaxies.
     pub seconds_single: Option<f64>,
+    /// Seconds of the fastest run with the light and the PSF of the first spectrum alone, by the
+    /// method auto. None except for [`RealGroup::Colours`].
+    pub seconds_one_spectrum: Option<f64>,
     /// Relative L2 difference of the last frame from the direct sum in double precision, at random
     /// pixels. For stars and galaxies, these are at most 3 pixels from a source along x and along
     /// y. None if the direct sum is 0 at all these pixels.
@@ -61,27 +68,41 @@ pub struct RealRow {
 }
 
 /// Measures cases one after the other, with tolerance [`REAL_TOLERANCE`] and the method auto in
-/// f32. `grid` is a model on a regular grid of samples, interpolated bilinearly.
+/// f32. `grid` is a model on a regular grid of samples, interpolated bilinearly. Only the PSF
+/// [`RealPsf::Spectra`] does not need it.
 ///
 /// For cases with images, the method auto and the single PSF run in turn, as in
-/// [`run`](crate::bench::run()).
+/// [`run`](crate::bench::run()), and so does one spectrum for [`RealGroup::Colours`].
 ///
 /// # Errors
 /// [`PsfieldError`] if a PSF cannot be made from `grid`, or if a simulation fails.
+///
+/// # Panics
+/// When a case needs `grid`, and it is None.
 pub fn run_real_cases(
     cases: &[RealCase],
-    grid: &PsfModelRecord,
+    grid: Option<&PsfModelRecord>,
     options: &BenchOptions,
     progress: &dyn Progress,
 ) -> Result<Vec<RealRow>, PsfieldError> {
     progress.start(cases.len() as u64);
     let mut rows = Vec::with_capacity(cases.len());
+    let mut of_spectra = None;
     // Cases of one PSF and field are neighbours in the list.
     for cases in cases.chunk_by(|a, b| (a.psf, a.field_side()) == (b.psf, b.field_side())) {
         let side = cases[0].field_side();
         let field = FrameShape::new(side, side)?;
         let mut rng = ChaCha8Rng::seed_from_u64(options.seed);
-        let record = cases[0].psf.record(grid, field, &mut rng)?;
+        let record = match cases[0].psf {
+            RealPsf::Spectra => {
+                if of_spectra.is_none() {
+                    of_spectra = Some(black_bodies()?);
+                }
+                of_spectra.as_ref().expect("made above")
+            }
+            _ => grid.expect("a model on a grid"),
+        };
+        let record = cases[0].psf.record(record, field, &mut rng)?;
         for case in cases {
             let frame = FrameShape::new(case.side, case.side)?;
             // The PSFs of the frames in turn, if each has its own.
@@ -98,11 +119,58 @@ pub fn run_real_cases(
 
 /// A simulator with the seconds of its runs.
 struct Timed<'a> {
-    simulator: Simulator<f32>,
+    simulator: CaseSimulator,
     /// The PSFs of the frames in turn. Empty if all frames have that of the simulator.
     fields: &'a [Psf],
     first: f64,
     later: Vec<f64>,
+}
+
+/// Makes the simulator of a case and its plan.
+fn planned(
+    case: &RealCase,
+    (record, psf): (&PsfModelRecord, &Psf),
+    scenes: &Scenes,
+    (frame, options): (FrameShape, &BenchOptions),
+) -> Result<CaseSimulator, PsfieldError> {
+    if case.group == RealGroup::Colours {
+        let settings = AUTO.settings(options);
+        let simulator = ColourSimulator::new(psf, (frame.ny(), frame.nx()), &settings)?;
+        simulator.prepare(&scenes.of_spectra()?, &NoProgress)?;
+        return Ok(CaseSimulator::Colours(simulator));
+    }
+    let simulator = AUTO.simulator(record, psf, frame, options)?;
+    simulator.prepare(&scenes.get(scenes.count - 1)?, false, &NoProgress)?;
+    Ok(CaseSimulator::OneSpectrum(Box::new(simulator)))
+}
+
+/// The direct sum for the last image of a case, at some pixels.
+fn exact(
+    simulator: &CaseSimulator,
+    scenes: &Scenes,
+    fields: &[Psf],
+    pixels: &[(usize, usize)],
+) -> Result<Vec<f64>, PsfieldError> {
+    match simulator {
+        CaseSimulator::OneSpectrum(simulator) => {
+            let last = scenes.get(scenes.count - 1)?;
+            match of_frame(fields, scenes.count - 1) {
+                None => simulator.exact_at(&last, pixels, &NoProgress),
+                Some(psf) => {
+                    let simulator = simulator.for_other_field(psf, &NoProgress)?;
+                    simulator.exact_at(&last, pixels, &NoProgress)
+                }
+            }
+        }
+        CaseSimulator::Colours(simulator) => {
+            let mut sums = vec![0.0; pixels.len()];
+            for (simulator, scene) in simulator.spectra().iter().zip(scenes.of_spectra()?) {
+                let exact = simulator.exact_at(&scene, pixels, &NoProgress)?;
+                sums.iter_mut().zip(exact).for_each(|(sum, value)| *sum += value);
+            }
+            Ok(sums)
+        }
+    }
 }
 
 fn measured(
@@ -112,20 +180,15 @@ fn measured(
     options: &BenchOptions,
 ) -> Result<RealRow, PsfieldError> {
     let scenes = Scenes::new(case, frame, options.seed)?;
-    let last = scenes.get(scenes.count - 1)?;
     let mut image = conv_core::zeros((frame.ny(), frame.nx()));
-    let auto = Contender::Auto {
-        tolerance: REAL_TOLERANCE,
-    };
     // Makes the model and the plan. Returns the seconds of both.
     let made = || {
         let psf = Psf::from(record.clone());
         let clock = Instant::now();
-        psf.model()?;
+        psf.models()?;
         let seconds_model = clock.elapsed().as_secs_f64();
         let clock = Instant::now();
-        let simulator = auto.simulator(record, &psf, frame, options)?;
-        simulator.prepare(&last, false, &NoProgress)?;
+        let simulator = planned(case, (record, &psf), &scenes, (frame, options))?;
         Ok::<_, PsfieldError>((psf, simulator, seconds_model, clock.elapsed().as_secs_f64()))
     };
 
@@ -135,13 +198,7 @@ fn measured(
     let peak_memory_bytes = memory.bytes();
 
     let pixels = scenes.pixels(options);
-    let exact = match of_frame(fields, scenes.count - 1) {
-        None => simulator.exact_at(&last, &pixels, &NoProgress)?,
-        Some(psf) => {
-            let simulator = simulator.for_other_field(psf, &NoProgress)?;
-            simulator.exact_at(&last, &pixels, &NoProgress)?
-        }
-    };
+    let exact = exact(&simulator, &scenes, fields, &pixels)?;
     let relative_l2 = relative_l2(&image, &pixels, &exact);
 
     for _ in 1..options.repeat {
@@ -156,10 +213,21 @@ fn measured(
         later: Vec::new(),
     };
     let mut all = vec![timed(simulator, fields, first)];
-    if last.image().is_some() {
-        let simulator = Contender::Single.simulator(record, &psf, frame, options)?;
-        let first = scenes.seconds(&simulator, &[], &mut image)?;
-        all.push(timed(simulator, &[], first));
+    if scenes.get(0)?.image().is_some() {
+        let psf = match case.group {
+            RealGroup::Colours => psf.at_state(0.0)?,
+            _ => psf,
+        };
+        let mut others = vec![Contender::Single];
+        if case.group == RealGroup::Colours {
+            others.push(AUTO);
+        }
+        for other in others {
+            let simulator = Box::new(other.simulator(record, &psf, frame, options)?);
+            let simulator = CaseSimulator::OneSpectrum(simulator);
+            let first = scenes.seconds(&simulator, &[], &mut image)?;
+            all.push(timed(simulator, &[], first));
+        }
     }
     for _ in 0..options.repeat.max(1) {
         for timed in all.iter_mut().filter(|timed| timed.first <= LONG_SECONDS) {
@@ -187,6 +255,7 @@ fn measured(
         seconds: all[0].later[0],
         seconds_median: median(&all[0].later),
         seconds_single: all.get(1).map(|single| single.later[0]),
+        seconds_one_spectrum: all.get(2).map(|one| one.later[0]),
         relative_l2,
         peak_memory_bytes,
     })

@@ -10,6 +10,7 @@ use rand_chacha::ChaCha8Rng;
 use serde::Serialize;
 
 use crate::bench::case::{random_position, stretched};
+use crate::bench::real_colours::KELVINS;
 
 /// Cases that differ in one amount. Written as the name in lower case.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
@@ -31,15 +32,18 @@ pub enum RealGroup {
     /// Small frames, each with a PSF field of its own on one basis. They are parts of larger frames, with
     /// four times their side. Every pixel is lit.
     Fields,
+    /// Frames of several sizes with the light of black bodies at several temperatures. The light of
+    /// each has an image of its own, in which every pixel is lit.
+    Colours,
 }
 
 /// The side of the frames of which those of [`RealGroup::Fields`] are a part, in sides of the parts.
 const FIELD: usize = 4;
 
 named!(
-    RealGroup, "group of cases", "pixels, light, stars, galaxies, frames or fields",
+    RealGroup, "group of cases", "pixels, light, stars, galaxies, frames, fields or colours",
     "pixels" => Pixels, "light" => Light, "stars" => Stars, "galaxies" => Galaxies, "frames" => Frames,
-    "fields" => Fields
+    "fields" => Fields, "colours" => Colours
 );
 
 /// A PSF over a frame, made from a model on a regular grid.
@@ -55,6 +59,9 @@ pub enum RealPsf {
     /// PSFs at 500 random positions (fewer if the grid has fewer), interpolated by natural
     /// neighbours.
     Scattered,
+    /// The PSFs of black bodies in a wide band, from the optics of the survey telescope at several
+    /// wavelengths.
+    Spectra,
 }
 
 impl fmt::Display for RealPsf {
@@ -64,6 +71,7 @@ impl fmt::Display for RealPsf {
             Self::Bicubic => f.write_str("grid, bicubic"),
             Self::Psfex(degree) => write!(f, "psfex, degree {degree}"),
             Self::Scattered => f.write_str("scattered"),
+            Self::Spectra => f.write_str("spectra"),
         }
     }
 }
@@ -72,7 +80,8 @@ impl fmt::Display for RealPsf {
 const SCATTERED: usize = 500;
 
 impl RealPsf {
-    /// Makes the model of this PSF over a frame. `grid` is stretched to the frame.
+    /// Makes the model of this PSF over a frame. `grid` is stretched to the frame. That of
+    /// [`Spectra`](Self::Spectra) has the PSFs of all spectra.
     pub(super) fn record(
         self,
         grid: &PsfModelRecord,
@@ -81,7 +90,7 @@ impl RealPsf {
     ) -> Result<PsfModelRecord, PsfieldError> {
         let grid = stretched(grid, frame)?;
         match self {
-            Self::Grid => Ok(grid),
+            Self::Grid | Self::Spectra => Ok(grid),
             Self::Bicubic => {
                 let (basis, coefficients) = (grid.basis().clone(), grid.coefficients().clone());
                 let (outside, normalisation) = (grid.outside(), grid.normalisation());
@@ -129,13 +138,14 @@ pub struct RealCase {
 
 impl RealGroup {
     /// All groups.
-    pub const ALL: [Self; 6] = [
+    pub const ALL: [Self; 7] = [
         Self::Pixels,
         Self::Light,
         Self::Stars,
         Self::Galaxies,
         Self::Frames,
         Self::Fields,
+        Self::Colours,
     ];
 
     /// The unit of [`RealCase::amount`].
@@ -146,12 +156,13 @@ impl RealGroup {
             Self::Stars => "stars",
             Self::Galaxies => "galaxies",
             Self::Frames | Self::Fields => "frames",
+            Self::Colours => "spectra",
         }
     }
 
-    /// The cases of the group. `sizes` are the sides of the frames of [`Pixels`](Self::Pixels). The
-    /// frames of the other groups are at most as large as the largest of them. `quick` chooses a
-    /// few small amounts.
+    /// The cases of the group. `sizes` are the sides of the frames of [`Pixels`](Self::Pixels) and
+    /// [`Colours`](Self::Colours). The frames of the other groups are at most as large as the
+    /// largest of them. `quick` chooses a few small amounts.
     pub fn cases(self, sizes: &[usize], quick: bool) -> Vec<RealCase> {
         const PSFS: [RealPsf; 5] = [
             RealPsf::Grid,
@@ -174,6 +185,11 @@ impl RealGroup {
                     cases.map(move |&side| case(psf, side, (side * side) as f64))
                 };
                 return PSFS.into_iter().flat_map(of_psf).collect();
+            }
+            Self::Colours => {
+                let spectra = KELVINS.len() as f64;
+                let cases = sizes.iter();
+                return cases.map(|&side| case(RealPsf::Spectra, side, spectra)).collect();
             }
             Self::Fields => {
                 let side = largest.map_or(256, |largest| largest.min(256));
@@ -212,8 +228,8 @@ mod tests {
             let cases = RealGroup::ALL.map(|group| group.cases(sizes, false));
             cases.map(|cases| cases.iter().map(|case| case.side).max().unwrap())
         };
-        assert_eq!(sides(&[1024, 9216]), [9216, 4096, 9216, 4096, 256, 256]);
-        assert_eq!(sides(&[200, 100]), [200; 6]);
+        assert_eq!(sides(&[1024, 9216]), [9216, 4096, 9216, 4096, 256, 256, 9216]);
+        assert_eq!(sides(&[200, 100]), [200; 7]);
         let names = RealGroup::ALL.map(|group| group.to_string().parse::<RealGroup>());
         assert_eq!(names.map(Result::unwrap), RealGroup::ALL);
     }

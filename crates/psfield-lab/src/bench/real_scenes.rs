@@ -6,7 +6,7 @@ use ndarray::{Array2, s};
 use psf_types::{
     FrameShape, ImageView, NoProgress, PointSource, Position, PsfModelRecord, SersicProfile, SersicSource,
 };
-use psfield::{Psf, PsfieldError, Scene, Simulator};
+use psfield::{ColourSimulator, Psf, PsfieldError, Scene, Simulator};
 use rand::seq::IndexedRandom;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -43,12 +43,22 @@ pub(super) fn of_frame(fields: &[Psf], k: usize) -> Option<Psf> {
 /// The number of frames that are simulated in one call.
 const AT_ONCE: usize = 128;
 
+/// The simulator of a case.
+pub(super) enum CaseSimulator {
+    /// All light has the spectrum for which the PSF was made.
+    OneSpectrum(Box<Simulator<f32>>),
+    /// One scene for each spectrum, added up in one image.
+    Colours(ColourSimulator<f32>),
+}
+
 /// The scenes of a case.
 pub(super) struct Scenes {
     frame: FrameShape,
+    /// The number of images.
     pub(super) count: usize,
-    /// Scene `k` has the rows of this image from `k` on. The image has `count - 1` rows more than a
-    /// frame.
+    /// The number of scenes that are added up in each image, one for each spectrum.
+    spectra: usize,
+    /// Scene `k` has the rows of this image from `k` on.
     image: Option<Array2<f32>>,
     stars: Vec<PointSource>,
     galaxies: Vec<SersicSource>,
@@ -60,6 +70,7 @@ impl Scenes {
         let mut scenes = Self {
             frame,
             count: 1,
+            spectra: 1,
             image: None,
             stars: Vec::new(),
             galaxies: Vec::new(),
@@ -86,6 +97,11 @@ impl Scenes {
                 let rows = FrameShape::new(frame.nx(), frame.ny() + scenes.count - 1)?;
                 scenes.image = Some(lit_scene(rows, seed)?.into_pixels());
             }
+            RealGroup::Colours => {
+                scenes.spectra = sources.len();
+                let rows = FrameShape::new(frame.nx(), frame.ny() + scenes.spectra - 1)?;
+                scenes.image = Some(lit_scene(rows, seed)?.into_pixels());
+            }
         }
         Ok(scenes)
     }
@@ -98,6 +114,11 @@ impl Scenes {
         Ok(scene
             .with_stars(&self.stars[..])
             .with_galaxies(&self.galaxies[..]))
+    }
+
+    /// The scenes of the spectra of the first image.
+    pub(super) fn of_spectra(&self) -> Result<Vec<Scene<'_, f32>>, PsfieldError> {
+        (0..self.spectra).map(|k| self.get(k)).collect()
     }
 
     /// Chooses the pixels `(column, row)` at which the image of a scene is compared.
@@ -126,10 +147,20 @@ impl Scenes {
     /// these PSFs.
     pub(super) fn seconds(
         &self,
-        simulator: &Simulator<f32>,
+        simulator: &CaseSimulator,
         fields: &[Psf],
         image: &mut Array2<f32>,
     ) -> Result<f64, PsfieldError> {
+        let simulator = match simulator {
+            CaseSimulator::OneSpectrum(simulator) => simulator,
+            CaseSimulator::Colours(simulator) => {
+                image.fill(0.0);
+                let scenes = self.of_spectra()?;
+                let clock = Instant::now();
+                simulator.simulate_into(&scenes, image.view_mut(), &NoProgress)?;
+                return Ok(clock.elapsed().as_secs_f64());
+            }
+        };
         if self.count == 1 {
             return Ok(timed_run(simulator, &self.get(0)?, image)?.seconds);
         }
@@ -217,6 +248,8 @@ mod tests {
         let pixels = |k| frames.get(k).unwrap().image().unwrap().pixels().to_owned();
         assert_eq!((frames.count, pixels(2).dim()), (3, (60, 60)));
         assert_ne!(pixels(0), pixels(2));
+        let colours = scenes(RealGroup::Colours, 5.0);
+        assert_eq!((colours.count, colours.of_spectra().unwrap().len()), (1, 5));
     }
 
     #[test]

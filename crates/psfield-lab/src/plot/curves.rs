@@ -87,6 +87,8 @@ impl Curve {
 pub struct Axis {
     pub(super) name: String,
     pub(super) logarithmic: bool,
+    /// The values at both ends. None: the range of the points.
+    ends: Option<Range<f64>>,
 }
 
 impl Axis {
@@ -95,6 +97,7 @@ impl Axis {
         Self {
             name: name.to_owned(),
             logarithmic: false,
+            ends: None,
         }
     }
 
@@ -103,11 +106,23 @@ impl Axis {
         Self {
             name: name.to_owned(),
             logarithmic: true,
+            ends: None,
+        }
+    }
+
+    /// Sets the values at both ends of the axis.
+    #[must_use]
+    pub fn within(self, ends: Range<f64>) -> Self {
+        Self {
+            ends: Some(ends),
+            ..self
         }
     }
 
     pub(super) fn range(&self, values: impl Iterator<Item = f64>) -> Range<f64> {
-        if self.logarithmic {
+        if let Some(ends) = &self.ends {
+            ends.clone()
+        } else if self.logarithmic {
             decades(values)
         } else {
             extent(values)

@@ -182,6 +182,16 @@ const MAE_OVER_MEAN: f64 = 2e-4;
 pub(super) const PAPER_ECCENTRICITY_Q90: f64 = 0.0901;
 
 impl Target {
+    /// Compares a measured value with its limit. None: not everything could be measured.
+    pub(super) fn new(what: &str, limit: f64, measured: Option<f64>) -> Self {
+        Self {
+            what: what.to_owned(),
+            limit,
+            measured,
+            met: measured.is_some_and(|m| m < limit),
+        }
+    }
+
     /// Compares a summary with the targets. `kind` names the objects, such as `stars`.
     pub(super) fn of(kind: &str, summary: &ErrorSummary) -> Vec<Self> {
         let e = |of: fn(Spread) -> f64| summary.eccentricity.map(of);

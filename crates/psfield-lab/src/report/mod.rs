@@ -19,8 +19,10 @@
 //! | FWHM along rows, along columns | FWHM along x and along y of the Gaussian summed over the other axis: `2 sqrt(2 ln 2)` times `sqrt(C_xx)` and times `sqrt(C_yy)` of the covariance `C` |
 //! | MAE, MSE, `relative_l2`, `max_over_peak`, `mae_over_mean` | differences of the two windows, as in [`Comparison`](metrics::Comparison) |
 
+mod colour;
 mod document;
 mod evaluation;
+mod frames;
 mod model_rows;
 mod object_figures;
 mod object_row;
@@ -30,8 +32,10 @@ mod reproduction_document;
 mod scenes;
 mod validation;
 
+pub use colour::{ColourComparison, ColourRow};
 pub use document::{Document, NamedFigure, Section, Software, Table};
 pub use evaluation::{ErrorSummary, Evaluation, Spread, Target};
+pub use frames::{FrameComparison, FrameRow};
 pub use model_rows::{InterpolationRow, ModelRow};
 pub use object_row::{OBJECT_COLUMNS, ObjectRow};
 pub use patch_comparison::{GalaxyComparison, PatchComparison};

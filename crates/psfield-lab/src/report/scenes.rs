@@ -168,7 +168,7 @@ const NODES: [f64; 3] = [-1.0, 0.0, 1.0];
 ///
 /// # Errors
 /// [`ErrorKind::Sampling`](psfield::ErrorKind::Sampling) if the PSF cannot be drawn.
-fn true_psf(source: &dyn PsfSource, at: Position) -> Result<Array2<f64>, LabError> {
+pub(super) fn true_psf(source: &dyn PsfSource, at: Position) -> Result<Array2<f64>, LabError> {
     let stamp = source.draw(at)?;
     let flux = stamp.flux();
     Ok(stamp.into_values() / flux)

@@ -1,0 +1,50 @@
+//! PSFs of several spectra, from the optics at several wavelengths.
+
+use psf_optics::Telescope;
+use psf_sample::{UniformSampling, draw_states};
+use psf_types::{NoProgress, PsfModelRecord, PsfSource, StateKind};
+use psfield::spectra::{Bandpass, Curve, Spectrum};
+use psfield::{FitOptions, Psf, PsfieldError};
+
+/// The bandpass: wavelengths in micrometres and throughputs.
+const BANDPASS: ([f64; 4], [f64; 4]) = ([0.45, 0.47, 0.83, 0.85], [0.0, 1.0, 1.0, 0.0]);
+/// Temperatures in kelvin of the black bodies of [`RealGroup::Colours`](crate::bench::RealGroup).
+pub(super) const KELVINS: [f64; 5] = [2500.0, 4000.0, 6000.0, 10_000.0, 20_000.0];
+/// Number of PSF samples at each wavelength, along each axis.
+const SAMPLES_ACROSS: usize = 17;
+/// Wavelengths of the samples, in micrometres.
+const WAVELENGTHS_UM: [f64; 5] = [0.45, 0.55, 0.65, 0.75, 0.85];
+
+/// A wide band in the visible.
+pub(crate) fn bandpass() -> Result<Bandpass, PsfieldError> {
+    let (wavelengths_um, throughputs) = BANDPASS;
+    Ok(Bandpass::new(Curve::new(
+        wavelengths_um.to_vec(),
+        throughputs.to_vec(),
+    )?))
+}
+
+/// The PSF of a telescope at several wavelengths, with one basis for all of them, from `across`
+/// samples along each axis of a regular grid.
+pub(crate) fn psf_of_wavelengths(
+    telescope: &Telescope,
+    wavelengths_um: &[f64],
+    across: usize,
+) -> Result<Psf, PsfieldError> {
+    let telescopes = wavelengths_um.iter().map(|&um| telescope.at_wavelength_um(um));
+    let telescopes = telescopes.collect::<Result<Vec<_>, _>>()?;
+    let sources: Vec<&dyn PsfSource> = telescopes.iter().map(|t| t as &dyn PsfSource).collect();
+    let positions = UniformSampling::new(across, across)?.positions(telescope.field())?;
+    let states = (StateKind::Wavelength, wavelengths_um);
+    let samples = draw_states(&sources, states, &positions, &NoProgress)?;
+    Ok(Psf::new(samples, FitOptions::default()))
+}
+
+/// The PSFs of the black bodies in the bandpass, on one basis, over the field of the survey
+/// telescope.
+pub(super) fn black_bodies() -> Result<PsfModelRecord, PsfieldError> {
+    let psf = psf_of_wavelengths(&Telescope::survey_2m(), &WAVELENGTHS_UM, SAMPLES_ACROSS)?;
+    let spectra = KELVINS.map(Spectrum::black_body).into_iter();
+    let spectra = spectra.collect::<Result<Vec<_>, _>>()?;
+    Ok(psf.for_spectra(&bandpass()?, &spectra)?.record()?.clone())
+}
