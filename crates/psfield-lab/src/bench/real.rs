@@ -136,7 +136,7 @@ fn planned(
     if case.group == RealGroup::Colours {
         let settings = AUTO.settings(options);
         let simulator = ColourSimulator::new(psf, (frame.ny(), frame.nx()), &settings)?;
-        simulator.prepare(&scenes.of_spectra()?, &NoProgress)?;
+        simulator.prepare(&scenes.of_spectra()?, &[], &NoProgress)?;
         return Ok(CaseSimulator::Colours(simulator));
     }
     let simulator = AUTO.simulator(record, psf, frame, options)?;
