@@ -296,7 +296,7 @@ fn dispersed(
 #[cfg(test)]
 mod tests {
     use ndarray::Array3;
-    use psf_types::Position;
+    use psf_types::{Position, SampleStates};
     use spectra::Curve;
 
     use super::*;

@@ -3,12 +3,12 @@
 use ndarray::Array2;
 use psfield::psf_io::{Card, CardValue};
 
-use crate::desk::{Desk, NX, NY, difference};
+use crate::desk::{Desk, NX, NY, difference, samples};
 
 /// Rounding of images in f32, relative to the peak.
 const SINGLE: f64 = 1e-6;
-/// Errors of the interpolation of the desk's stamps, which are not oversampled, relative to the peak.
-const INTERPOLATION: f64 = 0.03;
+/// Errors of the interpolation of the desk's stamps between pixels, relative to the peak.
+const INTERPOLATION: f64 = 1e-3;
 
 const SERIES: &str = "start = \"2026-12-31T23:59:00\"
 exposure_s = 30.5
@@ -28,6 +28,8 @@ shape = [61, 51]
 
 fn desk() -> Desk {
     let desk = Desk::new();
+    // Stamps that can be shifted by fractions of a pixel.
+    desk.write_samples("samples.fits", &samples(3, 3));
     desk.write("series.toml", SERIES);
     desk.write(
         "stars.csv",

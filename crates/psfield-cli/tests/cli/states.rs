@@ -338,3 +338,28 @@ fn files_of_several_frames_get_one_basis() {
         desk.refused(&format!("fit {arguments} -o no.fits"), code, needles);
     }
 }
+
+#[test]
+fn images_of_several_spectra_are_streamed() {
+    let desk = Desk::new();
+    desk.write_samples("colour.fits", &coloured());
+    desk.write("band.csv", "wavelength_um,throughput\n0.5,0\n0.6,1\n0.9,0\n");
+    desk.write_image("red.fits", points(&[(20, 20, 1000.0), (40, 30, 70.0)]));
+    desk.write_image("blue.fits", points(&[(30, 25, 500.0)]));
+    desk.write("stars.csv", "x,y,flux,teff\n10,12,300,4000\n");
+    let to = "simulate red.fits --sed blackbody:3000 --layer blue.fits:sed=blackbody:15000 --catalog stars.csv \
+              --psf colour.fits --bandpass band.csv --spot-check 30 -q";
+    desk.done(&format!("{to} -o whole.fits"));
+    let report = desk
+        .done(&format!("{to} -o streamed.fits --stream --json"))
+        .json();
+    assert_eq!(report["streamed"], json!(true));
+    assert_eq!(report["spot_check"]["passed"], json!(true));
+    assert_eq!(desk.image("whole.fits"), desk.image("streamed.fits"));
+    let twice = to.replace("blackbody:15000", "blackbody:3000");
+    let run = desk.run(&format!("{twice} -o twice.fits --stream"));
+    assert!(
+        run.code == Some(1) && run.stderr.contains("add them up"),
+        "{run:?}"
+    );
+}
