@@ -1,4 +1,4 @@
-"""Make the pictures of docs/colour.md: stars of different colours, and dispersion.
+"""Make the pictures of docs/colour.md: stars of different colours, dispersion, and motion.
 
     cargo build --release -p psfield-cli
     python docs/pictures/make_colour.py target/release/psfield
@@ -152,6 +152,40 @@ def draw_dispersion(work):
     return figure
 
 
+def draw_drift(work):
+    """Draw a star in exposures with different motion of the telescope."""
+    work.telescope(GROUND, "2,2", 0.55)
+    work.write("star.csv", "x,y,flux\n31.5,31.5,1\n")
+    random = np.random.default_rng(4)
+    steps = np.cumsum(random.normal(0, 0.35, (200, 2)), axis=0)
+    steps -= steps.mean(axis=0)
+    rows = "".join(f"{i / 199},{dx},{dy}\n" for i, (dx, dy) in enumerate(steps))
+    work.write("path.csv", "time,dx,dy\n" + rows)
+    motions = {
+        "at rest": "",
+        "jitter of 4 pixels": "jitter_px = 4.0",
+        "drift of 30 pixels": "drift_px_per_s = [30.0, 15.0]",
+        "path of 200 points": 'path = "path.csv"',
+    }
+    figure = Figure(figsize=(9, 2.9), layout="constrained")
+    for axes, (title, motion) in zip(
+        figure.subplots(1, 4, sharey=True), motions.items(), strict=True
+    ):
+        middle = 'catalog = "star.csv"\nshape = [64, 64]\npsf-wavelength = 0.4'
+        head = 'start = "2026-11-27T21:00:00"\nexposure_s = 1\nstarts_s = [-0.5]\n'
+        if "path" in motion:
+            head = head.replace("-0.5", "0")
+        table = f'{head}[pointing]\n{motion}\n[simulate]\npsf = "psf.fits"\n{middle}\n'
+        work.write("series.toml", table)
+        work.psfield("series", "series.toml", "--out", "frames")
+        image = fits.getdata(work.folder / "frames" / "frame_0000.fits").astype(float)
+        shown = show_star(axes, image, 32 * 0.1, 2e-2)
+        axes.set(title=title, xlabel="x (arcsec)")
+    figure.axes[0].set_ylabel("y (arcsec)")
+    figure.colorbar(shown, ax=figure.axes, label="fraction of the flux per pixel")
+    return figure
+
+
 def save(figure, name):
     """Write a figure as a PNG with a palette, which keeps it small."""
     path = FOLDER / name
@@ -163,7 +197,11 @@ def save(figure, name):
         )
 
 
-PICTURES = {"colour_field.png": draw_field, "dispersion.png": draw_dispersion}
+PICTURES = {
+    "colour_field.png": draw_field,
+    "dispersion.png": draw_dispersion,
+    "drift.png": draw_drift,
+}
 
 if __name__ == "__main__":
     for name, draw in PICTURES.items():

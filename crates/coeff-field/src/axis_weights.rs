@@ -304,7 +304,10 @@ pub fn state_weights(states: &[f64], v: f64) -> Vec<(usize, f64)> {
     if above == 0 || above > last {
         return vec![(above.min(last), 1.0)];
     }
-    let stencil = Stencil::around(states, above - 1, &[v]);
+    // The stencil is that of the whole interval, so that the weights are continuous.
+    let (a, b) = (states[above - 1], states[above]);
+    let points: [f64; PIECES - 1] = std::array::from_fn(|i| a + (b - a) * ((i + 1) as f64 / PIECES as f64));
+    let stencil = Stencil::around(states, above - 1, &points);
     let weights = stencil.weights(states, v).into_iter().enumerate();
     let nonzero = weights.filter(|(_, w)| *w != 0.0);
     nonzero.map(|(i, w)| (stencil.first + i, w)).collect()

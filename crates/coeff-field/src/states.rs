@@ -179,6 +179,18 @@ mod tests {
     }
 
     #[test]
+    fn weights_are_continuous_between_uneven_states() {
+        let states = [0.0, 10.0, 25.0, 30.0, 60.0, 70.0];
+        let at = |v: f64| row_at(&states, v);
+        for step in 0..7000 {
+            let v = 0.01 * f64::from(step);
+            let jump = (at(v + 1e-9) - at(v)).mapv(f64::abs).sum();
+            assert!(jump < 1e-8, "{v}: {jump:e}");
+            assert!((at(v).sum() - 1.0).abs() < ROUNDING, "{v}");
+        }
+    }
+
+    #[test]
     fn a_model_without_components_has_states_too() {
         let positions = samples(|_, _, _| 0.0, &[]).positions().clone();
         let samples = SampleCoefficients::new(Array2::zeros((positions.len(), 0)), positions).unwrap();

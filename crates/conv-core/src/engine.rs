@@ -344,20 +344,23 @@ impl<T: ConvReal> Engine<T> {
         operation: Operation,
         progress: &dyn Progress,
     ) -> Result<TileCounts, ConvError> {
-        let of_layers = |layer, light| {
+        let of_layers = |layer, light, progress| {
             let light = (light, first_light);
             self.pass(rows.clone(), light, layer, first_output, operation, progress)
         };
         if light.len() > 1 && self.gathers() {
             // Layers are weighted after their transforms, so each has its own.
             let mut counts = TileCounts::default();
+            let uncounted = Uncounted(progress);
             for (layer, light) in light.drain(..).enumerate() {
-                let (pass, output) = (of_layers(layer, vec![light]), output.view_mut());
+                // The rows count once.
+                let progress: &dyn Progress = if layer == 0 { progress } else { &uncounted };
+                let (pass, output) = (of_layers(layer, vec![light], progress), output.view_mut());
                 counts += T::dispatch(Gather { pass, output })?;
             }
             return Ok(counts);
         }
-        let pass = of_layers(0, light);
+        let pass = of_layers(0, light, progress);
         #[cfg(feature = "gpu")]
         if let Some(gpu) = &self.gpu {
             let direct_sums = false;

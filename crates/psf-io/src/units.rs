@@ -12,6 +12,16 @@ pub(crate) fn wavelength_in_um(unit: &str) -> Option<f64> {
     }
 }
 
+/// A value times the factor of its unit. Division by whole numbers keeps the digits of decimal units:
+/// 700 nm is 0.7 um.
+pub(crate) fn in_unit(value: f64, factor: f64) -> f64 {
+    if factor < 1.0 {
+        value / (1.0 / factor).round()
+    } else {
+        value * factor
+    }
+}
+
 /// A unit of times, in seconds. None for any other unit.
 pub(crate) fn time_in_s(unit: &str) -> Option<f64> {
     match unit.trim().to_ascii_lowercase().as_str() {

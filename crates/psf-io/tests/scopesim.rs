@@ -43,7 +43,7 @@ fn a_map_image_becomes_nodes_that_name_their_layer() {
     let path = scratch.put("a.fits", &scopesim());
     assert_eq!(detect(&path).unwrap(), FileKind::Scopesim);
     let psf = read_scopesim(&path, &options().with_wavelength_um(2.0).unwrap()).unwrap();
-    assert_eq!(psf.wavelength_um(), 2.25);
+    assert_eq!(psf.wavelengths_um(), [2.25]);
     // Map pixels of 4 frame pixels around (100, 200). CRVAL2 = 360 degrees means 0.
     let expected = [
         (96.0, 198.0),
@@ -130,19 +130,31 @@ fn angles_are_degrees_unless_the_file_says_otherwise() {
 }
 
 #[test]
-fn one_wavelength_needs_no_choice_and_several_do() {
+fn several_wavelengths_are_states_if_their_pixels_agree() {
     let one = [
         scopesim_primary(),
         scopesim_map([0.0; 6]),
         scopesim_kernels(1, 0.8),
     ]
     .concat();
-    assert_eq!(read(&one, &options()).unwrap().wavelength_um(), 0.8);
-    let error = read(&scopesim(), &options()).unwrap_err();
+    assert_eq!(read(&one, &options()).unwrap().wavelengths_um(), [0.8]);
+    let all = read(&scopesim(), &options()).unwrap();
+    assert_eq!(all.wavelengths_um(), [1.5, 2.25]);
+    assert_eq!(all.layers().positions().state_count(), 2);
+    for (state, wavelength) in [1.5, 2.25].into_iter().enumerate() {
+        let one = read(&scopesim(), &options().with_wavelength_um(wavelength).unwrap()).unwrap();
+        assert_eq!(one.layer_of_node(), all.layer_of_node());
+        for layer in 0..2 {
+            assert_eq!(one.layers().stamp(layer), all.layers().stamp(2 * state + layer));
+        }
+    }
+    let wide = with_value(&scopesim_kernels(2, 3.0), "CDELT1", "2.0E-4").bytes;
+    let wide = with_value(&wide, "CDELT2", "2.0E-4").bytes;
+    let error = read(&[scopesim(), wide].concat(), &options()).unwrap_err();
     assert_eq!(error.setting(), Some("wavelength_um"));
     let error = chain(&error);
     assert!(
-        error.contains("[1.5, 2.25]") && error.contains("choose one"),
+        error.contains("[1.5, 2.25, 3.0]") && error.contains("choose one"),
         "{error}"
     );
 }

@@ -245,8 +245,8 @@ impl SamplePositions {
         })
     }
 
-    /// The same positions in every state, one value of `kind` each. The samples of the first state come
-    /// first.
+    /// Repeats the positions in every state: once for each value of `kind`. The samples of the first state
+    /// come first.
     ///
     /// ```
     /// use psf_types::{Position, SamplePositions, StateKind};

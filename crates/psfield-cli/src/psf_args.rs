@@ -151,16 +151,17 @@ pub(crate) struct PsfFileArgs {
     /// natural-neighbour.
     #[arg(long, hide_short_help = true)]
     psf_skip_invalid: bool,
-    /// Use the PSF at this wavelength (micrometres, required if the PSF depends on the wavelength)
+    /// Use the PSF at this wavelength (micrometres), if it depends on the wavelength
     ///
     /// PSF samples and models: between the wavelengths of the samples, the PSF is interpolated.
-    /// ScopeSim: the nearest wavelength of the file is taken.
+    /// ScopeSim: the nearest wavelength of the file is taken. Not with --bandpass, which needs all
+    /// wavelengths.
     #[arg(long, value_name = "UM", value_parser = above_zero, hide_short_help = true)]
     psf_wavelength: Option<f64>,
-    /// Use the PSF at this time (seconds, required if the PSF depends on the time)
+    /// Use the PSF at this time (seconds), if it depends on the time
     #[arg(long, value_name = "S", allow_hyphen_values = true, hide_short_help = true)]
     psf_time: Option<f64>,
-    /// Use the PSF of this frame (its number, required if the PSF depends on the frame)
+    /// Use the PSF of this frame (its number), if it depends on the frame
     ///
     /// `psfield fit` numbers its sample files from 0.
     #[arg(long, value_name = "N", hide_short_help = true)]

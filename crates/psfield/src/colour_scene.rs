@@ -159,6 +159,11 @@ impl<T: ConvReal> ColourScene<T> {
             .iter()
             .map(|name| open_spectrum(name))
             .collect::<Result<_, _>>()?;
+        for (name, spectrum) in self.names.iter().zip(&spectra) {
+            psf.photons_of(bandpass, spectrum).map_err(|error| {
+                PsfieldError::new(ErrorKind::Setting, format!("the spectrum {name}: {error}"))
+            })?;
+        }
         let mut scenes = Vec::with_capacity(self.light.len());
         for light in self.light {
             let scene = match light.image {

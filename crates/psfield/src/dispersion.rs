@@ -67,15 +67,17 @@ impl Dispersion {
     }
 
     fn check(&self) -> Result<(), PsfieldError> {
-        let scale = self.pixel_scale_arcsec;
-        let is_sound = scale > 0.0 && scale.is_finite() && self.zenith_direction_deg.is_finite();
-        let reference = self.reference_um.is_none_or(|um| um > 0.0 && um.is_finite());
-        if is_sound && reference {
+        let above_zero = |value: f64| value > 0.0 && value.is_finite();
+        let (scale, direction) = (self.pixel_scale_arcsec, self.zenith_direction_deg);
+        let message = if !above_zero(scale) {
+            format!("the pixel scale of the dispersion must be a number of arcseconds above 0, not {scale}")
+        } else if !direction.is_finite() {
+            format!("the direction of the zenith must be a finite number of degrees, not {direction}")
+        } else if let Some(um) = self.reference_um.filter(|&um| !above_zero(um)) {
+            format!("the reference wavelength of the dispersion must be above 0 micrometres, not {um}")
+        } else {
             return Ok(());
-        }
-        let message = format!(
-            "the dispersion needs a pixel scale and a reference wavelength above 0, and a finite direction, got {self:?}"
-        );
+        };
         Err(PsfieldError::new(ErrorKind::Data, message))
     }
 }

@@ -5,7 +5,7 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 use conv_core::ConvReal;
 use psf_io::{Card, CardError, HeaderCards};
 
-use crate::{Preparation, Simulator, SpotCheck};
+use crate::{ErrorKind, Preparation, PsfieldError, Simulator, SpotCheck};
 
 /// The keyword that holds the digest of a batch job's options, in the files that the job made.
 pub const JOB_KEYWORD: &str = "PSFJOB";
@@ -31,11 +31,12 @@ pub fn provenance_cards(command: &str) -> Vec<Card> {
     ]
 }
 
+/// The first second of the year 10000, which FITS cannot write, counted from 1970.
+const END: u64 = 253_402_300_800;
+
 /// Returns the current date and time (UTC) as `YYYY-MM-DDThh:mm:ss`. If the environment variable
 /// `SOURCE_DATE_EPOCH` holds a number of seconds since 1970, this time is returned instead.
 pub fn utc_now() -> String {
-    /// The first second of the year 10000, which FITS cannot write.
-    const END: u64 = 253_402_300_800;
     let set = std::env::var("SOURCE_DATE_EPOCH")
         .ok()
         .and_then(|text| text.trim().parse().ok());
@@ -68,24 +69,32 @@ pub fn parse_utc(text: &str) -> Option<SystemTime> {
 /// let start = psfield::parse_utc("2026-12-31T23:59:50").expect("a time");
 /// let cards = psfield::exposure_time_cards(start, (5.0, 35.5))?;
 /// assert_eq!(cards[1].value(), Some("2027-01-01T00:00:25.500000".into()));
-/// # Ok::<(), psfield::psf_io::CardError>(())
+/// # Ok::<(), psfield::PsfieldError>(())
 /// ```
 ///
 /// # Errors
-/// [`CardError`] for a time that is not finite.
-pub fn exposure_time_cards(start: SystemTime, (from_s, to_s): (f64, f64)) -> Result<[Card; 3], CardError> {
+/// [`ErrorKind::Data`](crate::ErrorKind::Data) for a time before the year 1970 or after 9999.
+pub fn exposure_time_cards(start: SystemTime, (from_s, to_s): (f64, f64)) -> Result<[Card; 3], PsfieldError> {
     let date = |seconds: f64| {
         let distance = Duration::from_micros((seconds.abs() * 1e6).round() as u64);
         let time = if seconds < 0.0 {
-            start - distance
+            start.checked_sub(distance)
         } else {
-            start + distance
+            start.checked_add(distance)
         };
-        without_zone(&humantime::format_rfc3339_micros(time))
+        let end = UNIX_EPOCH + Duration::from_secs(END);
+        let known = time.filter(|time| (UNIX_EPOCH..end).contains(time));
+        let known = known.ok_or_else(|| {
+            let message = format!(
+                "{seconds} s after the start is before the year 1970 or after 9999: check the times, which are in seconds"
+            );
+            PsfieldError::new(ErrorKind::Data, message)
+        })?;
+        Ok::<_, PsfieldError>(without_zone(&humantime::format_rfc3339_micros(known)))
     };
     Ok([
-        Card::new("DATE-OBS", date(from_s), "start of the exposure (UTC)")?,
-        Card::new("DATE-END", date(to_s), "end of the exposure (UTC)")?,
+        Card::new("DATE-OBS", date(from_s)?, "start of the exposure (UTC)")?,
+        Card::new("DATE-END", date(to_s)?, "end of the exposure (UTC)")?,
         Card::new("EXPTIME", to_s - from_s, "[s] exposure time")?,
     ])
 }

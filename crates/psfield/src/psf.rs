@@ -167,6 +167,15 @@ impl Psf {
         }))
     }
 
+    /// This PSF as a model: its samples are fitted.
+    pub(crate) fn fitted(&self) -> Result<Self, PsfieldError> {
+        let origin = match &self.0.origin {
+            Origin::Samples(..) => Origin::Record(self.record()?.clone()),
+            Origin::Record(_) | Origin::Model(..) => return Ok(self.clone()),
+        };
+        Ok(Self::with_source(origin, self.0.source.clone()))
+    }
+
     /// The samples and the options of their fit. None for a PSF that was not made from samples.
     pub fn samples(&self) -> Option<(&PsfSamples, &FitOptions)> {
         match &self.0.origin {

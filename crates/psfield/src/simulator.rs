@@ -37,6 +37,7 @@ use geometry::Geometry;
 
 pub use builder::{OwnMethodBuilder, SimulatorBuilder};
 pub use check::SimulationWarning;
+pub(crate) use check::spot_check_layers;
 pub use colours::ColourSimulator;
 pub(crate) use mixtures::Mixtures;
 

@@ -103,7 +103,7 @@ fn a_moving_telescope_gives_the_mean_of_a_thousand_short_exposures() {
     let mut moving =
         SeriesSimulator::<f64>::new(&psf, FRAME, options(), whole.clone(), (None, light)).unwrap();
     let exposure = moving.exposure(0, &NoProgress).unwrap();
-    let found = exposure.simulator.simulate(&exposure.scene).unwrap();
+    let found = exposure.simulate().unwrap();
 
     // The sum of stars at the middle of every step.
     let fixed = psf.simulator(FRAME).options(options()).build::<f64>().unwrap();
@@ -122,9 +122,9 @@ fn a_moving_telescope_gives_the_mean_of_a_thousand_short_exposures() {
     let expected = fixed.simulate(&Scene::dark().with_stars(points)).unwrap();
     let error = largest_difference(&found.pixels().to_owned(), &expected.pixels().to_owned());
     assert!(error < PIXEL, "{error:e}");
-    let [x, y] = exposure.shift_px;
-    assert!((exposure.sources[0].x - 30.3 - x).abs() < 1e-12);
-    assert!((exposure.sources[0].y - 40.8 - y).abs() < 1e-12);
+    let [x, y] = exposure.shift_px();
+    assert!((exposure.sources()[0].x - 30.3 - x).abs() < 1e-12);
+    assert!((exposure.sources()[0].y - 40.8 - y).abs() < 1e-12);
 
     // As pixels of an image, the light moves by whole pixels, and the PSF does the rest.
     let mut pixels = Array2::zeros(FRAME);
@@ -134,7 +134,7 @@ fn a_moving_telescope_gives_the_mean_of_a_thousand_short_exposures() {
         SeriesSimulator::<f64>::new(&psf, FRAME, options(), whole, (Some(image), Catalog::default()))
             .unwrap();
     let exposure = moving.exposure(0, &NoProgress).unwrap();
-    let found = exposure.simulator.simulate(&exposure.scene).unwrap();
+    let found = exposure.simulate().unwrap();
     let points = (0..1000).map(|step| {
         let drift = 0.05 * 0.5 * (times[step] + times[step + 1]);
         let (x, y) = (
@@ -192,7 +192,7 @@ fn a_psf_with_times_is_averaged_over_each_exposure() {
     let mut varying = SeriesSimulator::<f64>::new(&psf, FRAME, options(), all, (None, light)).unwrap();
     for (number, from) in [1.0, 12.0, 33.0].into_iter().enumerate() {
         let exposure = varying.exposure(number, &NoProgress).unwrap();
-        let found = exposure.simulator.simulate(&exposure.scene).unwrap();
+        let found = exposure.simulate().unwrap();
         let mut expected = Array2::zeros(FRAME);
         for part in 0..100 {
             let time = from + 7.0 * (f64::from(part) + 0.5) / 100.0;
@@ -243,12 +243,12 @@ fn fluxes_follow_the_light_curves() {
     let mut varying = SeriesSimulator::<f64>::new(&psf, FRAME, options(), all, (None, light)).unwrap();
     for number in 0..20 {
         let exposure = varying.exposure(number, &NoProgress).unwrap();
-        let image = exposure.simulator.simulate(&exposure.scene).unwrap();
+        let image = exposure.simulate().unwrap();
         let (from, to) = (10.0 * number as f64, 10.0 * number as f64 + 8.0);
         let mean = curves.mean_factor(1, (from, to)).unwrap();
         let (sum, expected) = (image.pixels().sum(), 100.0 + 50.0 * mean);
         assert!((sum / expected - 1.0).abs() < 1e-5, "{number}: {sum}");
-        for (source, alone) in exposure.sources.iter().zip([100.0, 50.0 * mean]) {
+        for (source, alone) in exposure.sources().iter().zip([100.0, 50.0 * mean]) {
             assert!((source.flux / alone - 1.0).abs() < 1e-12);
             // The fraction of the light in the aperture, from the PSF drawn alone at the known position.
             let window = s![
@@ -258,7 +258,7 @@ fn fluxes_follow_the_light_curves() {
             let at = Position::new(source.x, source.y).unwrap();
             let one = vec![PointSource::new(at, 1.0).unwrap()];
             let of_psf = exposure
-                .simulator
+                .simulator()
                 .simulate(&Scene::dark().with_stars(one))
                 .unwrap();
             let fraction = of_psf.pixels().slice(window).sum();
@@ -288,7 +288,7 @@ fn moving_sources_leave_trails() {
     let all = series(Exposures::new(vec![5.0], 10.0).unwrap());
     let mut moving = SeriesSimulator::<f64>::new(&psf, FRAME, options(), all, (None, catalog)).unwrap();
     let exposure = moving.exposure(0, &NoProgress).unwrap();
-    let found = exposure.simulator.simulate(&exposure.scene).unwrap();
+    let found = exposure.simulate().unwrap();
     let mut points = vec![PointSource::new(Position::new(70.0, 30.0).unwrap(), 50.0).unwrap()];
     for step in 0..1000 {
         let time = 5.0 + 0.01 * (f64::from(step) + 0.5);
@@ -296,12 +296,12 @@ fn moving_sources_leave_trails() {
         points.push(PointSource::new(at, 0.1).unwrap());
     }
     let expected = exposure
-        .simulator
+        .simulator()
         .simulate(&Scene::dark().with_stars(points))
         .unwrap();
     let error = largest_difference(&found.pixels().to_owned(), &expected.pixels().to_owned());
     assert!(error < PIXEL, "{error:e}");
-    assert!((exposure.sources[0].x - 34.3).abs() < 1e-12);
+    assert!((exposure.sources()[0].x - 34.3).abs() < 1e-12);
 }
 
 #[test]
@@ -319,7 +319,71 @@ fn exposures_with_equal_psfs_share_a_simulator() {
     let mut moving =
         SeriesSimulator::<f32>::new(&psf(None, &[1.1], WIDENING), FRAME, options(), all, (None, light))
             .unwrap();
-    let first = moving.exposure(0, &NoProgress).unwrap().simulator;
-    let second = moving.exposure(2, &NoProgress).unwrap().simulator;
-    assert!(std::sync::Arc::ptr_eq(&first, &second));
+    let first = std::ptr::from_ref(moving.exposure(0, &NoProgress).unwrap().simulator());
+    let second = std::ptr::from_ref(moving.exposure(2, &NoProgress).unwrap().simulator());
+    assert_eq!(first, second);
+}
+
+#[test]
+fn a_telescope_that_follows_a_source_makes_it_a_point() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("asteroid.csv");
+    std::fs::write(
+        &path,
+        "x,y,flux,vx,vy,re,n\n30.3,40.8,100,0.4,-0.3,0,\n80,60,50,0.4,-0.3,1.5,1\n",
+    )
+    .unwrap();
+    let catalog = read_catalog_with(&path, &CatalogOptions::new().with_velocities(true)).unwrap();
+    let psf = psf(None, &[1.1], 1.0);
+    let all = Series {
+        pointing: Pointing {
+            drift_px_per_s: [-0.4, 0.3],
+            jitter_px: 0.0,
+            path: None,
+        },
+        ..series(Exposures::new(vec![5.0], 10.0).unwrap())
+    };
+    let mut follows =
+        SeriesSimulator::<f64>::new(&psf, FRAME, options(), all, (None, catalog.clone())).unwrap();
+    let exposure = follows.exposure(0, &NoProgress).unwrap();
+    let found = exposure.simulate().unwrap();
+    let fixed = psf.simulator(FRAME).options(options()).build::<f64>().unwrap();
+    let scene = Scene::dark()
+        .with_stars(catalog.stars().to_vec())
+        .with_galaxies(catalog.galaxies().to_vec());
+    let expected = fixed.simulate(&scene).unwrap();
+    let error = largest_difference(&found.pixels().to_owned(), &expected.pixels().to_owned());
+    assert!(error < PIXEL, "{error:e}");
+    let check = exposure.spot_check(&found, (50, 1), &NoProgress).unwrap();
+    assert_eq!(check.passed, Some(true));
+}
+
+#[test]
+fn frames_give_each_exposure_its_own_psf() {
+    let numbers = [0.0, 1.0];
+    let psf = psf(Some((StateKind::Frame, &numbers)), &[1.0, 1.3], WIDENING);
+    let mut pixels = Array2::from_elem(FRAME, 0.1);
+    pixels[(40, 30)] = 100.0;
+    let image = Image::new(pixels).unwrap();
+    let all = series(Exposures::regular(2, 10.0, 10.0).unwrap());
+    let light = (Some(image.clone()), Catalog::new(stars(), Vec::new()));
+    let mut frames = SeriesSimulator::<f64>::new(&psf, FRAME, options(), all, light).unwrap();
+    for number in 0..2 {
+        let exposure = frames.exposure(number, &NoProgress).unwrap();
+        let found = exposure.simulate().unwrap();
+        let chosen = psf.at_state(number as f64).unwrap();
+        let simulator = chosen.simulator(FRAME).options(options()).build::<f64>().unwrap();
+        let expected = simulator
+            .simulate(&Scene::from(&image).with_stars(stars()))
+            .unwrap();
+        let error = largest_difference(&found.pixels().to_owned(), &expected.pixels().to_owned());
+        assert!(error < 2.0 * TOLERANCE, "{number}: {error:e}");
+    }
+    let three = series(Exposures::regular(3, 10.0, 10.0).unwrap());
+    let error = SeriesSimulator::<f64>::new(&psf, FRAME, options(), three, (None, Catalog::default()));
+    let message = error.unwrap_err().to_string();
+    assert!(
+        message.contains("exposure 2 needs the PSF of frame 2"),
+        "{message}"
+    );
 }

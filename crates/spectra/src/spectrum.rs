@@ -116,7 +116,6 @@ impl Spectrum {
         match &self.shape {
             Shape::BlackBody { kelvin } => {
                 let x = HC_OVER_K_UM_K / (emitted * kelvin);
-                // Relative to the density at the maximum, so that nothing underflows early.
                 emitted.powi(-4) / x.exp_m1()
             }
             Shape::PowerLaw { index } => emitted.powf(index + 1.0),

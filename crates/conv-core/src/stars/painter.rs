@@ -39,11 +39,12 @@ pub(super) struct StarStamps {
 }
 
 impl StarStamps {
-    /// Checks that the stamps suit stars.
-    pub(super) fn new(model: &PsfModel, anchor: Anchor, size: Option<usize>) -> Result<Self, ConvError> {
-        let grid = model.grid();
+    /// Checks that the stamps suit stars. The models share their stamps.
+    pub(super) fn new(models: &[PsfModel], anchor: Anchor, size: Option<usize>) -> Result<Self, ConvError> {
+        let grid = models[0].grid();
         check_stamps(grid, size)?;
-        let kernel = Kernel::of(grid.interpolation(), edge_reach_of(model));
+        let beyond = models.iter().map(edge_reach_of).max();
+        let kernel = Kernel::of(grid.interpolation(), beyond.unwrap_or(0));
         let reach = |room: f64, side: usize| {
             let reach = ((room + kernel.reach()) / grid.oversampling() + 0.5).ceil() as usize;
             size.map_or(reach, |size| reach.min([size / 2, size - 1 - size / 2][side]))
@@ -91,7 +92,7 @@ impl<'a> StarPainter<'a> {
         Ok(Self {
             model,
             frame,
-            stamps: Arc::new(StarStamps::new(model, anchor, size)?),
+            stamps: Arc::new(StarStamps::new(std::slice::from_ref(model), anchor, size)?),
         })
     }
 

@@ -115,7 +115,7 @@ impl<T: ConvReal> StarPlan<T> {
     ) -> Result<Self, ConvError> {
         check_layers(models)?;
         let model = &models[0];
-        let stamps = StarStamps::new(model, options.anchor(), size)?;
+        let stamps = StarStamps::new(models, options.anchor(), size)?;
         let axes = PhasedAxis::both(model.grid(), stamps.kernel, stamps.window())
             .filter(|_| options.anchor() != Anchor::Output);
         Ok(Self {

@@ -5,7 +5,7 @@ use std::path::Path;
 use crate::catalogue::table_file::{AnyTable, TableFile};
 use crate::error::{IoError, IoErrorKind, Place};
 use crate::fits::columns::Nans;
-use crate::units::wavelength_in_um;
+use crate::units::{in_unit, wavelength_in_um};
 
 /// Reads a table whose first column is the wavelength and whose second column is a value: a bandpass
 /// or a spectrum. Returns the wavelengths in micrometres and the values.
@@ -61,12 +61,7 @@ pub fn read_curve(path: impl AsRef<Path>, unit: Option<&str>) -> Result<(Vec<f64
     let values = columns.pop().expect("two columns");
     let mut wavelengths = columns.pop().expect("two columns");
     for wavelength in &mut wavelengths {
-        // Division keeps the digits of decimal units: 600 nm is 0.6 um.
-        *wavelength = if factor < 1.0 {
-            *wavelength / (1.0 / factor).round()
-        } else {
-            *wavelength * factor
-        };
+        *wavelength = in_unit(*wavelength, factor);
     }
     Ok((wavelengths, values))
 }

@@ -89,7 +89,7 @@ pub(crate) fn has_points(structure: &FitsStructure) -> bool {
     structure.tables().any(|hdu| Table::new(hdu).is_ok_and(has))
 }
 
-/// The sources of a catalogue, in the order of its rows.
+/// The sources of a catalogue: stars and galaxies, each in the order of their rows.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Catalog {
     stars: Vec<PointSource>,
@@ -140,7 +140,7 @@ impl Catalog {
     }
 
     /// The row of the table from which each source comes, counted from 0: of the stars, then of the
-    /// galaxies. Empty for a catalogue that was not read from a file.
+    /// galaxies.
     pub fn rows(&self) -> &[usize] {
         &self.rows
     }
@@ -362,8 +362,9 @@ impl<'a> Rows<'a> {
             Some(SourceColours::Names(names)) if names[row].is_empty() => {
                 "the name of the spectrum is missing"
             }
-            Some(SourceColours::Temperatures(all)) if !(all[row] > 0.0 && all[row].is_finite()) => {
-                "the temperature must be a finite number above 0"
+            // A black body outside this range has no light at any wavelength of a telescope.
+            Some(SourceColours::Temperatures(all)) if !(100.0..=1e9).contains(&all[row]) => {
+                "the temperature must be from 100 to 1e9 kelvin"
             }
             _ => return Ok(()),
         };

@@ -10,7 +10,7 @@ use crate::fits::cfitsio::Fits;
 use crate::fits::columns::{Table, positions};
 use crate::fits::header_cards::HeaderCards;
 use crate::fits::image_out::write_cards;
-use crate::units::{time_in_s, wavelength_in_um};
+use crate::units::{in_unit, time_in_s, wavelength_in_um};
 
 /// A column with the states of samples.
 struct StateColumn {
@@ -69,7 +69,7 @@ pub(crate) fn read_positions_of(
         [column] => Some(read_states(table, path, column)?),
         [first, second, ..] => {
             let problem = format!(
-                "there is also the column {}: a PSF may depend on one of WAVELENGTH, TIME and FRAME, so remove one",
+                "there is also the column {}: a PSF may depend on only one of WAVELENGTH, TIME, FRAME and SPECTRUM, so remove one",
                 second.name
             );
             let place = Place::Column(first.name.to_owned());
@@ -90,7 +90,11 @@ fn read_states(table: &Table<'_>, path: &Path, column: &StateColumn) -> Result<S
         let problem = format!("the column {got}: set its TUNIT keyword ({})", column.units);
         IoError::new(path, IoErrorKind::Table, problem).at(Place::Column(column.name.to_owned()))
     })?;
-    let values: Vec<f64> = table.read(column.name, 1)?.iter().map(|v| v * factor).collect();
+    let values: Vec<f64> = table
+        .read(column.name, 1)?
+        .iter()
+        .map(|&v| in_unit(v, factor))
+        .collect();
     SampleStates::new(column.kind, &values).map_err(invalid(path))
 }
 

@@ -29,8 +29,8 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use ndarray::Axis;
-use psf_types::{DataError, Position, PsfSamples, SamplePositions};
+use ndarray::{Axis, concatenate};
+use psf_types::{DataError, Position, PsfSamples, SamplePositions, StateKind};
 
 use crate::error::{IoError, IoErrorKind, invalid};
 use crate::fits::columns::Table;
@@ -50,12 +50,13 @@ pub struct ScopesimPsf {
     layers: PsfSamples,
     nodes: SamplePositions,
     layer_of_node: Vec<usize>,
-    wavelength_um: f64,
+    wavelengths_um: Vec<f64>,
     notes: Vec<String>,
 }
 
 impl ScopesimPsf {
-    /// The layers used by the map, each at the position of its first node.
+    /// The layers used by the map, each at the position of its first node. If several wavelengths were
+    /// read, there is a state for each ([`SamplePositions::in_every_state`]).
     pub fn layers(&self) -> &PsfSamples {
         &self.layers
     }
@@ -65,14 +66,14 @@ impl ScopesimPsf {
         &self.nodes
     }
 
-    /// For each node, the index of its layer in [`layers`](Self::layers).
+    /// For each node, the index of its layer among those of one wavelength in [`layers`](Self::layers).
     pub fn layer_of_node(&self) -> &[usize] {
         &self.layer_of_node
     }
 
-    /// The wavelength of the PSFs that were read, in micrometres.
-    pub fn wavelength_um(&self) -> f64 {
-        self.wavelength_um
+    /// The wavelengths of the PSFs that were read, in micrometres, ascending.
+    pub fn wavelengths_um(&self) -> &[f64] {
+        &self.wavelengths_um
     }
 
     /// Notes for the user on how the file was read, in plain sentences.
@@ -113,7 +114,8 @@ fn near_whole(ratio: f64) -> f64 {
 ///
 /// # Errors
 /// - [`IoErrorKind::Header`] with the keyword that is missing, malformed or not supported
-/// - [`IoErrorKind::Setting`] for several wavelengths without a choice
+/// - [`IoErrorKind::Setting`] for several wavelengths without a choice, if their PSFs have different
+///   pixels
 /// - [`IoErrorKind::Data`] for a layer number in the map that does not exist, a layer whose flux is
 ///   not positive, or two nodes at one position
 /// - [`IoErrorKind::Format`] or [`IoErrorKind::Axes`] if the map or the PSFs are missing or have
@@ -140,7 +142,7 @@ pub fn read_scopesim(path: impl AsRef<Path>, options: &ScopesimOptions) -> Resul
         )
     })?;
     let kernels = Kernels::choose(&structure, first, map_index, options)?;
-    let (layer_count, ny, nx) = kernels.shape;
+    let (layer_count, ny, nx) = kernels[0].shape;
     let map = LayerMap::read(&structure, map_hdu, layer_count)?;
 
     let nodes = map
@@ -160,23 +162,33 @@ pub fn read_scopesim(path: impl AsRef<Path>, options: &ScopesimOptions) -> Resul
             .expect("every layer of the map is listed")
     };
     let layer_of_node = map.layers.iter().map(listed).collect();
-    let oversampling = near_whole(options.pixel_scale_arcsec / kernels.pixel_arcsec);
+    let oversampling = near_whole(options.pixel_scale_arcsec / kernels[0].pixel_arcsec);
     let grid = centred_grid(nx, ny, oversampling).map_err(invalid(path))?;
-    let mut stamps = read_stack::<f64>(kernels.hdu, kernels.shape)?.select(Axis(0), &numbers);
+    let of_wavelengths: Vec<_> = kernels
+        .iter()
+        .map(|of| Ok(read_stack::<f64>(of.hdu, of.shape)?.select(Axis(0), &numbers)))
+        .collect::<Result<_, IoError>>()?;
+    let views: Vec<_> = of_wavelengths.iter().map(|stamps| stamps.view()).collect();
+    let mut stamps = concatenate(Axis(0), &views).expect("equal shapes");
     stamps *= oversampling * oversampling;
-    check_flux(path, &stamps, grid, |layer| numbers[layer])?;
-    let shown = SamplePositions::new(used.values().map(|&node| nodes[node]).collect(), None);
+    check_flux(path, &stamps, grid, |stamp| numbers[stamp % numbers.len()])?;
+    let first_nodes: Vec<Position> = used.values().map(|&node| nodes[node]).collect();
+    let wavelengths_um: Vec<f64> = kernels.iter().map(|of| of.wavelength_um).collect();
+    let (shown, listed) = match &wavelengths_um[..] {
+        [one] => (SamplePositions::new(first_nodes, None), one.to_string()),
+        several => (
+            SamplePositions::in_every_state(&first_nodes, None, StateKind::Wavelength, several),
+            several.iter().map(f64::to_string).collect::<Vec<_>>().join(", "),
+        ),
+    };
     let layers = shown.and_then(|positions| PsfSamples::new(stamps, positions, grid));
     Ok(ScopesimPsf {
         layers: layers.map_err(invalid(path))?,
         nodes: SamplePositions::new(nodes, None).map_err(invalid(path))?,
         layer_of_node,
-        wavelength_um: kernels.wavelength_um,
+        wavelengths_um,
         notes: vec![
-            format!(
-                "wavelength: the PSFs for {} micrometres were read",
-                kernels.wavelength_um
-            ),
+            format!("wavelength: the PSFs for {listed} micrometres were read"),
             "pixel response: assumed to be part of the PSFs, since ScopeSim itself adds none".to_owned(),
         ],
     })
@@ -204,8 +216,8 @@ impl ScopesimOptions {
         })
     }
 
-    /// Chooses the PSFs whose wavelength is nearest to this one, in micrometres. A file with
-    /// several wavelengths needs this choice.
+    /// Chooses the PSFs whose wavelength is nearest to this one, in micrometres. Without a choice, the
+    /// PSFs of all wavelengths are read.
     ///
     /// # Errors
     /// [`DataError::Setting`] unless the wavelength is a finite number above 0.
@@ -261,41 +273,57 @@ struct Kernels<'a> {
 }
 
 impl<'a> Kernels<'a> {
-    /// Chooses the cube of the requested wavelength among the images from HDU `first` on.
+    /// Chooses the cube of the requested wavelength among the images from HDU `first` on. Without a
+    /// request, returns the cubes of all wavelengths, ascending.
     fn choose(
         structure: &'a FitsStructure,
         first: usize,
         map: usize,
         options: &ScopesimOptions,
-    ) -> Result<Self, IoError> {
+    ) -> Result<Vec<Self>, IoError> {
         let mut cubes = Vec::new();
         for hdu in structure.hdus.iter().skip(first) {
             if hdu.kind == HduKind::Image && hdu.index != map && !hdu.axes.is_empty() {
                 cubes.push((wavelength(&LibraryCards::new(hdu))?, hdu));
             }
         }
-        let chosen = match (options.wavelength_um, &cubes[..]) {
-            (_, []) => return Err(structure.missing(&format!("PSF image at HDU {first} (EDATA) or later"))),
-            (_, [only]) => only,
-            (Some(wanted), several) => several
+        if cubes.is_empty() {
+            return Err(structure.missing(&format!("PSF image at HDU {first} (EDATA) or later")));
+        }
+        if let Some(wanted) = options.wavelength_um {
+            let nearest = cubes
                 .iter()
-                .min_by(|(a, _), (b, _)| (a - wanted).abs().total_cmp(&(b - wanted).abs()))
-                .expect("there are several"),
-            (None, several) => {
-                let wavelengths_um: Vec<f64> = several.iter().map(|(wavelength, _)| *wavelength).collect();
-                let problem =
-                    format!("there are PSFs for the wavelengths {wavelengths_um:?} micrometres: choose one");
-                let error = IoError::new(&structure.path, IoErrorKind::Setting, problem);
-                return Err(error.with_setting("wavelength_um"));
-            }
+                .min_by(|(a, _), (b, _)| (a - wanted).abs().total_cmp(&(b - wanted).abs()));
+            cubes = nearest.copied().into_iter().collect();
+        }
+        cubes.sort_by(|(a, _), (b, _)| a.total_cmp(b));
+        let kernels: Vec<Self> = cubes
+            .iter()
+            .map(|&(wavelength_um, hdu)| {
+                Ok(Self {
+                    hdu,
+                    shape: cube_shape(hdu)?,
+                    wavelength_um,
+                    pixel_arcsec: pixel_arcsec(&LibraryCards::new(hdu))?,
+                })
+            })
+            .collect::<Result<_, IoError>>()?;
+        let differs = |pair: &[Self]| {
+            let size = pair[0].pixel_arcsec;
+            pair[0].shape != pair[1].shape
+                || (pair[1].pixel_arcsec - size).abs() > SQUARE * size
+                || pair[0].wavelength_um == pair[1].wavelength_um
         };
-        let &(wavelength_um, hdu) = chosen;
-        Ok(Self {
-            hdu,
-            shape: cube_shape(hdu)?,
-            wavelength_um,
-            pixel_arcsec: pixel_arcsec(&LibraryCards::new(hdu))?,
-        })
+        if kernels.windows(2).any(differs) {
+            let wavelengths_um: Vec<f64> = kernels.iter().map(|of| of.wavelength_um).collect();
+            let problem = format!(
+                "there are PSFs for the wavelengths {wavelengths_um:?} micrometres, which differ in their number of layers or pixels, in \
+                 the size of their pixels, or not in their wavelength: choose one"
+            );
+            let error = IoError::new(&structure.path, IoErrorKind::Setting, problem);
+            return Err(error.with_setting("wavelength_um"));
+        }
+        Ok(kernels)
     }
 }
 

@@ -14,7 +14,7 @@ use psfield::{
 
 use crate::context::{Context, with_option};
 use crate::simulate::SimulateArgs;
-use crate::simulate::execute::{FitsRows, MakesImage};
+use crate::simulate::execute::{FitsRows, MakesImage, StreamsImage};
 use crate::simulate::exposure_args::Exposing;
 use crate::simulate::prepared::timed;
 use crate::simulate::report::{Report, Seconds};
@@ -118,7 +118,9 @@ impl<T: ConvReal> MakesImage<T> for InColour<'_, T> {
     fn spot_check(&self, image: &Image<T>, pixels: (usize, u64)) -> Result<SpotCheck, PsfieldError> {
         self.simulator.spot_check(self.scenes, image, pixels, &NoProgress)
     }
+}
 
+impl<T: ConvReal> StreamsImage<T> for InColour<'_, T> {
     fn stream(&self, rows: &mut FitsRows<T>, progress: &dyn Progress) -> Result<TileCounts, PsfieldError> {
         self.simulator.stream(self.scenes, &self.streamed, rows, progress)
     }
@@ -197,6 +199,12 @@ impl SimulateArgs {
             .map_err(|error| self.explained(error))?;
         [seconds.fit, seconds.plan] = [made.fit_seconds, made.plan_seconds];
         drop(spinner);
+        let first = &simulator.spectra()[0];
+        let any_image = !streamed.is_empty() || scenes.iter().any(|scene| scene.image().is_some());
+        if let Some(warning) = first.psf_warning(&scenes[0], any_image)? {
+            context.warn(&warning.to_string());
+        }
+        self.warn_of_placement(&made.placement, context);
         for warning in simulator.warnings(&scenes) {
             context.warn(&with_option(&warning, warning.setting()));
         }

@@ -8,7 +8,7 @@ use detector::ExposureReport;
 use ndarray::{ArrayView2, ArrayViewMut2};
 use psf_io::{Card, ImageReader, ImageWriter};
 use psf_types::{Image, NoProgress, Progress};
-use psfield::{PixelPicker, Preparation, PsfieldError, Scene, Simulator, SpotCheck};
+use psfield::{PixelPicker, Preparation, PsfieldError, Scene, SeriesExposure, Simulator, SpotCheck};
 
 use crate::context::Context;
 use crate::simulate::SimulateArgs;
@@ -39,7 +39,10 @@ pub(super) trait MakesImage<T: ConvReal> {
 
     /// Compares an image with the direct sum. `pixels` are the number of pixels and the seed.
     fn spot_check(&self, image: &Image<T>, pixels: (usize, u64)) -> Result<SpotCheck, PsfieldError>;
+}
 
+/// A simulator and its scene, whose images can be read row by row.
+pub(super) trait StreamsImage<T: ConvReal>: MakesImage<T> {
     /// Makes the image row by row.
     fn stream(&self, rows: &mut FitsRows<T>, progress: &dyn Progress) -> Result<TileCounts, PsfieldError>;
 
@@ -70,7 +73,9 @@ impl<T: ConvReal> MakesImage<T> for (&Simulator<T>, &Scene<'_, T>) {
     fn spot_check(&self, image: &Image<T>, pixels: (usize, u64)) -> Result<SpotCheck, PsfieldError> {
         self.0.spot_check(self.1, image, pixels, &NoProgress)
     }
+}
 
+impl<T: ConvReal> StreamsImage<T> for (&Simulator<T>, &Scene<'_, T>) {
     fn stream(&self, rows: &mut FitsRows<T>, progress: &dyn Progress) -> Result<TileCounts, PsfieldError> {
         self.0.stream(self.1, rows, progress)
     }
@@ -85,6 +90,24 @@ impl<T: ConvReal> MakesImage<T> for (&Simulator<T>, &Scene<'_, T>) {
         picker: PixelPicker,
     ) -> Result<SpotCheck, PsfieldError> {
         self.0.spot_check_stream(self.1, rows, picker, &NoProgress)
+    }
+}
+
+impl<T: ConvReal> MakesImage<T> for SeriesExposure<'_, T> {
+    fn of_frame(&self) -> &Simulator<T> {
+        self.simulator()
+    }
+
+    fn simulate_into(
+        &self,
+        image: ArrayViewMut2<'_, T>,
+        progress: &dyn Progress,
+    ) -> Result<TileCounts, PsfieldError> {
+        self.simulate_into(image, progress)
+    }
+
+    fn spot_check(&self, image: &Image<T>, pixels: (usize, u64)) -> Result<SpotCheck, PsfieldError> {
+        self.spot_check(image, pixels, &NoProgress)
     }
 }
 
@@ -143,7 +166,7 @@ impl SimulateArgs {
     /// Reads the scene and writes the image in bands of rows. There is one reader for each layer.
     pub(super) fn by_bands<T: ConvReal>(
         &self,
-        (scene, made): (&impl MakesImage<T>, &Preparation<'_>),
+        (scene, made): (&impl StreamsImage<T>, &Preparation<'_>),
         read: &ReadScene<T>,
         readers: Vec<ImageReader>,
         seconds: &mut Seconds,

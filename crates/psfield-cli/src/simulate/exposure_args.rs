@@ -88,6 +88,11 @@ impl ExposureArgs {
 }
 
 impl Exposing {
+    /// Returns whether the noise-free image is written, too.
+    pub(super) fn writes_truth(&self) -> bool {
+        self.files.truth.is_some()
+    }
+
     /// The detector for one frame of a series, with the exposure time of the series.
     pub(super) fn for_frame(
         &self,

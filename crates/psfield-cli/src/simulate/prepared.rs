@@ -154,7 +154,7 @@ impl SimulateArgs {
     }
 
     /// Warns if the work is not done on the GPU that was requested.
-    fn warn_of_placement(&self, placement: &Placement, context: &Context) {
+    pub(super) fn warn_of_placement(&self, placement: &Placement, context: &Context) {
         if placement.is_failure() {
             context.warn(&format!("the work is done {placement}"));
         } else if self.options().device == Device::Gpu && placement.adapter().is_none() {

@@ -15,7 +15,7 @@ use serde::Deserialize;
 use crate::UsageError;
 use crate::batch::{Settings, parsed, settings, simulate_command};
 use crate::context::{Context, object, with_option};
-use crate::files::{FileUses, OutputFile, OutputFolder};
+use crate::files::{FileUses, OutputFile, OutputFolder, beside};
 use crate::simulate::exposure_args::Exposing;
 use crate::simulate::report::{Report, Seconds};
 use crate::simulate::scene::ReadScene;
@@ -73,7 +73,10 @@ light_curves: the flux of a source is that of the catalogue times the factor, wh
 times. row is the row of the catalogue, counted from 0. Sources without rows are constant.
 
 Columns vx and vy of the catalogue are velocities in pixels per second. Positions are those at the start
-of the series.
+of the series. Moving sources leave trails.
+
+The light of an image moves with the pointing, and its edges become dark. Give an image that is larger than
+the frame (option frame of [simulate]).
 
 Fluxes are those of one exposure. --seed in [simulate] is the seed of exposure 0, and each next exposure
 has the next seed."#;
@@ -102,9 +105,9 @@ struct PointingTable {
 }
 
 /// Options of `simulate` that a series sets itself.
-const OF_SERIES: [&str; 5] = ["output", "truth", "quality", "overwrite", "stream"];
+const OF_SERIES: [&str; 2] = ["output", "truth"];
 /// Options of `simulate` that a series does not support.
-const UNSUPPORTED: [&str; 4] = ["bandpass", "sed", "layer", "dispersion"];
+const UNSUPPORTED: [&str; 6] = ["bandpass", "sed", "layer", "dispersion", "quality", "stream"];
 
 impl SeriesArgs {
     pub(crate) fn run(self, context: &Context) -> anyhow::Result<()> {
@@ -115,7 +118,9 @@ impl SeriesArgs {
         let mut file: SeriesFile = toml::from_str(&text).map_err(|e| in_file(e.to_string()))?;
         let start = file.start_time().map_err(in_file)?;
         let table = std::mem::take(&mut file.simulate);
-        let options = self.options(table, folder).map_err(in_file)?;
+        let (options, mut inputs) = self.options(table, folder).map_err(in_file)?;
+        let tables = [&file.light_curves, &file.pointing.path].into_iter().flatten();
+        inputs.extend(tables.map(|path| folder.join(path)));
         let exposures = file.exposures().map_err(in_file)?;
         let series = Series {
             pointing: file
@@ -128,13 +133,14 @@ impl SeriesArgs {
             exposures,
         };
         match options.precision {
-            Precision::F32 => self.simulate::<f32>(&options, series, start, context),
-            Precision::F64 => self.simulate::<f64>(&options, series, start, context),
+            Precision::F32 => self.simulate::<f32>((&options, &inputs), series, start, context),
+            Precision::F64 => self.simulate::<f64>((&options, &inputs), series, start, context),
         }
     }
 
-    /// Parses the options of `simulate`, with the output of the first exposure.
-    fn options(&self, table: toml::Table, folder: &Path) -> Result<SimulateArgs, String> {
+    /// Parses the options of `simulate`, with the output of the first exposure. Returns also the files that
+    /// they name.
+    fn options(&self, table: toml::Table, folder: &Path) -> Result<(SimulateArgs, Vec<PathBuf>), String> {
         let in_table = |what: String| format!("[simulate]: {what}");
         let mut options: Settings = settings(table, folder).map_err(in_table)?;
         for name in OF_SERIES {
@@ -143,6 +149,11 @@ impl SeriesArgs {
                     "{name} cannot be set: the series names its files itself"
                 )));
             }
+        }
+        if options.has("overwrite") {
+            return Err(in_table(
+                "overwrite applies to the whole series: psfield series --overwrite".to_owned(),
+            ));
         }
         for name in UNSUPPORTED {
             if options.has(name) {
@@ -154,11 +165,31 @@ impl SeriesArgs {
         let first = self.frame(0).display().to_string();
         options.set("output", first, Path::new("")).map_err(in_table)?;
         let (args, files, _) = parsed(&options, &mut simulate_command()).map_err(in_table)?;
+        Ok((args, files.inputs))
+    }
+
+    /// Checks, before any work, that no output replaces an input, and that no output exists unless
+    /// --overwrite is given.
+    fn check_outputs(
+        &self,
+        inputs: &[PathBuf],
+        exposures: usize,
+        (truth, sources): (bool, bool),
+    ) -> anyhow::Result<()> {
         let mut uses = FileUses::default();
-        for input in &files.inputs {
+        for input in inputs {
             uses.read(input, "an input of the series");
         }
-        Ok(args)
+        for number in 0..exposures {
+            let frame = self.frame(number);
+            let truth = truth.then(|| beside(&frame, "truth"));
+            let sources = sources.then(|| self.sources(number));
+            for output in [Some(frame.clone()), truth, sources].into_iter().flatten() {
+                uses.write(&output, "another output").map_err(UsageError)?;
+                psf_io::check_output(output, self.overwrite)?;
+            }
+        }
+        Ok(())
     }
 
     /// The image of an exposure.
@@ -173,7 +204,7 @@ impl SeriesArgs {
 
     fn simulate<T: ConvReal>(
         &self,
-        options: &SimulateArgs,
+        (options, inputs): (&SimulateArgs, &[PathBuf]),
         series: Series,
         start: SystemTime,
         context: &Context,
@@ -197,16 +228,13 @@ impl SeriesArgs {
         }
         let count = series.exposures.len();
         let with_sources = !catalog.rows().is_empty();
+        if let (Some(path), false) = (&options.scene.catalog, with_sources) {
+            context.warn(&format!("{}: the catalogue has no sources", path.display()));
+        }
         std::fs::create_dir_all(&*self.out)
             .with_context(|| format!("{}: the folder cannot be made", self.out.display()))?;
-        for number in 0..count {
-            let frame = self.frame(number);
-            if exposing.is_some() {
-                psf_io::check_output(crate::files::beside(&frame, "truth"), self.overwrite)?;
-            }
-            psf_io::check_output(frame, self.overwrite)?;
-            psf_io::check_output(self.sources(number), self.overwrite)?;
-        }
+        let with_truth = exposing.as_ref().is_some_and(Exposing::writes_truth);
+        self.check_outputs(inputs, count, (with_truth, with_sources))?;
         let sources = (catalog.stars().len(), catalog.galaxies().len());
         let mut simulator = self.simulator(options, &psf, series, &read, catalog)?;
         let mut frames = Vec::with_capacity(count);
@@ -247,7 +275,10 @@ impl SeriesArgs {
     }
 
     /// Simulates an exposure and writes its image. Returns the report and the sources.
-    #[allow(clippy::type_complexity, reason = "what stays, what changes")]
+    #[allow(
+        clippy::type_complexity,
+        reason = "the parts of all exposures, and of this one"
+    )]
     fn expose<T: ConvReal>(
         &self,
         (options, exposing, read, sources): (&SimulateArgs, Option<&Exposing>, &ReadScene<T>, (usize, usize)),
@@ -267,22 +298,26 @@ impl SeriesArgs {
         let exposure = simulator
             .exposure(number, &NoProgress)
             .map_err(|error| options.explained(error))?;
-        let made = exposure
-            .simulator
-            .prepare(&exposure.scene, false, &NoProgress)
+        let simulator = exposure.simulator();
+        let made = simulator
+            .prepare(exposure.scene(), false, &NoProgress)
             .map_err(|error| options.explained(error))?;
         drop(spinner);
         let mut seconds = Seconds {
             plan: clock.elapsed().as_secs_f64(),
             ..Seconds::default()
         };
-        // Those of later exposures are alike.
+        // Later exposures would repeat these warnings.
         if number == 0 {
-            for warning in exposure.simulator.warnings(&exposure.scene) {
+            if let Some(warning) = simulator.psf_warning(exposure.scene(), false)? {
+                context.warn(&warning.to_string());
+            }
+            options.warn_of_placement(&made.placement, context);
+            for warning in simulator.warnings(exposure.scene()) {
                 context.warn(&with_option(&warning, warning.setting()));
             }
         }
-        let [dx, dy] = exposure.shift_px;
+        let [dx, dy] = exposure.shift_px();
         let mut cards = exposure_time_cards(start, times)?.to_vec();
         cards.push(psf_io::Card::new(
             "SHIFTX",
@@ -308,10 +343,15 @@ impl SeriesArgs {
             header: read.header.shifted_origin(-dx * s, -dy * s),
             ..*read
         };
-        let scene = (&*exposure.simulator, &exposure.scene);
-        let outcome = of_frame.in_memory((&scene, &made), &read, exposing.as_ref(), &mut seconds, context)?;
-        let report = of_frame.report((scene.0, &made), &read, sources, outcome, seconds);
-        Ok((report, exposure.sources))
+        let outcome = of_frame.in_memory(
+            (&exposure, &made),
+            &read,
+            exposing.as_ref(),
+            &mut seconds,
+            context,
+        )?;
+        let report = of_frame.report((simulator, &made), &read, sources, outcome, seconds);
+        Ok((report, exposure.sources().to_vec()))
     }
 
     fn report(&self, frames: &[Report], seconds: f64, context: &Context) -> anyhow::Result<()> {
@@ -362,7 +402,8 @@ impl SeriesFile {
     /// The pointing. Its path refers to `folder`.
     fn pointing(&self, folder: &Path) -> anyhow::Result<Pointing> {
         let table = &self.pointing;
-        let jitter = Motion::fixed(table.drift_px_per_s).with_jitter_px(table.jitter_px);
+        // Only to check the jitter.
+        let jitter = Motion::fixed([0.0, 0.0]).with_jitter_px(table.jitter_px);
         jitter.map_err(|error| UsageError(format!("[pointing] jitter_px: {error}")))?;
         let path = table.path.as_ref().map(|path| {
             let path = folder.join(path);

@@ -33,7 +33,7 @@ fn desk() -> Desk {
     desk.write("series.toml", SERIES);
     desk.write(
         "stars.csv",
-        "x,y,flux,vx,vy\n20,25.5,100,0,0\n40.2,20,50,0.1,-0.05\n",
+        "x,y,flux,vx,vy\n20,25.5,100,0,0\n40.2,20,50,-0.1,-0.05\n",
     );
     desk.write("curves.csv", "row,time,factor\n0,0,1\n0,1000,11\n");
     desk
@@ -73,7 +73,7 @@ fn frames_have_their_times_their_light_and_their_truth() {
         .collect();
     let expected = [
         [0.0, 20.0 + 0.05 * middle, 25.5, 100.0 * (1.0 + middle / 100.0)],
-        [1.0, 40.2 + 0.15 * middle, 20.0 - 0.05 * middle, 50.0],
+        [1.0, 40.2 - 0.05 * middle, 20.0 - 0.05 * middle, 50.0],
     ];
     for (row, expected) in rows.iter().zip(expected) {
         let close = row
@@ -202,4 +202,31 @@ fn wrong_series_say_what_to_do() {
     desk.write("stars.csv", "x,y,flux,vx\n20,25.5,100,0\n");
     let run = desk.run("series series.toml -o wrong");
     assert!(run.code == Some(1) && run.stderr.contains("\"vy\""), "{run:?}");
+}
+
+#[test]
+fn outputs_do_not_replace_inputs() {
+    let desk = desk();
+    desk.done("series series.toml -o night");
+    desk.write(
+        "again.toml",
+        SERIES.replace("stars.csv", "night/frame_0001_sources.csv"),
+    );
+    let before = desk.bytes("night/frame_0001_sources.csv");
+    let run = desk.run("series again.toml -o night --overwrite");
+    assert!(
+        run.code == Some(2) && run.stderr.contains("an input of the series"),
+        "{run:?}"
+    );
+    assert_eq!(desk.bytes("night/frame_0001_sources.csv"), before);
+    desk.write(
+        "late.toml",
+        SERIES
+            .replace("count = 3\n", "")
+            .replace("cadence_s = 40.0", "starts_s = [1e12]")
+            .replace("light_curves = \"curves.csv\"\n", "")
+            .replace("[0.05, 0.0]", "[0.0, 0.0]"),
+    );
+    let run = desk.run("series late.toml -o late");
+    assert!(run.code == Some(1) && run.stderr.contains("9999"), "{run:?}");
 }

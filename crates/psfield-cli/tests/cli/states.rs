@@ -171,11 +171,6 @@ fn each_source_has_the_psf_of_its_spectrum() {
             &["no light in the bandpass"],
         ),
         (
-            "point.fits --stream --bandpass band.csv --sed powerlaw:0",
-            2,
-            &["--stream", "--bandpass"],
-        ),
-        (
             "--catalog plain.csv --shape 61,51 --bandpass band.csv",
             1,
             &["plain.csv", "sed", "teff"],

@@ -75,7 +75,7 @@ pub struct FrameRow {
     /// paper; [`Comparison::snr_db`]). `P` are sums of squares over the pixels of the stamp. The
     /// median over the samples.
     pub sample_snr_db: f64,
-    /// The same ratio as a plain number, of the r.m.s. of signal and noise: `sqrt(P_signal /
+    /// The ratio `sample_snr_db` as a plain number, of the r.m.s. of signal and noise: `sqrt(P_signal /
     /// P_noise)`.
     pub sample_signal_to_noise: f64,
     /// Errors of the model's PSFs at positions without samples.

@@ -5,7 +5,7 @@ use psf_basis::{PixelNoise, RankSelection};
 use psf_io::{PsfexModel, ScopesimPsf};
 use psf_types::{
     Interpolation, Normalisation, OutsidePolicy, PsfModelRecord, PsfSamples, SampleCoefficients,
-    SamplePositions,
+    SamplePositions, StateKind,
 };
 
 use crate::{ErrorKind, FitOptions, PsfieldError, fit};
@@ -51,14 +51,28 @@ pub fn record_of_psfex(model: &PsfexModel) -> Result<PsfModelRecord, PsfieldErro
 
 /// Turns a field-varying PSF of ScopeSim into a basis of its layers. Each node of the file's map
 /// has the coefficients of its layer, so that no stamp is stored twice, however fine the map is. At
-/// every position the PSF of the nearest node applies, scaled to unit flux as in ScopeSim.
+/// every position the PSF of the nearest node applies, scaled to unit flux as in ScopeSim. Several
+/// wavelengths are states.
 pub(super) fn record_of_scopesim(psf: &ScopesimPsf) -> Result<PsfModelRecord, PsfieldError> {
     let layers = full_basis(psf.layers().clone(), Interpolation::Nearest)?;
     let of_layers = layers.coefficients().values();
-    let of_nodes = of_layers.select(Axis(0), psf.layer_of_node());
+    let wavelengths = psf.wavelengths_um();
+    // The layers of each wavelength follow those of the one before.
+    let count = of_layers.nrows() / wavelengths.len();
+    let rows: Vec<usize> = (0..wavelengths.len())
+        .flat_map(|state| psf.layer_of_node().iter().map(move |layer| state * count + layer))
+        .collect();
+    let of_nodes = of_layers.select(Axis(0), &rows);
+    let nodes = match wavelengths {
+        [_] => psf.nodes().clone(),
+        several => {
+            let (at, field) = (psf.nodes().as_slice(), psf.nodes().field());
+            SamplePositions::in_every_state(at, field, StateKind::Wavelength, several)?
+        }
+    };
     Ok(PsfModelRecord::new(
         layers.basis().clone(),
-        SampleCoefficients::new(of_nodes, psf.nodes().clone())?,
+        SampleCoefficients::new(of_nodes, nodes)?,
         Interpolation::Nearest,
         OutsidePolicy::Nearest,
         Normalisation::Unit,

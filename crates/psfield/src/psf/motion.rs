@@ -15,7 +15,7 @@ use crate::{ErrorKind, PsfieldError};
 /// ```
 /// use psfield::Motion;
 /// // A steady drift by 2 pixels along x, with jitter.
-/// let motion = Motion::along_line([0.0, 0.0], [2.0, 0.0]).with_jitter_px(0.1)?;
+/// let motion = Motion::along_line([0.0, 0.0], [2.0, 0.0])?.with_jitter_px(0.1)?;
 /// assert!((motion.mean()[0] - 1.0).abs() < 1e-12);
 /// # Ok::<(), psfield::PsfieldError>(())
 /// ```
@@ -35,11 +35,14 @@ pub(crate) const QUADRATURE: [(f64, f64); 5] = [
     (0.953_089_922_969_332, 0.118_463_442_528_094_5),
 ];
 
-/// The longest part of a line, in frame pixels, for one quadrature. Its error is below 1e-9 of the PSF
-/// for features of 0.4 pixels r.m.s. or more.
+/// The longest motion in a straight line, in frame pixels.
+const LONGEST: f64 = 1e5;
+
+/// The longest part of a line, in frame pixels, for one quadrature. Its error is about 3e-9 of the peak
+/// for a Gaussian PSF of 0.4 pixels r.m.s., and less for wider ones.
 const LONGEST_PART: f64 = 0.5;
-/// A line of at most this length, in frame pixels, counts as its middle. The error is below 1e-6 of the
-/// PSF for features of 0.4 pixels r.m.s. or more.
+/// A line of at most this length, in frame pixels, counts as its middle. The error is about 1e-6 of the
+/// peak for a Gaussian PSF of 0.4 pixels r.m.s., and less for wider ones.
 const SHORTEST_LINE: f64 = 2e-3;
 /// Motions whose shifts differ by at most this distance, in frame pixels, are equal.
 const EQUAL: f64 = 1e-9;
@@ -56,33 +59,48 @@ impl Motion {
     }
 
     /// Motion along a straight line at constant speed.
-    pub fn along_line(from: [f64; 2], to: [f64; 2]) -> Self {
+    ///
+    /// # Errors
+    /// [`ErrorKind::Data`] for a line of more than 100 000 pixels, or an end that is not finite.
+    pub fn along_line(from: [f64; 2], to: [f64; 2]) -> Result<Self, PsfieldError> {
         let [dx, dy] = [to[0] - from[0], to[1] - from[1]];
         let length = dx.hypot(dy);
         let at = |part: f64| [from[0] + part * dx, from[1] + part * dy];
         if length <= SHORTEST_LINE {
-            return Self::fixed(at(0.5));
+            return Ok(Self::fixed(at(0.5)));
         }
-        let parts = (length / LONGEST_PART).ceil() as usize;
+        if !(length <= LONGEST && from.iter().all(|v| v.is_finite())) {
+            let message = format!(
+                "light moves by {length:.3e} pixels in one exposure, more than {LONGEST:.0e}: check the units, pixels and seconds"
+            );
+            return Err(PsfieldError::new(ErrorKind::Data, message));
+        }
+        // Equal lengths get equally many parts, whatever their rounding.
+        let parts = (length / LONGEST_PART - EQUAL).ceil().max(1.0) as usize;
         let width = 1.0 / parts as f64;
         let nodes = (0..parts).flat_map(|part| {
             QUADRATURE.map(|(node, weight)| (weight * width, at((part as f64 + node) * width)))
         });
-        Self {
+        Ok(Self {
             points: nodes.collect(),
             jitter_px: 0.0,
-        }
+        })
     }
 
-    /// One motion after another, each with its part of the time. The parts are scaled to the sum 1.
+    /// One motion after another, each with its part of the time. The parts are scaled to the sum 1. All
+    /// have the same jitter.
     ///
     /// # Errors
-    /// [`ErrorKind::Data`] for a shift that is not finite, a negative part, or no motion.
+    /// [`ErrorKind::Data`] for a shift that is not finite, a negative part, motions with different
+    /// jitter, or no motion.
     pub fn sequence(motions: impl IntoIterator<Item = (f64, Self)>) -> Result<Self, PsfieldError> {
         let mut points = Vec::new();
-        let mut jitter_px: f64 = 0.0;
+        let mut jitter = None;
         for (part, motion) in motions {
-            jitter_px = jitter_px.max(motion.jitter_px);
+            if *jitter.get_or_insert(motion.jitter_px) != motion.jitter_px {
+                const DIFFERS: &str = "motions in a sequence must have the same jitter";
+                return Err(PsfieldError::new(ErrorKind::Data, DIFFERS));
+            }
             points.extend(motion.points.into_iter().map(|(weight, at)| (weight * part, at)));
         }
         let sum: f64 = points.iter().map(|(weight, _)| weight).sum();
@@ -93,6 +111,7 @@ impl Motion {
             return Err(PsfieldError::new(ErrorKind::Data, MESSAGE));
         }
         points.iter_mut().for_each(|(weight, _)| *weight /= sum);
+        let jitter_px = jitter.unwrap_or(0.0);
         Ok(Self { points, jitter_px })
     }
 
@@ -142,7 +161,8 @@ impl Motion {
 
     /// Returns whether this motion leaves PSFs as they are.
     fn is_none(&self) -> bool {
-        self.equals(&Self::fixed([0.0, 0.0]))
+        let at_rest = |(_, [x, y]): &(f64, [f64; 2])| x.abs() <= EQUAL && y.abs() <= EQUAL;
+        self.jitter_px == 0.0 && self.points.iter().all(at_rest)
     }
 }
 

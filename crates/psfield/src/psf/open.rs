@@ -51,14 +51,23 @@ pub struct PsfFileOptions {
 
 impl PsfFileOptions {
     /// The chosen state, and the name of the setting that chose it.
-    fn state(&self) -> Option<(StateKind, f64, &'static str)> {
-        let given = [
+    fn state(&self) -> Result<Option<(StateKind, f64, &'static str)>, PsfieldError> {
+        let all = [
             (StateKind::Wavelength, self.wavelength_um, "wavelength_um"),
             (StateKind::Time, self.time_s, "time_s"),
             (StateKind::Frame, self.frame_number, "frame_number"),
         ];
-        let mut given = given.into_iter();
-        given.find_map(|(kind, value, setting)| value.map(|value| (kind, value, setting)))
+        let given = all.into_iter();
+        let mut given = given.filter_map(|(kind, value, setting)| value.map(|value| (kind, value, setting)));
+        let first = given.next();
+        match (first, given.next()) {
+            (Some((first, ..)), Some((second, _, setting))) => {
+                let message =
+                    format!("a PSF depends on the {first} or on the {second}, not on both: choose one");
+                Err(PsfieldError::of_setting(setting, message))
+            }
+            _ => Ok(first),
+        }
     }
 
     /// Returns the first given field that does not apply to a format, and the formats to which it
@@ -278,7 +287,7 @@ impl Psf {
             model @ Origin::Model(..) => model,
         };
         let psf = Self::with_source(origin, source);
-        match file.state().filter(|_| kind != FileKind::Scopesim) {
+        match file.state()?.filter(|_| kind != FileKind::Scopesim) {
             Some((chosen, value, setting)) => psf.at_chosen_state(chosen, value, setting),
             None => Ok(psf),
         }

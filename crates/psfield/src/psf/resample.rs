@@ -7,7 +7,7 @@ use psf_types::{
 };
 use rayon::prelude::*;
 
-use super::{Origin, Psf};
+use super::{Origin, Psf, SourceFile};
 use crate::stack_size::check_stack;
 use crate::{ErrorKind, PsfieldError};
 
@@ -171,13 +171,19 @@ impl Psf {
     /// scaling to unit flux. The scaling is done last, on the new stamps.
     pub(super) fn changed(&self, change: &dyn StampChange) -> Result<Self, PsfieldError> {
         let target = change.target();
+        // For messages.
+        let source = SourceFile {
+            path: self.0.source.path.clone(),
+            ..SourceFile::default()
+        };
         match &self.0.origin {
             Origin::Samples(samples, options) => {
                 check_stack(samples.len(), samples.grid())?;
                 check_stack(samples.len(), target)?;
                 let stamps = change.stamps(samples.stamps(), samples.grid());
                 let positions = change.positions(samples.positions())?;
-                Ok(Self::new(PsfSamples::new(stamps, positions, target)?, *options))
+                let samples = PsfSamples::new(stamps, positions, target)?;
+                Ok(Self::with_source(Origin::Samples(samples, *options), source))
             }
             Origin::Record(record) => {
                 let (basis, nodes) = (record.basis(), record.coefficients());
@@ -189,13 +195,14 @@ impl Psf {
                     target,
                 )?;
                 let nodes = SampleCoefficients::new(values, change.positions(nodes.positions())?)?;
-                Ok(Self::from(PsfModelRecord::new(
+                let changed = PsfModelRecord::new(
                     new_basis,
                     nodes,
                     record.interpolation(),
                     record.outside(),
                     record.normalisation(),
-                )?))
+                )?;
+                Ok(Self::with_source(Origin::Record(changed), source))
             }
             Origin::Model(..) => {
                 const OWN_FIELD: &str = "the stamps of a model with a coefficient field of your own cannot be resampled. Either \

@@ -1,7 +1,7 @@
 //! PSFs that also depend on a wavelength, a time or a frame.
 
 use ndarray::{Array2, ArrayView2, Axis, concatenate};
-use psf_types::{PsfModelRecord, PsfSamples, SamplePositions, SampleStates, StateKind};
+use psf_types::{DataError, PsfModelRecord, PsfSamples, SamplePositions, SampleStates, StateKind};
 
 use super::{Origin, Psf};
 use crate::fit::models_on;
@@ -212,8 +212,34 @@ pub fn join_samples(samples: &[&PsfSamples], names: &[String]) -> Result<PsfSamp
             .collect(),
     };
     let states = SampleStates::new(kind_of(first).unwrap_or(StateKind::Frame), &states)?;
-    let positions = SamplePositions::with_states(at, first.positions().field(), Some(states))?;
+    let field = first.positions().field();
+    let positions = SamplePositions::with_states(at, field, Some(states)).map_err(|error| match error {
+        DataError::DuplicateState {
+            first,
+            second,
+            position,
+            state,
+        } => {
+            let place = |sample| place_of(sample, samples, names);
+            let (first, second) = (place(first), place(second));
+            let message =
+                format!("{second} has the position {position} and the {state} of {first}: remove one");
+            PsfieldError::new(ErrorKind::Data, message)
+        }
+        error => error.into(),
+    })?;
     Ok(PsfSamples::new(stamps, positions, first.grid())?)
+}
+
+/// The place of a sample among those of several files, counted from 0 in its file.
+fn place_of(mut sample: usize, samples: &[&PsfSamples], names: &[String]) -> String {
+    for (of_file, name) in samples.iter().zip(names) {
+        if sample < of_file.len() {
+            return format!("{name}: sample {sample}");
+        }
+        sample -= of_file.len();
+    }
+    unreachable!("a sample of one of the files")
 }
 
 #[cfg(test)]
@@ -290,6 +316,17 @@ mod tests {
         let error = join_samples(&[&joined, &frame(0)], &names(2)).unwrap_err();
         assert!(
             error.to_string().contains("depend on another quantity"),
+            "{error}"
+        );
+    }
+    #[test]
+    fn repeated_samples_are_named_by_file_and_number() {
+        let joined = join_samples(&[&frame(0), &frame(1)], &names(2)).unwrap();
+        let error = join_samples(&[&joined, &joined], &names(2))
+            .unwrap_err()
+            .to_string();
+        assert!(
+            error.contains("file1.fits: sample 0") && error.contains("file0.fits: sample 0"),
             "{error}"
         );
     }

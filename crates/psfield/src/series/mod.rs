@@ -4,16 +4,18 @@ mod exposures;
 mod light_curves;
 mod pointing;
 
+use std::borrow::Cow;
+use std::collections::HashSet;
 use std::sync::Arc;
 
-use conv_core::ConvReal;
-use ndarray::{Array2, ArrayView2, s};
+use conv_core::{ConvReal, TileCounts};
+use ndarray::{Array2, ArrayView2, ArrayViewMut2, s};
 use psf_io::Catalog;
-use psf_types::{Image, PointSource, Position, Progress, SersicSource, StateKind};
+use psf_types::{Image, NoProgress, PointSource, Position, Progress, SersicSource, StateKind};
 
 use crate::psf::QUADRATURE;
-use crate::simulator::Mixtures;
-use crate::{ErrorKind, Motion, Psf, PsfieldError, Scene, SimulateOptions, Simulator};
+use crate::simulator::{Mixtures, spot_check_layers};
+use crate::{ErrorKind, Motion, Psf, PsfieldError, Scene, SimulateOptions, Simulator, SpotCheck};
 
 pub use exposures::Exposures;
 pub use light_curves::LightCurves;
@@ -38,13 +40,43 @@ pub struct Series {
 /// - **PSF**: samples with times give its mean over the exposure
 ///   (`a(x) = int a(x, t) dt / (t1 - t0)`, with cubics between the times). Samples with frames give the
 ///   PSF of the frame with the number of the exposure.
-/// - **Pointing**: all light is shifted along the path of the [`Pointing`]. Sources move by the mean
-///   shift, and the density of the path about its mean is convolved with the PSF ([`Psf::moved`]). The
-///   pixels of a scene's image move by the nearest whole number of pixels, the rest goes into the PSF.
-///   A moved source has the PSF of the detector's position to which it has moved. Changes of the PSF
-///   and of the pointing within an exposure are averaged separately.
-/// - **Sources**: the flux is the catalogue's times the mean factor of the light curve. A source with a
-///   velocity is drawn along its trail. The catalogue gives its position at time 0.
+/// - **Pointing**: all light is shifted along the path `d(t)` of the [`Pointing`]. Sources move by the
+///   mean shift, and the density of the path about its mean is convolved with the PSF ([`Psf::moved`]).
+///   The pixels of a scene's image move by the nearest whole number of pixels, the rest goes into the
+///   PSF. Outside the image there is no light.
+/// - **Moving sources** are drawn along their own trail, `v t + d(t)`, with the jitter alone in the PSF.
+///   The catalogue gives their positions at time 0.
+/// - **Light curves**: the flux is the catalogue's times the mean factor of the light curve.
+///
+/// A source has the PSF of its mean position on the detector, or of each point of its trail. Changes of
+/// the PSF, of the flux and of the pointing within an exposure are averaged separately.
+///
+/// ```
+/// use ndarray::Array3;
+/// use psfield::psf_io::Catalog;
+/// use psfield::psf_types::{NoProgress, PointSource, Position};
+/// use psfield::{
+///     Exposures, LightCurves, Pointing, Psf, Series, SeriesSimulator, SimulateOptions,
+/// };
+/// let stamps = Array3::from_shape_fn((1, 33, 33), |(_, y, x)| {
+///     (-((y as f64 - 16.0).powi(2) + (x as f64 - 16.0).powi(2)) / 8.0).exp()
+/// });
+/// let psf = Psf::from_samples(stamps.view(), &[(0.0, 0.0)])?;
+/// let series = Series {
+///     exposures: Exposures::regular(3, 10.0, 20.0)?,
+///     pointing: Pointing { drift_px_per_s: [0.05, 0.0], jitter_px: 0.3, path: None },
+///     light_curves: LightCurves::new(&[0.0, 0.0], &[0.0, 100.0], &[1.0, 2.0])?,
+/// };
+/// let star = PointSource::new(Position::new(30.0, 25.0)?, 100.0)?;
+/// let light = (None, Catalog::new(vec![star], Vec::new()));
+/// let options = SimulateOptions::default();
+/// let mut simulator = SeriesSimulator::<f64>::new(&psf, (60, 70), options, series, light)?;
+/// // The exposure from 20 to 30 s.
+/// let exposure = simulator.exposure(1, &NoProgress)?;
+/// assert!((exposure.shift_px()[0] - 1.25).abs() < 1e-9);
+/// assert!((exposure.simulate()?.pixels().sum() - 125.0).abs() < 1e-2);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Debug)]
 pub struct SeriesSimulator<T: ConvReal> {
     psf: Psf,
@@ -53,7 +85,8 @@ pub struct SeriesSimulator<T: ConvReal> {
     series: Series,
     image: Option<Image<T>>,
     catalog: Catalog,
-    last: Option<Last<T>>,
+    /// For light at rest on the sky, and for moving sources.
+    last: [Option<Last<T>>; 2],
 }
 
 /// The PSF and the simulator of the last exposure.
@@ -67,16 +100,77 @@ struct Last<T: ConvReal> {
 
 /// An exposure, ready to be simulated.
 #[derive(Debug)]
-#[non_exhaustive]
 pub struct SeriesExposure<'a, T: ConvReal> {
-    /// The simulator with the PSF of the exposure.
-    pub simulator: Arc<Simulator<T>>,
-    /// The light of the exposure, moved and with its fluxes.
-    pub scene: Scene<'a, T>,
+    /// Light at rest on the sky, and moving sources, if there are any.
+    layers: Vec<(Arc<Simulator<T>>, Scene<'a, T>)>,
+    shift_px: [f64; 2],
+    sources: Vec<SourceInExposure>,
+}
+
+impl<'a, T: ConvReal> SeriesExposure<'a, T> {
+    /// The simulator of the light that is at rest on the sky.
+    pub fn simulator(&self) -> &Simulator<T> {
+        &self.layers[0].0
+    }
+
+    /// The light that is at rest on the sky, moved by the pointing.
+    pub fn scene(&self) -> &Scene<'a, T> {
+        &self.layers[0].1
+    }
+
     /// The mean shift by the pointing along x and y, in pixels.
-    pub shift_px: [f64; 2],
-    /// Every source of the catalogue as it is in this exposure.
-    pub sources: Vec<SourceInExposure>,
+    pub fn shift_px(&self) -> [f64; 2] {
+        self.shift_px
+    }
+
+    /// Every source of the catalogue as it is in this exposure: stars, then galaxies.
+    pub fn sources(&self) -> &[SourceInExposure] {
+        &self.sources
+    }
+
+    /// Returns the image of the exposure.
+    ///
+    /// # Errors
+    /// The errors of [`Simulator::simulate_into`].
+    pub fn simulate(&self) -> Result<Image<T>, PsfieldError> {
+        let mut image = self.simulator().zeros();
+        self.simulate_into(image.view_mut(), &NoProgress)?;
+        Ok(Image::new(image)?)
+    }
+
+    /// Adds the image of the exposure to `image`, as [`Simulator::simulate_into`].
+    ///
+    /// # Errors
+    /// The errors of [`Simulator::simulate_into`].
+    pub fn simulate_into(
+        &self,
+        mut image: ArrayViewMut2<'_, T>,
+        progress: &dyn Progress,
+    ) -> Result<TileCounts, PsfieldError> {
+        let mut counts = TileCounts::default();
+        for (simulator, scene) in &self.layers {
+            counts += simulator.simulate_into(scene, image.view_mut(), progress)?;
+        }
+        Ok(counts)
+    }
+
+    /// Compares an image of this exposure with the direct sum, as [`Simulator::spot_check`].
+    ///
+    /// # Errors
+    /// The errors of [`Simulator::exact_at`].
+    pub fn spot_check(
+        &self,
+        image: &Image<T>,
+        pixels: (usize, u64),
+        progress: &dyn Progress,
+    ) -> Result<SpotCheck, PsfieldError> {
+        let layers: Vec<_> = self
+            .layers
+            .iter()
+            .map(|(simulator, scene)| (&**simulator, scene))
+            .collect();
+        spot_check_layers(&layers, image, pixels, progress)
+    }
 }
 
 /// A source of a catalogue in an exposure.
@@ -109,12 +203,9 @@ impl<T: ConvReal> SeriesSimulator<T> {
         (image, catalog): (Option<Image<T>>, Catalog),
     ) -> Result<Self, PsfieldError> {
         // One fit serves all exposures.
-        let psf = match psf.samples() {
-            Some(_) => Psf::from(psf.record()?.clone()),
-            None => psf.clone(),
-        };
-        let rows = || catalog.rows().iter();
-        let unknown = |row: &usize| !rows().any(|known| known == row);
+        let psf = psf.fitted()?;
+        let rows: HashSet<usize> = catalog.rows().iter().copied().collect();
+        let unknown = |row: &usize| !rows.contains(row);
         if let Some(row) = series.light_curves.rows().find(unknown) {
             let message = format!(
                 "a light curve is that of source {row}, but the catalogue has no source in this row (counted from 0)"
@@ -128,7 +219,7 @@ impl<T: ConvReal> SeriesSimulator<T> {
             series,
             image,
             catalog,
-            last: None,
+            last: [None, None],
         };
         for number in 0..made.series.exposures.len() {
             let times = made.series.exposures.times(number);
@@ -168,33 +259,54 @@ impl<T: ConvReal> SeriesSimulator<T> {
         };
         let motion = motion.about(origin);
         let weights = self.state_weights(number)?;
-        let simulator = self.simulator(motion, weights, progress)?;
-        let mut scene = match &self.image {
+        let at_rest = self.simulator(0, motion, weights.clone(), progress)?;
+        // Moving sources have trails of their own.
+        let jitter = Motion::fixed([0.0, 0.0]).with_jitter_px(self.series.pointing.jitter_px)?;
+        let moving = if self
+            .catalog
+            .velocities()
+            .is_some_and(|all| all.iter().any(is_moving))
+        {
+            Some(self.simulator(1, jitter, weights, progress)?)
+        } else {
+            None
+        };
+        let image = match &self.image {
             Some(image) => self.moved_image(image, origin)?,
             None => Scene::dark(),
         };
-        let (stars, galaxies, sources) = self.sources_of(times, (origin, shift_px))?;
-        scene = scene.with_stars(stars).with_galaxies(galaxies);
+        let mut drawn = self.sources_of(times, (origin, shift_px))?;
+        let [stars, trails] = drawn.stars;
+        let [galaxies, galaxy_trails] = drawn.galaxies;
+        let mut layers = vec![(at_rest, image.with_stars(stars).with_galaxies(galaxies))];
+        if let Some(moving) = moving {
+            layers.push((
+                moving,
+                Scene::dark().with_stars(trails).with_galaxies(galaxy_trails),
+            ));
+        }
+        drawn.listed.sort_by_key(|source| source.row);
         Ok(SeriesExposure {
-            simulator,
-            scene,
+            layers,
             shift_px,
-            sources,
+            sources: drawn.listed,
         })
     }
 
-    /// The simulator for the PSF with this motion and these weights of its states.
+    /// The simulator for the PSF with this motion and these weights of its states. `kind` is 1 for moving
+    /// sources.
     fn simulator(
         &mut self,
+        kind: usize,
         motion: Motion,
         weights: Option<Array2<f64>>,
         progress: &dyn Progress,
     ) -> Result<Arc<Simulator<T>>, PsfieldError> {
-        let last = self.last.take();
+        let last = self.last[kind].take();
         let (moved, before) = match last {
             Some(last) if last.motion.equals(&motion) && last.weights == weights => {
                 let simulator = Arc::clone(&last.simulator);
-                self.last = Some(last);
+                self.last[kind] = Some(last);
                 return Ok(simulator);
             }
             Some(last) if last.motion.equals(&motion) => (last.moved, Some(last.simulator)),
@@ -202,10 +314,10 @@ impl<T: ConvReal> SeriesSimulator<T> {
             None => (Mixtures::new(self.psf.moved(&motion)?), None),
         };
         let settings = (self.shape, &self.options);
-        let light = (self.image.is_some(), !self.catalog.rows().is_empty());
+        let light = (kind == 0 && self.image.is_some(), !self.catalog.rows().is_empty());
         let made = moved.simulator(weights.as_ref(), settings, light, before.as_deref(), progress)?;
         let simulator = Arc::new(made);
-        self.last = Some(Last {
+        self.last[kind] = Some(Last {
             motion,
             moved,
             weights,
@@ -269,19 +381,16 @@ impl<T: ConvReal> SeriesSimulator<T> {
         Ok(Scene::from(Image::new(translated(image.pixels(), pixels))?))
     }
 
-    /// Stars and galaxies of an exposure, and the list of the catalogue's sources. Stars and galaxies
-    /// have moved by `origin`, and the sources of the list by `shift_px`.
-    #[allow(
-        clippy::type_complexity,
-        reason = "three lists of one walk through the catalogue"
-    )]
+    /// The sources of an exposure. Those at rest on the sky have moved by `origin`. The list has moved by
+    /// `shift_px`.
     fn sources_of(
         &self,
         times: (f64, f64),
         (origin, shift_px): ([f64; 2], [f64; 2]),
-    ) -> Result<(Vec<PointSource>, Vec<SersicSource>, Vec<SourceInExposure>), PsfieldError> {
+    ) -> Result<DrawnSources, PsfieldError> {
         let (all_stars, all_galaxies) = (self.catalog.stars(), self.catalog.galaxies());
-        let (mut stars, mut galaxies, mut listed) = (Vec::new(), Vec::new(), Vec::new());
+        let at_rest = Motion::fixed(origin);
+        let mut drawn = DrawnSources::default();
         for (place, &row) in self.catalog.rows().iter().enumerate() {
             let galaxy = place
                 .checked_sub(all_stars.len())
@@ -291,28 +400,50 @@ impl<T: ConvReal> SeriesSimulator<T> {
                 None => (all_stars[place].position(), all_stars[place].flux()),
             };
             let flux = flux * self.series.light_curves.mean_factor(row, times)?;
-            let [vx, vy] = self.catalog.velocities().map_or([0.0, 0.0], |all| all[place]);
-            let trail = Motion::along_line([vx * times.0, vy * times.0], [vx * times.1, vy * times.1]);
-            let mean = trail.mean();
-            listed.push(SourceInExposure {
+            let velocity = self.catalog.velocities().map_or([0.0, 0.0], |all| all[place]);
+            let (kind, trail) = if is_moving(&velocity) {
+                let own = self.series.pointing.with_velocity(velocity);
+                let trail = own.during(times).map_err(|error| {
+                    PsfieldError::new(error.kind(), format!("source {row} (counted from 0): {error}"))
+                })?;
+                (1, Cow::Owned(trail))
+            } else {
+                (0, Cow::Borrowed(&at_rest))
+            };
+            let mean = if kind == 1 { trail.mean() } else { shift_px };
+            drawn.listed.push(SourceInExposure {
                 row,
-                x: at.x() + mean[0] + shift_px[0],
-                y: at.y() + mean[1] + shift_px[1],
+                x: at.x() + mean[0],
+                y: at.y() + mean[1],
                 flux,
             });
             if flux == 0.0 {
                 continue;
             }
             for &(weight, [dx, dy]) in trail.points() {
-                let at = Position::new(at.x() + dx + origin[0], at.y() + dy + origin[1])?;
+                let at = Position::new(at.x() + dx, at.y() + dy)?;
                 match galaxy {
-                    Some(galaxy) => galaxies.push(SersicSource::new(at, weight * flux, galaxy.profile())?),
-                    None => stars.push(PointSource::new(at, weight * flux)?),
+                    Some(galaxy) => {
+                        drawn.galaxies[kind].push(SersicSource::new(at, weight * flux, galaxy.profile())?);
+                    }
+                    None => drawn.stars[kind].push(PointSource::new(at, weight * flux)?),
                 }
             }
         }
-        Ok((stars, galaxies, listed))
+        Ok(drawn)
     }
+}
+
+/// The sources of an exposure: at rest on the sky, and the points of trails.
+#[derive(Debug, Default)]
+struct DrawnSources {
+    stars: [Vec<PointSource>; 2],
+    galaxies: [Vec<SersicSource>; 2],
+    listed: Vec<SourceInExposure>,
+}
+
+fn is_moving(velocity: &[f64; 2]) -> bool {
+    *velocity != [0.0, 0.0]
 }
 
 /// An image moved by whole pixels (x, y), dark where nothing moves in.

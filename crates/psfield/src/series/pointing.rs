@@ -74,6 +74,16 @@ pub(super) fn ascending(pair: &[f64]) -> bool {
 }
 
 impl Pointing {
+    /// The pointing as a source with this velocity sees it, without jitter.
+    pub(super) fn with_velocity(&self, velocity: [f64; 2]) -> Self {
+        let [vx, vy] = self.drift_px_per_s;
+        Self {
+            drift_px_per_s: [vx + velocity[0], vy + velocity[1]],
+            jitter_px: 0.0,
+            path: self.path.clone(),
+        }
+    }
+
     /// The motion of light between two times in seconds.
     ///
     /// # Errors
@@ -91,10 +101,9 @@ impl Pointing {
             let of_path = self.path.as_ref().map_or([0.0, 0.0], |path| path.at(time));
             [0, 1].map(|axis| self.drift_px_per_s[axis] * time + of_path[axis])
         };
-        let lines = times
-            .windows(2)
-            .map(|pair| (pair[1] - pair[0], Motion::along_line(at(pair[0]), at(pair[1]))));
-        Motion::sequence(lines)?.with_jitter_px(self.jitter_px)
+        let line = |pair: &[f64]| Ok((pair[1] - pair[0], Motion::along_line(at(pair[0]), at(pair[1]))?));
+        let lines = times.windows(2).map(line);
+        Motion::sequence(lines.collect::<Result<Vec<_>, PsfieldError>>()?)?.with_jitter_px(self.jitter_px)
     }
 }
 

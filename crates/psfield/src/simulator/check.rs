@@ -507,3 +507,50 @@ impl fmt::Display for SimulationWarning {
         }
     }
 }
+
+/// A scene with the stars and galaxies of several scenes.
+pub(super) fn with_all_sources<'a, 's, 'l: 's, T: ConvReal>(
+    all: Scene<'a, T>,
+    scenes: impl Iterator<Item = &'s Scene<'l, T>> + Clone,
+) -> Scene<'a, T> {
+    let stars: Vec<_> = scenes.clone().flat_map(Scene::stars).copied().collect();
+    let galaxies: Vec<_> = scenes.flat_map(Scene::galaxies).copied().collect();
+    all.with_stars(stars).with_galaxies(galaxies)
+}
+
+/// Compares the sum of the images of several scenes, each by its own simulator, with the direct sum, as
+/// [`Simulator::spot_check`]. The simulators have equal settings.
+pub(crate) fn spot_check_layers<'a, T: ConvReal>(
+    layers: &[(&'a Simulator<T>, &'a Scene<'_, T>)],
+    image: &Image<T>,
+    pixels: (usize, u64),
+    progress: &dyn Progress,
+) -> Result<SpotCheck, PsfieldError> {
+    let scenes = layers.iter().map(|(_, scene)| *scene);
+    let any_image = scenes.clone().find_map(Scene::image);
+    let all = any_image.map_or_else(Scene::dark, |image| Scene::from(image.view()));
+    let all = with_all_sources(all, scenes);
+    let first = layers[0].0;
+    let mut picker = first.picker(&all, false, pixels);
+    for row in image.pixels().outer_iter() {
+        picker.pass(row.iter().map(|v| v.as_f64()));
+    }
+    SpotCheck::of_picked::<T>(picker, |pixels| {
+        let mut exact = vec![0.0; pixels.len()];
+        let mut allowed = first.promised(any_image.is_some(), pixels.len());
+        for (simulator, scene) in layers {
+            let of_layer = simulator.exact_at(scene, pixels, progress)?;
+            exact
+                .iter_mut()
+                .zip(of_layer)
+                .for_each(|(sum, value)| *sum += value);
+            if let Some(allowed) = &mut allowed {
+                if let Some(image) = scene.image() {
+                    simulator.add_errors_of_image((image.pixels(), (0, 0)), pixels, allowed)?;
+                }
+                simulator.add_errors_of_sources(scene, pixels, allowed)?;
+            }
+        }
+        Ok((exact, allowed))
+    })
+}

@@ -8,6 +8,7 @@ use conv_core::{ConvError, ConvReal, Engine, Plan, RowStream, TileCounts};
 use ndarray::{ArrayView2, ArrayViewMut2};
 use psf_types::{Image, ImageView, NoProgress, Progress, PsfModel};
 
+use super::check::{spot_check_layers, with_all_sources};
 use super::flux::check_flux;
 use super::stream::SceneRows;
 use super::{Convolver, Mixtures, Preparation, SimulationWarning, Simulator, has_sources};
@@ -238,37 +239,13 @@ impl<T: ConvReal> ColourSimulator<T> {
         progress: &dyn Progress,
     ) -> Result<SpotCheck, PsfieldError> {
         self.check_scenes(scenes, false)?;
-        let any_image = scenes.iter().find_map(Scene::image);
-        let all = any_image.map_or_else(Scene::dark, |image| Scene::from(image.view()));
-        let all = with_all_sources(all, scenes);
-        let first = &self.spectra[0];
-        let mut picker = first.picker(&all, false, (count, seed));
-        for row in image.pixels().outer_iter() {
-            picker.pass(row.iter().map(|v| v.as_f64()));
-        }
-        SpotCheck::of_picked::<T>(picker, |pixels| {
-            let mut exact = vec![0.0; pixels.len()];
-            let mut allowed = first.promised(any_image.is_some(), pixels.len());
-            for (simulator, scene) in self.spectra.iter().zip(scenes) {
-                let of_spectrum = simulator.exact_at(scene, pixels, progress)?;
-                exact
-                    .iter_mut()
-                    .zip(of_spectrum)
-                    .for_each(|(sum, value)| *sum += value);
-                if let Some(allowed) = &mut allowed {
-                    if let Some(image) = scene.image() {
-                        simulator.add_errors_of_image((image.pixels(), (0, 0)), pixels, allowed)?;
-                    }
-                    simulator.add_errors_of_sources(scene, pixels, allowed)?;
-                }
-            }
-            Ok((exact, allowed))
-        })
+        let layers: Vec<_> = self.spectra.iter().zip(scenes).collect();
+        spot_check_layers(&layers, image, (count, seed), progress)
     }
 
     /// Picks the pixels of a streamed image that a check compares, as [`Simulator::picker`].
     pub fn picker(&self, scenes: &[Scene<'_, T>], pixels: (usize, u64)) -> PixelPicker {
-        let all = with_all_sources(Scene::dark(), scenes);
+        let all = with_all_sources(Scene::dark(), scenes.iter());
         self.spectra[0].picker(&all, true, pixels)
     }
 
@@ -354,13 +331,6 @@ impl<T: ConvReal> ColourSimulator<T> {
         engines().push((used.to_vec(), Arc::clone(&engine)));
         Ok(engine)
     }
-}
-
-/// A scene with the stars and galaxies of all scenes.
-fn with_all_sources<'a, T: ConvReal>(all: Scene<'a, T>, scenes: &[Scene<'_, T>]) -> Scene<'a, T> {
-    let stars: Vec<_> = scenes.iter().flat_map(Scene::stars).copied().collect();
-    let galaxies: Vec<_> = scenes.iter().flat_map(Scene::galaxies).copied().collect();
-    all.with_stars(stars).with_galaxies(galaxies)
 }
 
 /// One layer of a stream of several.
