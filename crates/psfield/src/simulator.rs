@@ -9,6 +9,7 @@ mod flux;
 mod geometry;
 mod many;
 mod mixtures;
+mod sources;
 mod stream;
 #[cfg(test)]
 mod tests;
@@ -17,23 +18,18 @@ use std::sync::{Arc, OnceLock};
 use std::time::Instant;
 
 use conv_core::{
-    ConvError, ConvReal, ConvolutionMethod, Engine, GalaxyPlan, Operation, Plan, PlanOptions, PlanSummary,
-    StarPainter, StarPlan, TileCounts,
+    ConvError, ConvReal, ConvolutionMethod, Engine, Operation, Plan, PlanOptions, PlanSummary, TileCounts,
 };
 use ndarray::{Array2, ArrayViewMut2};
-use psf_types::{
-    DataError, FrameShape, Image, ImageView, LightProfile, NoProgress, PixelRegion, Progress, PsfModel,
-    SersicSource,
-};
-use sersic::SersicLight;
+use psf_types::{DataError, FrameShape, Image, ImageView, NoProgress, PixelRegion, Progress, PsfModel};
 
 use crate::device::{self, CpuReason, GpuSeconds, Placement};
 use crate::psf::get_or_make;
-use crate::scene::SceneSources;
 use crate::{Device, ErrorKind, Psf, PsfieldError, Scene, ScenePixels, SimulateOptions};
 
 use flux::check_flux;
 use geometry::Geometry;
+use sources::{Sources, has_sources};
 
 pub use builder::{OwnMethodBuilder, SimulatorBuilder};
 pub use check::SimulationWarning;
@@ -129,35 +125,6 @@ impl<T: ConvReal> Convolver<T> {
     /// `what`.
     fn engine_for(&self, what: &str) -> Result<&Engine<T>, PsfieldError> {
         self.engine.as_ref().ok_or_else(|| PsfieldError::needs_plan(what))
-    }
-}
-
-/// Draws stars and galaxies.
-#[derive(Debug)]
-struct Sources<T: ConvReal> {
-    model: PsfModel,
-    /// If None, stars are drawn one by one from all components, in f64.
-    stars: Option<StarPlan<T>>,
-    galaxies: GalaxyPlan<T>,
-    fit_seconds: f64,
-    plan_seconds: f64,
-}
-
-impl<T: ConvReal> Sources<T> {
-    /// Draws sources through another model with the local bases of this one. None if the model has other
-    /// stamps.
-    fn for_other_field(&self, model: &PsfModel) -> Option<Self> {
-        let stars = match &self.stars {
-            Some(stars) => Some(stars.for_other_field(model)?),
-            None => None,
-        };
-        Some(Self {
-            model: model.clone(),
-            stars,
-            galaxies: self.galaxies.for_other_field(model)?,
-            fit_seconds: 0.0,
-            plan_seconds: 0.0,
-        })
     }
 }
 
@@ -440,39 +407,6 @@ impl<T: ConvReal> Simulator<T> {
         Ok((model, *seconds))
     }
 
-    fn sources(&self) -> Result<&Sources<T>, PsfieldError> {
-        get_or_make(&self.shared.sources, || {
-            let clock = Instant::now();
-            let psf = self.psf().with_pixel_response()?;
-            let models = std::slice::from_ref(psf.model()?);
-            self.sources_of_layers(models, clock.elapsed().as_secs_f64())
-        })
-    }
-
-    /// Draws sources through the first of these models. The local bases represent the PSFs of all.
-    fn sources_of_layers(&self, models: &[PsfModel], fit_seconds: f64) -> Result<Sources<T>, PsfieldError> {
-        let clock = Instant::now();
-        let size = self.options.stamp_size;
-        let planned = self.planned_for(&models[0])?;
-        if let Some(options) = &planned {
-            for model in models {
-                check_flux(self.psf(), model, options)?;
-            }
-        }
-        let stars = planned
-            .map(|options| StarPlan::of_layers(models, options, size))
-            .transpose()?;
-        let exact = PlanOptions::new(TOLERANCE_WITHOUT_PLAN)?.with_anchor(self.options.anchor);
-        let galaxies = GalaxyPlan::of_layers(models, planned.unwrap_or(exact), size)?;
-        Ok(Sources {
-            model: models[0].clone(),
-            stars,
-            galaxies,
-            fit_seconds,
-            plan_seconds: clock.elapsed().as_secs_f64(),
-        })
-    }
-
     /// Returns the convolver for the images of scenes.
     #[inline(never)]
     fn convolver(&self, progress: &dyn Progress) -> Result<&Convolver<T>, PsfieldError> {
@@ -553,39 +487,6 @@ impl<T: ConvReal> Simulator<T> {
         self.geometry.add_sampled(fine.view(), image);
         Ok(counts)
     }
-
-    /// Adds stars and galaxies to `image`, which holds the pixels of a region of the frame.
-    #[inline(never)]
-    fn draw_sources_into(
-        &self,
-        (stars, galaxies): SceneSources<'_>,
-        region: PixelRegion,
-        mut image: ArrayViewMut2<'_, T>,
-        progress: &dyn Progress,
-    ) -> Result<(), PsfieldError> {
-        if stars.is_empty() && galaxies.is_empty() {
-            return Ok(());
-        }
-        let (sources, frame) = (self.sources()?, self.geometry.frame);
-        if !galaxies.is_empty() {
-            let image = image.view_mut();
-            sources
-                .galaxies
-                .draw_into(galaxies, &light_of, frame, region, image, progress)?;
-        }
-        match &sources.stars {
-            Some(plan) => plan.draw_into(stars, frame, region, image, progress)?,
-            None => self
-                .painter(&sources.model)?
-                .draw_into(stars, region, image, progress)?,
-        }
-        Ok(())
-    }
-
-    fn painter<'a>(&self, model: &'a PsfModel) -> Result<StarPainter<'a>, PsfieldError> {
-        let (frame, anchor) = (self.geometry.frame, self.options.anchor);
-        Ok(StarPainter::new(model, frame, anchor, self.options.stamp_size)?)
-    }
 }
 
 /// The PSF on the pixels of a scene's image, for its convolution.
@@ -598,16 +499,4 @@ fn on_scene_pixels(psf: &Psf, options: &SimulateOptions) -> Result<Psf, PsfieldE
         ScenePixels::Point => Ok(psf),
         ScenePixels::Integrated => psf.without_scene_pixel(),
     }
-}
-
-/// The tolerance for galaxies with a method that has no tolerance.
-const TOLERANCE_WITHOUT_PLAN: f64 = 1e-7;
-
-fn has_sources<T: ConvReal>(scene: &Scene<'_, T>) -> bool {
-    !scene.stars().is_empty() || !scene.galaxies().is_empty()
-}
-
-/// The light of a galaxy.
-fn light_of(galaxy: &SersicSource) -> Box<dyn LightProfile + Send + Sync> {
-    Box::new(SersicLight::new(galaxy))
 }

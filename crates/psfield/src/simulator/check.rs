@@ -10,8 +10,9 @@ use rand::seq::IteratorRandom;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
+use super::sources::{has_sources, light_of};
 use super::stream::SceneRows;
-use super::{Convolver, Simulator, has_sources, light_of};
+use super::{Convolver, Simulator};
 use crate::device::Placement;
 use crate::psf::get_or_make;
 use crate::spot_check::Allowed;

@@ -10,8 +10,9 @@ use psf_types::{Image, ImageView, NoProgress, Progress, PsfModel};
 
 use super::check::{spot_check_layers, with_all_sources};
 use super::flux::check_flux;
+use super::sources::has_sources;
 use super::stream::SceneRows;
-use super::{Convolver, Mixtures, Preparation, SimulationWarning, Simulator, has_sources};
+use super::{Convolver, Mixtures, Preparation, SimulationWarning, Simulator};
 use crate::device::{CpuReason, Placement};
 use crate::{ErrorKind, PixelPicker, Psf, PsfieldError, Scene, SimulateOptions, SpotCheck};
 

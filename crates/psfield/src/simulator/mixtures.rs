@@ -6,7 +6,8 @@ use conv_core::ConvReal;
 use ndarray::Array2;
 use psf_types::Progress;
 
-use super::{Simulator, Sources, on_scene_pixels};
+use super::sources::Sources;
+use super::{Simulator, on_scene_pixels};
 use crate::psf::get_or_make;
 use crate::{Psf, PsfieldError, SimulateOptions};
 

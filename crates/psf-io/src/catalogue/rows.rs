@@ -1,0 +1,287 @@
+//! The rows of a catalogue: what their values mean, and which of them are valid.
+
+use std::path::Path;
+
+use psf_types::{DataError, PointSource, Position, SersicProfile, SersicSource};
+
+use super::columns::{CatalogColumns, CatalogOptions, Picked, Role};
+use super::table_file::{AnyTable, TableFile};
+use super::{Catalog, SourceColours};
+use crate::error::{IoError, IoErrorKind, Place};
+use crate::fits::columns::{Nans, NumberColumns, bad_value, missing_column};
+
+/// The rows of a catalogue's table, with the columns that are needed.
+pub(super) struct Rows<'a> {
+    pub(super) path: &'a Path,
+    options: &'a CatalogOptions,
+    columns: Picked,
+    pub(super) numbers: NumberColumns,
+    pub(super) colours: Option<SourceColours>,
+    pub(super) velocities: Option<[Vec<f64>; 2]>,
+}
+
+impl<'a> Rows<'a> {
+    /// Reads the columns that `pick` chooses from a table. If the file has no tables, the error
+    /// lists the columns in `needed`.
+    pub(super) fn read(
+        path: &'a Path,
+        options: &'a CatalogOptions,
+        needed: &str,
+        pick: fn(&CatalogColumns, &Path, &[String]) -> Result<Picked, IoError>,
+    ) -> Result<Self, IoError> {
+        let file = TableFile::open(path)?;
+        let (columns, table) = file.pick(options.table.as_ref(), needed, |names| {
+            pick(&options.columns, path, names)
+        })?;
+        check_options(path, options, &columns)?;
+        Ok(Self {
+            path,
+            options,
+            numbers: table.read(&columns.names(), Nans::Kept)?,
+            colours: if options.with_colours {
+                colours_of(&table)?
+            } else {
+                None
+            },
+            velocities: if options.with_velocities {
+                velocities_of(path, &table)?
+            } else {
+                None
+            },
+            columns,
+        })
+    }
+
+    /// Adds the source of a row to the catalogue. A source that the projection does not reach is
+    /// only counted.
+    pub(super) fn add_source(&self, row: usize, catalog: &mut Catalog) -> Result<(), IoError> {
+        let position = self.position(row)?;
+        let flux = self.flux(row)?;
+        let invalid = |source| self.invalid(row, source);
+        match (position, self.profile(row)?) {
+            (None, _) => catalog.rows_off_projection += 1,
+            (Some(at), None) => catalog.stars.push(PointSource::new(at, flux).map_err(invalid)?),
+            (Some(at), Some(profile)) => {
+                catalog
+                    .galaxies
+                    .push(SersicSource::new(at, flux, profile).map_err(invalid)?);
+            }
+        }
+        Ok(())
+    }
+
+    /// Returns an error for a source without a spectrum.
+    pub(super) fn check_colour(&self, row: usize) -> Result<(), IoError> {
+        let problem = match &self.colours {
+            Some(SourceColours::Names(names)) if names[row].is_empty() => {
+                "the name of the spectrum is missing"
+            }
+            // A black body outside this range has no light at any wavelength of a telescope.
+            Some(SourceColours::Temperatures(all)) if !(100.0..=1e9).contains(&all[row]) => {
+                "the temperature must be from 100 to 1e9 kelvin"
+            }
+            _ => return Ok(()),
+        };
+        let column = match self.colours {
+            Some(SourceColours::Names(_)) => SED,
+            _ => TEFF,
+        };
+        let (row, column) = (self.numbers.place(row), column.to_owned());
+        let error = IoError::new(self.path, IoErrorKind::Data, problem).at(Place::Value { row, column });
+        Err(error.with_setting("invalid_skipped"))
+    }
+
+    /// Returns an error for a source whose velocity is missing.
+    pub(super) fn check_velocity(&self, row: usize) -> Result<(), IoError> {
+        for (column, values) in VELOCITIES.iter().zip(self.velocities.iter().flatten()) {
+            if !values[row].is_finite() {
+                let problem =
+                    "the velocity must be a finite number of pixels per second, 0 for a source at rest";
+                let (row, column) = (self.numbers.place(row), (*column).to_owned());
+                let error =
+                    IoError::new(self.path, IoErrorKind::Data, problem).at(Place::Value { row, column });
+                return Err(error.with_setting("invalid_skipped"));
+            }
+        }
+        Ok(())
+    }
+
+    /// The flux of a source. A flux of 0 is refused, because it often stands for a missing value.
+    fn flux(&self, row: usize) -> Result<f64, IoError> {
+        let (role, flux) = match self.options.zero_point {
+            None => (Role::Flux, self.finite(row, Role::Flux)?),
+            Some(zero_point) => {
+                let magnitude = self.finite(row, Role::Mag)?;
+                (Role::Mag, 10.0_f64.powf(-0.4 * (magnitude - zero_point)))
+            }
+        };
+        if flux == 0.0 {
+            const ZERO: &str = "the flux of the source is 0: remove the row, or skip invalid rows";
+            return Err(self.refused(row, role, ZERO));
+        }
+        Ok(flux)
+    }
+
+    /// The position of a source, or `None` if the projection does not reach it.
+    pub(super) fn position(&self, row: usize) -> Result<Option<Position>, IoError> {
+        let Some(sky) = self
+            .options
+            .sky
+            .as_ref()
+            .filter(|_| self.columns.place(Role::Ra).is_some())
+        else {
+            let first = if self.options.one_based { 1.0 } else { 0.0 };
+            let (x, y) = (self.finite(row, Role::X)?, self.finite(row, Role::Y)?);
+            let position = Position::new(x - first, y - first);
+            return position.map(Some).map_err(|source| self.invalid(row, source));
+        };
+        let (ra, dec) = (self.finite(row, Role::Ra)?, self.finite(row, Role::Dec)?);
+        if (-90.0..=90.0).contains(&dec) {
+            return Ok(sky.pixel(ra, dec));
+        }
+        let source = DataError::setting("the declination", "-90 to 90 degrees", dec);
+        Err(self.invalid(row, source))
+    }
+
+    /// The profile of a galaxy, or `None` for a star.
+    fn profile(&self, row: usize) -> Result<Option<SersicProfile>, IoError> {
+        let value = |role| self.value(row, role);
+        let (Some(re), Some(n)) = (value(Role::Re), value(Role::N)) else {
+            return Ok(None);
+        };
+        if re == 0.0 {
+            return Ok(None);
+        }
+        if re.is_nan() {
+            const MISSING: &str =
+                "the half-light radius is missing or NaN: write 0 for a star, or skip invalid rows";
+            return Err(self.refused(row, Role::Re, MISSING));
+        }
+        let q = value(Role::Q).unwrap_or(1.0);
+        // A circle needs no angle.
+        let angle = value(Role::Angle).filter(|_| q != 1.0).unwrap_or(0.0);
+        let g1 = value(Role::G1).unwrap_or(0.0);
+        let g2 = value(Role::G2).unwrap_or(0.0);
+        SersicProfile::new(re, n, q, angle)
+            .and_then(|profile| profile.sheared(g1, g2))
+            .map(Some)
+            .map_err(|source| self.invalid(row, source))
+    }
+
+    /// The value in the column of a role, or `None` without such a column.
+    fn value(&self, row: usize, role: Role) -> Option<f64> {
+        self.columns
+            .place(role)
+            .map(|column| self.numbers.values[column][row])
+    }
+
+    fn finite(&self, row: usize, role: Role) -> Result<f64, IoError> {
+        let value = self.value(row, role).expect("the column is read");
+        if value.is_finite() {
+            return Ok(value);
+        }
+        let got = if value.is_nan() {
+            "missing or NaN".to_owned()
+        } else {
+            value.to_string()
+        };
+        let column = self.columns.name(role).map_or("", String::as_str);
+        Err(bad_value(self.path, self.numbers.place(row), column, &got))
+    }
+
+    /// The error for a value that no source may have, but which stands in catalogues.
+    fn refused(&self, row: usize, role: Role, problem: &str) -> IoError {
+        let column = self.columns.name(role).cloned().unwrap_or_default();
+        let row = self.numbers.place(row);
+        IoError::new(self.path, IoErrorKind::Data, problem)
+            .at(Place::Value { row, column })
+            .with_setting("invalid_skipped")
+    }
+
+    fn invalid(&self, row: usize, source: DataError) -> IoError {
+        IoError::new(self.path, IoErrorKind::Data, "the row is not valid")
+            .at(Place::Row(self.numbers.place(row)))
+            .because(source)
+    }
+}
+
+/// Checks that the options suit the columns.
+fn check_options(path: &Path, options: &CatalogOptions, columns: &Picked) -> Result<(), IoError> {
+    let refused = |setting, problem: String| {
+        Err(IoError::new(path, IoErrorKind::Setting, problem).with_setting(setting))
+    };
+    match (
+        columns.name(Role::Flux),
+        columns.name(Role::Mag),
+        options.zero_point,
+    ) {
+        (Some(flux), _, Some(_)) => {
+            let problem = format!(
+                "the column {flux:?} holds fluxes, for which a zero point has no meaning: leave the zero point out, or name the \
+                 column of magnitudes (mag)"
+            );
+            return refused("zero_point", problem);
+        }
+        (_, Some(magnitude), None) => {
+            let problem = format!(
+                "the column {magnitude:?} holds magnitudes: give the zero point, the magnitude of flux 1"
+            );
+            return refused("zero_point", problem);
+        }
+        _ => {}
+    }
+    let (Some(ra), Some(dec)) = (columns.name(Role::Ra), columns.name(Role::Dec)) else {
+        return Ok(());
+    };
+    if options.one_based {
+        let problem = format!(
+            "the columns {ra:?} and {dec:?} are sky coordinates, which are not counted from 1: leave out the setting for 1-based pixels, or \
+             name columns of pixels (x and y)"
+        );
+        return refused("one_based", problem);
+    }
+    if options.sky.is_none() {
+        let problem = format!(
+            "the columns {ra:?} and {dec:?} are sky coordinates, but the world coordinates of the frame are missing: give \
+             positions in pixels, or (for the sources of a simulation) an image whose header has world coordinates"
+        );
+        return refused("sky", problem);
+    }
+    Ok(())
+}
+
+/// Reads the columns of the velocities, if both exist.
+fn velocities_of(path: &Path, table: &AnyTable<'_>) -> Result<Option<[Vec<f64>; 2]>, IoError> {
+    let names = table.names();
+    let has = |column: &&str| names.iter().any(|name| name.eq_ignore_ascii_case(column));
+    match VELOCITIES.iter().filter(|column| has(column)).count() {
+        0 => return Ok(None),
+        1 => {
+            let missing = VELOCITIES.iter().find(|column| !has(column)).expect("one of two");
+            return Err(missing_column(path, &names, missing));
+        }
+        _ => {}
+    }
+    let columns = table.read(&VELOCITIES, Nans::Kept)?.values;
+    Ok(columns.try_into().ok())
+}
+
+/// The columns of the velocities of sources.
+const VELOCITIES: [&str; 2] = ["vx", "vy"];
+
+/// Reads the spectra of all rows of a table: the column `sed` or, without it, the column `teff`.
+fn colours_of(table: &AnyTable<'_>) -> Result<Option<SourceColours>, IoError> {
+    let has = |column: &str| table.names().iter().any(|name| name.eq_ignore_ascii_case(column));
+    if has(SED) {
+        return Ok(Some(SourceColours::Names(table.read_texts(SED)?)));
+    }
+    if !has(TEFF) {
+        return Ok(None);
+    }
+    let mut columns = table.read(&[TEFF], Nans::Kept)?.values;
+    Ok(columns.pop().map(SourceColours::Temperatures))
+}
+
+/// The columns of the names of spectra and of the temperatures of black bodies.
+const SED: &str = "sed";
+const TEFF: &str = "teff";
