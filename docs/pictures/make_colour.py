@@ -164,18 +164,18 @@ def draw_drift(work):
     motions = {
         "at rest": "",
         "jitter of 4 pixels": "jitter_px = 4.0",
-        "drift of 30 pixels": "drift_px_per_s = [30.0, 15.0]",
+        "drift of 30 pixels": "drift_px_per_s = [26.8, 13.4]",
         "path of 200 points": 'path = "path.csv"',
     }
     figure = Figure(figsize=(9, 2.9), layout="constrained")
     for axes, (title, motion) in zip(
         figure.subplots(1, 4, sharey=True), motions.items(), strict=True
     ):
-        middle = 'catalog = "star.csv"\nshape = [64, 64]\npsf-wavelength = 0.4'
-        head = 'start = "2026-11-27T21:00:00"\nexposure_s = 1\nstarts_s = [-0.5]\n'
-        if "path" in motion:
-            head = head.replace("-0.5", "0")
-        table = f'{head}[pointing]\n{motion}\n[simulate]\npsf = "psf.fits"\n{middle}\n'
+        # A path begins at time 0. The middle of the other exposures is at time 0.
+        first = 0.0 if "path" in motion else -0.5
+        times = f'start = "2026-11-27T21:00:00"\nexposure_s = 1\nstarts_s = [{first}]'
+        scene = 'psf = "psf.fits"\ncatalog = "star.csv"\nshape = [64, 64]\npsf-wavelength = 0.5'
+        table = f"{times}\n[pointing]\n{motion}\n[simulate]\n{scene}\n"
         work.write("series.toml", table)
         work.psfield("series", "series.toml", "--out", "frames")
         image = fits.getdata(work.folder / "frames" / "frame_0000.fits").astype(float)

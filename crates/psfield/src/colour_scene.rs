@@ -4,7 +4,7 @@ use conv_core::ConvReal;
 use ndarray::Array2;
 use psf_io::{Catalog, SourceColours};
 use psf_types::{DataError, Image, PointSource, SersicSource};
-use spectra::Bandpass;
+use spectra::{Bandpass, SpectraError};
 
 use crate::{
     ColourSimulator, Dispersion, ErrorKind, Psf, PsfieldError, Scene, SimulateOptions, open_spectrum,
@@ -159,9 +159,15 @@ impl<T: ConvReal> ColourScene<T> {
             .iter()
             .map(|name| open_spectrum(name))
             .collect::<Result<_, _>>()?;
+        psf.wavelengths()?;
         for (name, spectrum) in self.names.iter().zip(&spectra) {
             psf.photons_of(bandpass, spectrum).map_err(|error| {
-                PsfieldError::new(ErrorKind::Setting, format!("the spectrum {name}: {error}"))
+                // An error of the spectrum alone is not one of the PSF.
+                let kind = match error.cause::<SpectraError>() {
+                    Some(_) => ErrorKind::Setting,
+                    None => error.kind(),
+                };
+                PsfieldError::new(kind, format!("the spectrum {name}: {error}"))
             })?;
         }
         let mut scenes = Vec::with_capacity(self.light.len());

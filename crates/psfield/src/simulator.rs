@@ -13,6 +13,7 @@ mod sources;
 mod stream;
 #[cfg(test)]
 mod tests;
+mod warnings;
 
 use std::sync::{Arc, OnceLock};
 use std::time::Instant;
@@ -32,10 +33,10 @@ use geometry::Geometry;
 use sources::{Sources, has_sources};
 
 pub use builder::{OwnMethodBuilder, SimulatorBuilder};
-pub use check::SimulationWarning;
 pub(crate) use check::spot_check_layers;
 pub use colours::ColourSimulator;
 pub(crate) use mixtures::Mixtures;
+pub use warnings::SimulationWarning;
 
 /// The start of the error message for a region with a method that makes no plan
 /// ([`PsfieldError::needs_plan`]).
