@@ -238,6 +238,10 @@ impl std::fmt::Display for CatalogColumns {
 /// # Ok::<(), psf_types::DataError>(())
 /// ```
 #[derive(Debug, Clone, Default)]
+#[allow(
+    clippy::struct_excessive_bools,
+    reason = "independent choices, each with a default of false"
+)]
 pub struct CatalogOptions {
     pub(crate) columns: CatalogColumns,
     pub(crate) one_based: bool,

@@ -137,7 +137,7 @@ fn planned(
         let settings = AUTO.settings(options);
         let simulator = ColourSimulator::new(psf, (frame.ny(), frame.nx()), &settings)?;
         simulator.prepare(&scenes.of_spectra()?, &[], &NoProgress)?;
-        return Ok(CaseSimulator::Colours(simulator));
+        return Ok(CaseSimulator::Colours(Box::new(simulator)));
     }
     let simulator = AUTO.simulator(record, psf, frame, options)?;
     simulator.prepare(&scenes.get(scenes.count - 1)?, false, &NoProgress)?;

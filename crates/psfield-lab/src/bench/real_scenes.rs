@@ -48,7 +48,7 @@ pub(super) enum CaseSimulator {
     /// All light has the spectrum for which the PSF was made.
     OneSpectrum(Box<Simulator<f32>>),
     /// One scene for each spectrum, added up in one image.
-    Colours(ColourSimulator<f32>),
+    Colours(Box<ColourSimulator<f32>>),
 }
 
 /// The scenes of a case.

@@ -110,7 +110,9 @@ impl Motion {
                 "a motion needs finite shifts, and parts of the time that are 0 or more, not all 0";
             return Err(PsfieldError::new(ErrorKind::Data, MESSAGE));
         }
-        points.iter_mut().for_each(|(weight, _)| *weight /= sum);
+        for (weight, _) in &mut points {
+            *weight /= sum;
+        }
         let jitter_px = jitter.unwrap_or(0.0);
         Ok(Self { points, jitter_px })
     }
