@@ -55,7 +55,7 @@ const REGION: &str = "a region of the frame can be computed";
 /// ([`ScenePixels`]).
 ///
 /// Galaxies are functions on the sky. Each is convolved once with the interpolated stamp of its own
-/// position ([`GalaxyPlan`]), whatever the scene's pixels are.
+/// position ([`GalaxyPlan`](conv_core::GalaxyPlan)), whatever the scene's pixels are.
 ///
 /// ```
 /// use ndarray::{Array2, Array3};
