@@ -1,5 +1,7 @@
 //! Fits a model to PSF samples. The model gives the PSF at every position.
 
+mod models;
+
 use std::path::Path;
 use std::sync::Arc;
 
@@ -12,13 +14,16 @@ use psf_io::Card;
 use psf_sample::ShiftAugmentation;
 use psf_types::{
     Interpolation, Normalisation, OutsidePolicy, PsfBasis, PsfModel, PsfModelRecord, PsfSamples,
-    SampleCoefficients, SamplePositions, StampGrid,
+    SamplePositions, StampGrid,
 };
 use rayon::prelude::*;
 use serde::Serialize;
 
 use crate::stack_size::check_stack;
 use crate::{ErrorKind, PsfieldError};
+
+pub use models::model_of;
+pub(crate) use models::{models_of, models_on};
 
 /// Options for fitting a model to samples. The command line has the same defaults: rank `auto`,
 /// mean-centred, interpolation `auto`, nearest outside, unit flux.
@@ -282,65 +287,6 @@ pub fn fit_with(
     let field = InterpolatedField::new(fit.coefficients(), interpolation, outside)?;
     let model = PsfModel::new(fit.basis(), Arc::new(field), normalisation, field_shape)?;
     Ok((model, fit))
-}
-
-/// Makes the model that a record describes. Interpolates the record's coefficients by the method
-/// that the record names.
-///
-/// # Errors
-/// [`PsfieldError`] when the interpolation does not suit the positions, or when the record has
-/// several states.
-pub fn model_of(record: PsfModelRecord) -> Result<PsfModel, PsfieldError> {
-    let field = field_of(record.coefficients(), record.interpolation(), record.outside())?;
-    Ok(record.into_model(Arc::new(field))?)
-}
-
-/// Makes the models of all states of a record, in the order of their values. They share their
-/// stamps.
-///
-/// # Errors
-/// The errors of [`model_of`].
-pub(crate) fn models_of(record: &PsfModelRecord) -> Result<Vec<PsfModel>, PsfieldError> {
-    let first = state_field(record, 0)?;
-    let first = record.clone().into_model(Arc::new(first))?;
-    let mut others = models_on(record, &first, 1)?;
-    others.insert(0, first);
-    Ok(others)
-}
-
-/// The models of all states from the given one on, on the stamps of a model of the same basis.
-pub(crate) fn models_on(
-    record: &PsfModelRecord,
-    stamps: &PsfModel,
-    from: usize,
-) -> Result<Vec<PsfModel>, PsfieldError> {
-    let states = from..record.coefficients().positions().state_count();
-    states
-        .map(|state| Ok(stamps.with_field(Arc::new(state_field(record, state)?))?))
-        .collect()
-}
-
-/// The coefficient field of a state. 0 if the PSF depends on the position only.
-fn state_field(record: &PsfModelRecord, state: usize) -> Result<InterpolatedField, PsfieldError> {
-    let coefficients = record.coefficients();
-    let (interpolation, outside) = (record.interpolation(), record.outside());
-    match coefficients.positions().states() {
-        None => field_of(coefficients, interpolation, outside),
-        Some(_) => field_of(&coefficients.of_state(state), interpolation, outside),
-    }
-}
-
-fn field_of(
-    coefficients: &SampleCoefficients,
-    interpolation: Interpolation,
-    outside: OutsidePolicy,
-) -> Result<InterpolatedField, PsfieldError> {
-    let resolved = coeff_field::resolve(interpolation, coefficients.positions());
-    Ok(InterpolatedField::new(
-        coefficients,
-        coeff_field::interpolation(resolved)?.as_ref(),
-        outside,
-    )?)
 }
 
 fn normalised(samples: PsfSamples, normalisation: Normalisation) -> PsfSamples {

@@ -1,0 +1,67 @@
+//! Makes the models that records describe: interpolates their coefficients over the field.
+
+use std::sync::Arc;
+
+use coeff_field::InterpolatedField;
+use psf_types::{Interpolation, OutsidePolicy, PsfModel, PsfModelRecord, SampleCoefficients};
+
+use crate::PsfieldError;
+
+/// Makes the model that a record describes. Interpolates the record's coefficients by the method
+/// that the record names.
+///
+/// # Errors
+/// [`PsfieldError`] when the interpolation does not suit the positions, or when the record has
+/// several states.
+pub fn model_of(record: PsfModelRecord) -> Result<PsfModel, PsfieldError> {
+    let field = field_of(record.coefficients(), record.interpolation(), record.outside())?;
+    Ok(record.into_model(Arc::new(field))?)
+}
+
+/// Makes the models of all states of a record, in the order of their values. They share their
+/// stamps.
+///
+/// # Errors
+/// The errors of [`model_of`].
+pub(crate) fn models_of(record: &PsfModelRecord) -> Result<Vec<PsfModel>, PsfieldError> {
+    let first = state_field(record, 0)?;
+    let first = record.clone().into_model(Arc::new(first))?;
+    let mut others = models_on(record, &first, 1)?;
+    others.insert(0, first);
+    Ok(others)
+}
+
+/// The models of all states from the given one on, on the stamps of a model of the same basis.
+pub(crate) fn models_on(
+    record: &PsfModelRecord,
+    stamps: &PsfModel,
+    from: usize,
+) -> Result<Vec<PsfModel>, PsfieldError> {
+    let states = from..record.coefficients().positions().state_count();
+    states
+        .map(|state| Ok(stamps.with_field(Arc::new(state_field(record, state)?))?))
+        .collect()
+}
+
+/// The coefficient field of a state. 0 if the PSF depends on the position only.
+fn state_field(record: &PsfModelRecord, state: usize) -> Result<InterpolatedField, PsfieldError> {
+    let coefficients = record.coefficients();
+    let (interpolation, outside) = (record.interpolation(), record.outside());
+    match coefficients.positions().states() {
+        None => field_of(coefficients, interpolation, outside),
+        Some(_) => field_of(&coefficients.of_state(state), interpolation, outside),
+    }
+}
+
+fn field_of(
+    coefficients: &SampleCoefficients,
+    interpolation: Interpolation,
+    outside: OutsidePolicy,
+) -> Result<InterpolatedField, PsfieldError> {
+    let resolved = coeff_field::resolve(interpolation, coefficients.positions());
+    Ok(InterpolatedField::new(
+        coefficients,
+        coeff_field::interpolation(resolved)?.as_ref(),
+        outside,
+    )?)
+}
