@@ -3,22 +3,24 @@
 use std::path::PathBuf;
 use std::str::FromStr;
 
+use anyhow::Context as _;
 use conv_core::{ConvReal, TileCounts};
-use ndarray::ArrayViewMut2;
-use psf_io::ImageReader;
-use psf_types::{Image, NoProgress, Progress};
+use ndarray::{Array2, ArrayViewMut2};
+use psf_io::{Card, CardValue, ImageReader};
+use psf_types::{FrameShape, Image, NoProgress, Progress};
 use psfield::{
     ColourScene, ColourSimulator, Dispersion, PixelPicker, Psf, PsfieldError, Scene, Simulator, SpotCheck,
     open_bandpass,
 };
 
+use crate::UsageError;
 use crate::context::{Context, with_option};
 use crate::simulate::SimulateArgs;
 use crate::simulate::execute::{FitsRows, MakesImage, StreamsImage};
 use crate::simulate::exposure_args::Exposing;
 use crate::simulate::prepared::timed;
 use crate::simulate::report::{Report, Seconds};
-use crate::simulate::scene::ReadScene;
+use crate::simulate::scene::{ReadScene, SceneArgs, with_nan_as};
 
 /// The bandpass of the image, and the spectra of the light.
 #[derive(Debug, Clone, clap::Args)]
@@ -64,7 +66,8 @@ pub(super) struct ColourArgs {
     pub(super) dispersion: Option<Dispersion>,
     /// A further image of the scene, with its spectrum (may be repeated)
     ///
-    /// It has the pixels of SCENE.fits. The images of all spectra are added up.
+    /// It has the pixels of SCENE.fits. The images of all spectra are added up. SCENE.fits may also be a
+    /// cube whose header names the spectrum of each plane: SED1, SED2, ...
     #[arg(
         long,
         value_name = "IMAGE.fits:sed=SPECTRUM",
@@ -144,15 +147,8 @@ impl SimulateArgs {
     /// Returns an error message if the options of colours do not fit together with others.
     pub(super) fn misused_colour(&self) -> Option<String> {
         self.colour.bandpass.as_ref()?;
-        let first_image = self.scene.scene.as_ref();
-        let message = if !self.colour.layer.is_empty() && first_image.is_none() {
-            "--layer needs a first image (SCENE.fits), whose spectrum is --sed"
-        } else if first_image.is_some() && self.colour.sed.is_none() {
-            "--bandpass needs the spectrum of SCENE.fits: --sed SPECTRUM"
-        } else {
-            return None;
-        };
-        Some(message.to_owned())
+        let lacks = !self.colour.layer.is_empty() && self.scene.scene.is_none();
+        lacks.then(|| "--layer needs a first image (SCENE.fits), whose spectrum is --sed".to_owned())
     }
 
     /// Simulates a scene in colour.
@@ -231,6 +227,127 @@ impl SimulateArgs {
     }
 }
 
+impl SceneArgs {
+    /// Reads a scene in colour: images and sources, each with its spectrum. If `by_rows`, opens the
+    /// images, but does not read their pixels. The scene in the result is dark.
+    fn read_colours<T: ConvReal>(
+        &self,
+        colour: &ColourArgs,
+        by_rows: bool,
+        field: Option<FrameShape>,
+    ) -> anyhow::Result<ReadColours<T>> {
+        let mut light = ColourScene::new();
+        let cube = self.read_cube::<T>(by_rows)?;
+        if self.scene.is_some() && cube.is_none() && colour.sed.is_none() {
+            const NEEDED: &str = "--bandpass needs the spectrum of SCENE.fits: --sed SPECTRUM (or a cube with cards SED1, SED2, ...)";
+            return Err(UsageError(NEEDED.to_owned()).into());
+        }
+        let (mut read, first) = match cube {
+            Some(SpectralCube { planes, read }) => {
+                for (spectrum, plane) in planes {
+                    light.add_image(&spectrum, plane)?;
+                }
+                (read, None)
+            }
+            None => self.without_catalog().read::<T>(by_rows, field)?,
+        };
+        let mut rows = Vec::new();
+        let dark = std::mem::replace(&mut read.scene, Scene::dark());
+        if let (Some(image), Some(sed)) = (dark.image(), &colour.sed) {
+            light.add_image(sed, image.pixels().to_owned())?;
+        }
+        if let (Some(reader), Some(sed)) = (first, &colour.sed) {
+            rows.push((light.add_spectrum(sed), reader));
+        }
+        for layer in &colour.layer {
+            let mut reader = self.open(&layer.image)?;
+            if by_rows {
+                let spectrum = light.add_spectrum(&layer.spectrum);
+                let (name, file) = (&layer.spectrum, layer.image.display());
+                if rows.iter().any(|(known, _)| *known == spectrum) {
+                    anyhow::bail!(
+                        "{file}: another image has the spectrum {name}, too: add them up before they are streamed"
+                    );
+                }
+                let (expected, found) = (read.shape, reader.shape());
+                if expected != found {
+                    anyhow::bail!("{file}: the image has {found} pixels, but the first image has {expected}");
+                }
+                rows.push((spectrum, reader));
+                continue;
+            }
+            let pixels = reader.read_rows(0..reader.shape().ny());
+            let pixels = pixels.map_err(|error| with_nan_as(error, &reader))?;
+            read.nan_pixels += reader.nan_pixels();
+            let added = light.add_image(&layer.spectrum, pixels);
+            added.with_context(|| layer.image.display().to_string())?;
+        }
+        let catalog = self.read_catalog(&read.header, |options| options.with_colours(true))?;
+        (read.invalid_rows, read.rows_off_projection) =
+            (catalog.invalid_rows(), catalog.rows_off_projection());
+        let added = light.add_catalog(catalog, colour.sed.as_deref());
+        let file = || {
+            self.catalog
+                .as_ref()
+                .map_or_else(String::new, |path| path.display().to_string())
+        };
+        added
+            .map_err(|error| anyhow::anyhow!(with_option(&error, error.setting())))
+            .with_context(file)?;
+        Ok((light, rows, read))
+    }
+
+    /// Reads SCENE.fits if it is a cube whose planes have spectra: those that the cards SED1, SED2, ...
+    /// name.
+    fn read_cube<T: ConvReal>(&self, by_rows: bool) -> anyhow::Result<Option<SpectralCube<T>>> {
+        let Some(path) = &self.scene else {
+            return Ok(None);
+        };
+        let mut header = psf_io::read_header_hdu(path, self.extension.as_ref())?;
+        if header.get("SED1").is_none() {
+            return Ok(None);
+        }
+        let file = path.display();
+        if by_rows {
+            anyhow::bail!(
+                "{file}: a cube of spectra cannot be streamed: give its planes as images, with --layer"
+            );
+        }
+        if self.nan_as.is_some() {
+            anyhow::bail!("{file}: --nan-as cannot be used with a cube of spectra");
+        }
+        let cube = psf_io::read_cube_hdu::<T>(path, self.extension.as_ref())?;
+        let (count, ny, nx) = cube.dim();
+        let mut planes = Vec::with_capacity(count);
+        for (number, plane) in (1..).zip(cube.outer_iter()) {
+            let keyword = format!("SED{number}");
+            let Some(CardValue::Text(spectrum)) = header.get(&keyword).and_then(Card::value) else {
+                anyhow::bail!(
+                    "{file}: the cube has {count} planes, so it needs the card {keyword} with the name of a spectrum"
+                );
+            };
+            header.remove(&keyword);
+            planes.push((spectrum, plane.to_owned()));
+        }
+        let read = ReadScene {
+            scene: Scene::dark(),
+            shape: FrameShape::new(nx, ny)?,
+            header,
+            invalid_rows: 0,
+            rows_off_projection: 0,
+            nan_pixels: 0,
+        };
+        Ok(Some(SpectralCube { planes, read }))
+    }
+}
+
+/// A cube, each plane with the name of its spectrum.
+struct SpectralCube<T: ConvReal> {
+    planes: Vec<(String, Array2<T>)>,
+    /// The other data of the file.
+    read: ReadScene<T>,
+}
+
 /// The parts of a scene in colour: its light, the images that are read by rows with the numbers of
 /// their spectra, and the other data of its files.
-pub(super) type ReadColours<T> = (ColourScene<T>, Vec<(usize, ImageReader)>, ReadScene<T>);
+type ReadColours<T> = (ColourScene<T>, Vec<(usize, ImageReader)>, ReadScene<T>);

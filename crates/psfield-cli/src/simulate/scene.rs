@@ -5,13 +5,10 @@ use std::path::{Path, PathBuf};
 use conv_core::ConvReal;
 use psf_io::{Catalog, CatalogOptions, HduChoice, HeaderCards, ImageReader, IoError, SkyCoordinates};
 use psf_types::{FrameShape, Image};
-use psfield::{ColourScene, Scene, ScenePixels, SimulateOptions, Simulator};
-
-use anyhow::Context as _;
+use psfield::{Scene, ScenePixels, SimulateOptions, Simulator};
 
 use crate::UsageError;
-use crate::context::{with_nan_setting, with_option};
-use crate::simulate::colour::{ColourArgs, ReadColours};
+use crate::context::with_nan_setting;
 use crate::table_args::TableArgs;
 use crate::values::{Frame, Pair, number};
 
@@ -262,72 +259,16 @@ impl SceneArgs {
         Ok((read, catalog))
     }
 
-    fn without_catalog(&self) -> Self {
+    pub(super) fn without_catalog(&self) -> Self {
         Self {
             catalog: None,
             ..self.clone()
         }
     }
 
-    /// Reads a scene in colour: images and sources, each with its spectrum. If `by_rows`, opens the
-    /// images, but does not read their pixels. The scene in the result is dark.
-    pub(super) fn read_colours<T: ConvReal>(
-        &self,
-        colour: &ColourArgs,
-        by_rows: bool,
-        field: Option<FrameShape>,
-    ) -> anyhow::Result<ReadColours<T>> {
-        let mut light = ColourScene::new();
-        let (mut read, first) = self.without_catalog().read::<T>(by_rows, field)?;
-        let mut rows = Vec::new();
-        let dark = std::mem::replace(&mut read.scene, Scene::dark());
-        if let (Some(image), Some(sed)) = (dark.image(), &colour.sed) {
-            light.add_image(sed, image.pixels().to_owned())?;
-        }
-        if let (Some(reader), Some(sed)) = (first, &colour.sed) {
-            rows.push((light.add_spectrum(sed), reader));
-        }
-        for layer in &colour.layer {
-            let mut reader = self.open(&layer.image)?;
-            if by_rows {
-                let spectrum = light.add_spectrum(&layer.spectrum);
-                let (name, file) = (&layer.spectrum, layer.image.display());
-                if rows.iter().any(|(known, _)| *known == spectrum) {
-                    anyhow::bail!(
-                        "{file}: another image has the spectrum {name}, too: add them up before they are streamed"
-                    );
-                }
-                let (expected, found) = (read.shape, reader.shape());
-                if expected != found {
-                    anyhow::bail!("{file}: the image has {found} pixels, but the first image has {expected}");
-                }
-                rows.push((spectrum, reader));
-                continue;
-            }
-            let pixels = reader.read_rows(0..reader.shape().ny());
-            let pixels = pixels.map_err(|error| with_nan_as(error, &reader))?;
-            read.nan_pixels += reader.nan_pixels();
-            let added = light.add_image(&layer.spectrum, pixels);
-            added.with_context(|| layer.image.display().to_string())?;
-        }
-        let catalog = self.read_catalog(&read.header, |options| options.with_colours(true))?;
-        (read.invalid_rows, read.rows_off_projection) =
-            (catalog.invalid_rows(), catalog.rows_off_projection());
-        let added = light.add_catalog(catalog, colour.sed.as_deref());
-        let file = || {
-            self.catalog
-                .as_ref()
-                .map_or_else(String::new, |path| path.display().to_string())
-        };
-        added
-            .map_err(|error| anyhow::anyhow!(with_option(&error, error.setting())))
-            .with_context(file)?;
-        Ok((light, rows, read))
-    }
-
     /// Reads the catalogue, which may be missing. The positions that it returns are in pixels of the
     /// output image. `more` chooses further columns.
-    fn read_catalog(
+    pub(super) fn read_catalog(
         &self,
         header: &HeaderCards,
         more: fn(CatalogOptions) -> CatalogOptions,

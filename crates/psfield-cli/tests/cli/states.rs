@@ -1,6 +1,7 @@
 //! PSFs that depend on a wavelength or a frame: `fit` of several files, and the choice of a state.
 
 use ndarray::concatenate;
+use psfield::psf_io::{self, Card};
 use psfield::psf_types::{PsfSamples, SamplePositions, StateKind};
 use serde_json::json;
 
@@ -357,4 +358,29 @@ fn images_of_several_spectra_are_streamed() {
         run.code == Some(1) && run.stderr.contains("add them up"),
         "{run:?}"
     );
+}
+
+#[test]
+fn the_planes_of_a_cube_have_spectra() {
+    let desk = Desk::new();
+    desk.write_samples("colour.fits", &coloured());
+    desk.write("band.csv", "wavelength_um,throughput\n0.5,0\n0.6,1\n0.9,0\n");
+    let (red, blue) = (points(&[(20, 20, 1000.0)]), points(&[(30, 25, 500.0)]));
+    desk.write_image("red.fits", red.clone());
+    desk.write_image("blue.fits", blue.clone());
+    let cube = ndarray::stack(ndarray::Axis(0), &[red.view(), blue.view()]).unwrap();
+    let named = |keyword, name| Card::new(keyword, name, "").unwrap();
+    let spectra = [named("SED1", "blackbody:3000"), named("SED2", "blackbody:15000")];
+    psf_io::write_cube(desk.path("cube.fits"), cube.view(), &spectra, false).unwrap();
+    let to = "--psf colour.fits --bandpass band.csv -q";
+    let layers = "red.fits --sed blackbody:3000 --layer blue.fits:sed=blackbody:15000";
+    desk.done(&format!("simulate {layers} {to} -o layers.fits"));
+    desk.done(&format!("simulate cube.fits {to} -o cube_image.fits"));
+    assert_eq!(desk.image("layers.fits"), desk.image("cube_image.fits"));
+    assert!(desk.header("cube_image.fits").get("SED1").is_none());
+    psf_io::write_cube(desk.path("half.fits"), cube.view(), &spectra[..1], false).unwrap();
+    let run = desk.run(&format!("simulate half.fits {to} -o no.fits"));
+    assert!(run.code == Some(1) && run.stderr.contains("SED2"), "{run:?}");
+    let run = desk.run(&format!("simulate cube.fits {to} -o no.fits --stream"));
+    assert!(run.code == Some(1) && run.stderr.contains("--layer"), "{run:?}");
 }
