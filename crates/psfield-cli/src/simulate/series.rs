@@ -66,20 +66,21 @@ const SAMPLE: &str = r#"The file of a series:
   shape = [2048, 2048]
   detector = "camera.toml"
 
-starts_s = [0.0, 40.0, 90.0] in place of count and cadence_s sets each start. exposure_s is required, and
-so is [simulate]. All other keys are optional.
+starts_s = [0.0, 40.0, 90.0] in place of count and cadence_s sets each start. start,
+exposure_s and [simulate] are required, all other keys are optional.
 
-light_curves: the flux of a source is that of the catalogue times the factor, which is linear between the
-times. row is the row of the catalogue, counted from 0. Sources without rows are constant.
+light_curves: the flux of a source is that of the catalogue times the factor, which is
+linear between the times. row is the row of the catalogue, counted from 0. Sources without
+rows are constant.
 
-Columns vx and vy of the catalogue are velocities in pixels per second. Positions are those at the start
-of the series. Moving sources leave trails.
+Columns vx and vy of the catalogue are velocities in pixels per second. Positions are those
+at the start of the series. Moving sources leave trails.
 
-The light of an image moves with the pointing, and its edges become dark. Give an image that is larger than
-the frame (option frame of [simulate]).
+The light of an image moves with the pointing, and its edges become dark. Give an image that
+is larger than the frame (option frame of [simulate]).
 
-Fluxes are those of one exposure. --seed in [simulate] is the seed of exposure 0, and each next exposure
-has the next seed."#;
+Fluxes are those of one exposure. --seed in [simulate] is the seed of exposure 0, and each
+next exposure has the next seed."#;
 
 /// The content of the file.
 #[derive(Debug, Deserialize)]
