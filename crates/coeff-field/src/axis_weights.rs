@@ -273,13 +273,16 @@ fn points_between(lines: &Axis, cell: usize) -> Vec<f64> {
     if lines.lines.len() == 2 || b - a <= MIN_WIDTH_OVER_SCATTER * lines.scatter {
         return Vec::new();
     }
-    let points: Vec<f64> = (1..PIECES)
-        .map(|i| a + (b - a) * (i as f64 / PIECES as f64))
-        .collect();
+    let points = inner_points(a, b);
     let ascending = |v: &[f64]| v[0] < v[1];
     // A cell is not cut if it is so narrow that rounding makes two of its knots equal.
     let is_apart = a < points[0] && points.windows(2).all(ascending) && points[PIECES - 2] < b;
-    if is_apart { points } else { Vec::new() }
+    if is_apart { points.to_vec() } else { Vec::new() }
+}
+
+/// The points that divide an interval into [`PIECES`] equal pieces.
+fn inner_points(a: f64, b: f64) -> [f64; PIECES - 1] {
+    std::array::from_fn(|i| a + (b - a) * ((i + 1) as f64 / PIECES as f64))
 }
 
 /// The weights `l_s(v)` of states, such as wavelengths, at a value `v` between them: pairs of a state
@@ -305,8 +308,7 @@ pub fn state_weights(states: &[f64], v: f64) -> Vec<(usize, f64)> {
         return vec![(above.min(last), 1.0)];
     }
     // The stencil is that of the whole interval, so that the weights are continuous.
-    let (a, b) = (states[above - 1], states[above]);
-    let points: [f64; PIECES - 1] = std::array::from_fn(|i| a + (b - a) * ((i + 1) as f64 / PIECES as f64));
+    let points = inner_points(states[above - 1], states[above]);
     let stencil = Stencil::around(states, above - 1, &points);
     let weights = stencil.weights(states, v).into_iter().enumerate();
     let nonzero = weights.filter(|(_, w)| *w != 0.0);

@@ -4,7 +4,7 @@ use conv_core::ConvReal;
 use ndarray::Array2;
 use psf_io::{Catalog, SourceColours};
 use psf_types::{DataError, Image, PointSource, SersicSource};
-use spectra::{Bandpass, SpectraError};
+use spectra::{Bandpass, SpectraError, Spectrum};
 
 use crate::{
     ColourSimulator, Dispersion, ErrorKind, Psf, PsfieldError, Scene, SimulateOptions, open_spectrum,
@@ -159,17 +159,11 @@ impl<T: ConvReal> ColourScene<T> {
             .iter()
             .map(|name| open_spectrum(name))
             .collect::<Result<_, _>>()?;
-        psf.wavelengths()?;
-        for (name, spectrum) in self.names.iter().zip(&spectra) {
-            psf.photons_of(bandpass, spectrum).map_err(|error| {
-                // An error of the spectrum alone is not one of the PSF.
-                let kind = match error.cause::<SpectraError>() {
-                    Some(_) => ErrorKind::Setting,
-                    None => error.kind(),
-                };
-                PsfieldError::new(kind, format!("the spectrum {name}: {error}"))
-            })?;
-        }
+        let mixed = match dispersion {
+            Some(dispersion) => psf.for_dispersed_spectra(bandpass, &spectra, dispersion),
+            None => psf.for_spectra(bandpass, &spectra),
+        };
+        let psf = mixed.map_err(|error| name_spectrum(error, (&self.names, &spectra), psf, bandpass))?;
         let mut scenes = Vec::with_capacity(self.light.len());
         for light in self.light {
             let scene = match light.image {
@@ -178,10 +172,6 @@ impl<T: ConvReal> ColourScene<T> {
             };
             scenes.push(scene.with_stars(light.stars).with_galaxies(light.galaxies));
         }
-        let psf = match dispersion {
-            Some(dispersion) => psf.for_dispersed_spectra(bandpass, &spectra, dispersion)?,
-            None => psf.for_spectra(bandpass, &spectra)?,
-        };
         Ok((ColourSimulator::new(&psf, shape, options)?, scenes))
     }
 
@@ -189,6 +179,28 @@ impl<T: ConvReal> ColourScene<T> {
         let number = self.add_spectrum(spectrum);
         &mut self.light[number]
     }
+}
+
+/// Adds the name of the spectrum to an error of a single spectrum. Other errors are returned unchanged.
+fn name_spectrum(
+    error: PsfieldError,
+    (names, spectra): (&[String], &[Spectrum]),
+    psf: &Psf,
+    bandpass: &Bandpass,
+) -> PsfieldError {
+    if psf.wavelengths().is_err() {
+        return error;
+    }
+    let mut failures = names.iter().zip(spectra).filter_map(|(name, spectrum)| {
+        let error = psf.photons_of(bandpass, spectrum).err()?;
+        // An error of the spectrum alone is not one of the PSF.
+        let kind = match error.cause::<SpectraError>() {
+            Some(_) => ErrorKind::Setting,
+            None => error.kind(),
+        };
+        Some(PsfieldError::new(kind, format!("the spectrum {name}: {error}")))
+    });
+    failures.next().unwrap_or(error)
 }
 
 impl<T> Light<T> {

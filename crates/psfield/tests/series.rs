@@ -15,7 +15,7 @@ const FRAME: (usize, usize) = (90, 110);
 /// The largest error of a pixel of a star, relative to the peak: that of the interpolation of stamps
 /// between pixels and the engine's tolerance.
 const PIXEL: f64 = 5e-5;
-/// How much wider the PSF is at the right edge than at the left.
+/// The width of the PSF at the right edge, relative to that at the left.
 const WIDENING: f64 = 1.2;
 /// The tolerance of the engine.
 const TOLERANCE: f64 = 1e-6;

@@ -18,7 +18,7 @@ use crate::context::{Context, with_option};
 use crate::simulate::SimulateArgs;
 use crate::simulate::execute::{FitsRows, MakesImage, StreamsImage};
 use crate::simulate::exposure_args::Exposing;
-use crate::simulate::prepared::timed;
+use crate::simulate::prepared::{timed, warn_of_coarse_stamps};
 use crate::simulate::report::{Report, Seconds};
 use crate::simulate::scene::{ReadScene, SceneArgs, with_nan_as};
 
@@ -176,11 +176,8 @@ impl SimulateArgs {
 
         let shape = (read.shape.ny(), read.shape.nx());
         let dispersion = self.colour.dispersion.as_ref();
-        if dispersion.is_some() && psf.grid().oversampling() < 2.0 {
-            context.warn(
-                "--dispersion shifts stamps by fractions of a pixel, but these stamps have fewer than two pixels per pixel \
-                 of the image: use oversampled stamps",
-            );
+        if dispersion.is_some() {
+            warn_of_coarse_stamps("--dispersion", psf, context);
         }
         let spinner = context.spinner("mixing wavelengths");
         let made = light.into_simulator(psf, (&bandpass, dispersion), shape, &self.options());

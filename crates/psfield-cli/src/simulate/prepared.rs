@@ -76,6 +76,17 @@ impl Simulators {
     }
 }
 
+/// Warns if stamps are too coarse to be shifted by fractions of a pixel. `what` shifts them.
+pub(super) fn warn_of_coarse_stamps(what: &str, psf: &Psf, context: &Context) {
+    const NEEDED: f64 = 2.0;
+    if psf.grid().oversampling() < NEEDED {
+        context.warn(&format!(
+            "{what} shifts stamps by fractions of a pixel, but these stamps have fewer than two pixels per pixel of the image: \
+             use oversampled stamps"
+        ));
+    }
+}
+
 /// Runs `work`. Returns its result and the seconds that it took.
 pub(super) fn timed<R>(work: impl FnOnce() -> anyhow::Result<R>) -> anyhow::Result<(R, f64)> {
     let clock = Instant::now();

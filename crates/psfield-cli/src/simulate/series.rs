@@ -8,7 +8,8 @@ use conv_core::ConvReal;
 use psf_io::Catalog;
 use psf_types::{Image, NoProgress, Progress};
 use psfield::{
-    Exposures, LightCurves, Motion, Pointing, PointingPath, Series, SeriesSimulator, exposure_time_cards,
+    Exposures, LightCurves, Motion, Pointing, PointingPath, Scene, Series, SeriesSimulator,
+    exposure_time_cards,
 };
 use serde::Deserialize;
 
@@ -17,6 +18,7 @@ use crate::batch::{Settings, parsed, settings, simulate_command};
 use crate::context::{Context, object, with_option};
 use crate::files::{FileUses, OutputFile, OutputFolder, beside};
 use crate::simulate::exposure_args::Exposing;
+use crate::simulate::prepared::warn_of_coarse_stamps;
 use crate::simulate::report::{Report, Seconds};
 use crate::simulate::scene::ReadScene;
 use crate::simulate::{SimulateArgs, Simulators};
@@ -218,14 +220,11 @@ impl SeriesArgs {
         options.open_gpu(context)?;
         let psf = options.psf(&mut Simulators::default(), &mut Seconds::default(), context)?;
         let spinner = context.spinner("reading");
-        let (read, catalog) = options.scene.read_series::<T>(psf.field_shape())?;
+        let (mut read, catalog) = options.scene.read_series::<T>(psf.field_shape())?;
         drop(spinner);
         options.note_of_scene(&read, context);
-        if series.pointing != Pointing::default() && psf.grid().oversampling() < 2.0 {
-            context.warn(
-                "the pointing shifts stamps by fractions of a pixel, but these stamps have fewer than two pixels per pixel of the \
-                 image: use oversampled stamps",
-            );
+        if series.pointing != Pointing::default() {
+            warn_of_coarse_stamps("the pointing", &psf, context);
         }
         let count = series.exposures.len();
         let with_sources = !catalog.rows().is_empty();
@@ -237,7 +236,7 @@ impl SeriesArgs {
         let with_truth = exposing.as_ref().is_some_and(Exposing::writes_truth);
         self.check_outputs(inputs, count, (with_truth, with_sources))?;
         let sources = (catalog.stars().len(), catalog.galaxies().len());
-        let mut simulator = self.simulator(options, &psf, series, &read, catalog)?;
+        let mut simulator = self.simulator(options, &psf, series, &mut read, catalog)?;
         let mut frames = Vec::with_capacity(count);
         let bar = context.bar("exposures");
         bar.start(count as u64);
@@ -263,10 +262,12 @@ impl SeriesArgs {
         options: &SimulateArgs,
         psf: &psfield::Psf,
         series: Series,
-        read: &ReadScene<T>,
+        read: &mut ReadScene<T>,
         catalog: Catalog,
     ) -> anyhow::Result<SeriesSimulator<T>> {
-        let image = match read.scene.image() {
+        // The series keeps the image, so it is not kept twice.
+        let scene = std::mem::replace(&mut read.scene, Scene::dark());
+        let image = match scene.image() {
             Some(image) => Some(Image::new(image.pixels().to_owned())?),
             None => None,
         };
@@ -340,7 +341,7 @@ impl SeriesArgs {
         // The world coordinates move with the light.
         let s = options.scene.scene.as_ref().map_or(1, |_| options.scene.finer()) as f64;
         let read = ReadScene {
-            scene: psfield::Scene::dark(),
+            scene: Scene::dark(),
             header: read.header.shifted_origin(-dx * s, -dy * s),
             ..*read
         };

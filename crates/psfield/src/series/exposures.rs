@@ -89,6 +89,12 @@ impl Exposures {
     }
 }
 
+/// The start and the end of an exposure, and between them the times of a table that lie inside it.
+pub(super) fn cut_at(table: &[f64], (from, to): (f64, f64)) -> Vec<f64> {
+    let inside = table.iter().copied().filter(|&time| from < time && time < to);
+    std::iter::once(from).chain(inside).chain([to]).collect()
+}
+
 /// Returns an error if a table does not cover all the time of an exposure.
 pub(super) fn check_covered(
     what: &str,

@@ -24,11 +24,11 @@ pub use pointing::{Pointing, PointingPath};
 /// A series of exposures of the same field. Times are in seconds after the start of the series.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Series {
-    /// When the exposures begin and how long they last.
+    /// The starts and the duration of the exposures.
     pub exposures: Exposures,
-    /// Where the telescope points.
+    /// The motion of the pointing.
     pub pointing: Pointing,
-    /// How the fluxes of sources change.
+    /// The changes of the fluxes of sources.
     pub light_curves: LightCurves,
 }
 
@@ -259,17 +259,15 @@ impl<T: ConvReal> SeriesSimulator<T> {
         };
         let motion = motion.about(origin);
         let weights = self.state_weights(number)?;
-        let at_rest = self.simulator(0, motion, weights.clone(), progress)?;
         // Moving sources have trails of their own.
         let jitter = Motion::fixed([0.0, 0.0]).with_jitter_px(self.series.pointing.jitter_px)?;
-        let moving = if self
-            .catalog
-            .velocities()
-            .is_some_and(|all| all.iter().any(is_moving))
-        {
-            Some(self.simulator(1, jitter, weights, progress)?)
-        } else {
-            None
+        let is_still = motion.equals(&jitter);
+        let at_rest = self.simulator(0, motion, weights.clone(), progress)?;
+        let velocities = self.catalog.velocities();
+        let moving = match velocities.is_some_and(|all| all.iter().any(is_moving)) {
+            false => None,
+            true if is_still => Some(Arc::clone(&at_rest)),
+            true => Some(self.simulator(1, jitter, weights, progress)?),
         };
         let image = match &self.image {
             Some(image) => self.moved_image(image, origin)?,
@@ -337,12 +335,7 @@ impl<T: ConvReal> SeriesSimulator<T> {
             StateKind::Time => {
                 let known = (values[0], values[values.len() - 1]);
                 exposures::check_covered("the PSF", known, (from, to))?;
-                let mut times = vec![from, to];
-                times.splice(
-                    1..1,
-                    values.iter().copied().filter(|&time| from < time && time < to),
-                );
-                for pair in times.windows(2) {
+                for pair in exposures::cut_at(values, (from, to)).windows(2) {
                     let length = pair[1] - pair[0];
                     for (node, weight) in QUADRATURE {
                         for (state, of_state) in coeff_field::state_weights(values, pair[0] + node * length) {

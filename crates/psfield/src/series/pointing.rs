@@ -2,7 +2,7 @@
 
 use crate::{ErrorKind, Motion, PsfieldError};
 
-use super::exposures::check_covered;
+use super::exposures::{check_covered, cut_at};
 
 /// By how far light is shifted on the frame because the telescope does not point exactly where it
 /// should: `d(t) = drift t + path(t)`, in pixels, and fast random motion in addition.
@@ -90,13 +90,11 @@ impl Pointing {
     /// [`ErrorKind::Data`] if the path does not cover this time or a shift is not finite, and
     /// [`ErrorKind::Setting`] for a jitter below 0.
     pub fn during(&self, (from, to): (f64, f64)) -> Result<Motion, PsfieldError> {
-        let mut times = vec![from, to];
-        if let Some(path) = &self.path {
-            let known = (path.times_s[0], path.times_s[path.times_s.len() - 1]);
-            check_covered("the path of the pointing", known, (from, to))?;
-            let inside = path.times_s.iter().filter(|&&time| from < time && time < to);
-            times.splice(1..1, inside.copied());
+        let known: &[f64] = self.path.as_ref().map_or(&[], |path| &path.times_s);
+        if let [first, .., last] = known {
+            check_covered("the path of the pointing", (*first, *last), (from, to))?;
         }
+        let times = cut_at(known, (from, to));
         let at = |time: f64| {
             let of_path = self.path.as_ref().map_or([0.0, 0.0], |path| path.at(time));
             [0, 1].map(|axis| self.drift_px_per_s[axis] * time + of_path[axis])
