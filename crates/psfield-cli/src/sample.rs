@@ -102,11 +102,10 @@ impl SampleArgs {
     /// Writes the samples, and the PSFs of --hold-out if there are any.
     fn write(&self, samples: &PsfSamples, held_out: Option<&PsfSamples>) -> anyhow::Result<()> {
         psf_io::write_together(|| -> anyhow::Result<()> {
-            write_samples(&self.output, samples, self.overwrite)?;
             if let (Some(path), Some(held_out)) = (self.hold_out_file(), held_out) {
                 write_samples(&path, held_out, self.overwrite)?;
             }
-            Ok(())
+            Ok(write_samples(&self.output, samples, self.overwrite)?)
         })
     }
 
@@ -437,14 +436,13 @@ impl FrameArgs {
             .run_masked(frame)
             .with_context(|| format!("in {}", path.display()))?;
         psf_io::write_together(|| -> anyhow::Result<()> {
-            asked.write(&found.samples, found.held_out.as_ref())?;
             if let Some(path) = &self.sources {
                 psf_io::write_csv(path, &SOURCE_COLUMNS, &found.sources, asked.overwrite)?;
             }
             if let Some(path) = &self.coverage {
                 write_coverage(path, &found.coverage, asked.overwrite)?;
             }
-            Ok(())
+            asked.write(&found.samples, found.held_out.as_ref())
         })?;
         drop(spinner);
         warn_of(&found, context);

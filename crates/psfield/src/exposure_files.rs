@@ -48,8 +48,8 @@ pub struct ExposureFiles {
 impl ExposureFiles {
     /// Writes the files of `exposure`, which `detector` made of the image `light`. Every header
     /// holds first `header` (the cards of `light`), then `added`, then cards that describe the
-    /// file. For the counts these are [`exposure_cards`]. All files appear, or none
-    /// ([`write_together`](psf_io::write_together)).
+    /// file. For the counts these are [`exposure_cards`]. The counts appear last, when the other
+    /// files are complete ([`write_together`](psf_io::write_together)).
     ///
     /// # Errors
     /// The errors of [`Detector::truth`], if the truth is written, and of

@@ -4,12 +4,13 @@ mod lock;
 pub(crate) mod temporary;
 
 use std::cell::RefCell;
+use std::collections::BTreeSet;
 use std::fs::{self, File};
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 pub use lock::OutputLock;
-use temporary::{Temporary, directory_of, entries};
+use temporary::{Entries, Temporary, directory_of, entries};
 
 use crate::error::{IoError, IoErrorKind, unwritable};
 use crate::fits::structure::NOT_A_FILE;
@@ -80,10 +81,12 @@ thread_local! {
 /// Writes several files that belong together. No file appears before all of them are complete.
 ///
 /// `write` calls functions of this crate that write files. Until `write` returns, files that are
-/// complete keep their temporary names. Then all files get their final names, one after the other,
-/// in the order in which they were written. If `write` fails, or if the process ends before `write`
-/// returns, no file appears. `write` must not read these files, and must write them on the thread
-/// that called `write_together`.
+/// complete keep their temporary names. Then all files get their final names, in the order in which
+/// they were written. [`remove_unfinished`](crate::remove_unfinished) waits meanwhile. If `write`
+/// fails, or if the process ends before `write` returns, no file appears. Files get their names one
+/// after the other, so a process that is killed in this moment may leave only the first ones: write
+/// the main file last. Where it is, the others are. `write` must not read these files, and must
+/// write them on the thread that called `write_together`.
 ///
 /// ```
 /// # let directory = tempfile::tempdir()?;
@@ -119,7 +122,7 @@ pub fn write_together<R, E: From<IoError>>(write: impl FnOnce() -> Result<R, E>)
     let result = write()?;
     let files = TOGETHER.take().unwrap_or_default();
     drop(end);
-    files.into_iter().try_for_each(PendingFile::rename)?;
+    PendingFile::rename_all(files)?;
     Ok(result)
 }
 
@@ -249,20 +252,36 @@ impl PendingFile {
             }
             None => Some(self),
         });
-        alone.map_or(Ok(()), Self::rename)
+        alone.map_or(Ok(()), |file| Self::rename_all(vec![file]))
+    }
+
+    /// Gives files their final names. Nothing else happens between the first name and the last one.
+    fn rename_all(files: Vec<Self>) -> Result<(), IoError> {
+        let directories: BTreeSet<_> = files
+            .iter()
+            .map(|file| directory_of(&file.target).to_owned())
+            .collect();
+        let mut entries = entries();
+        let mut left = files.into_iter();
+        let renamed = left.by_ref().try_for_each(|file| file.rename(&mut entries));
+        drop(entries);
+        // After an error, this removes the other files.
+        drop(left);
+        directories.iter().for_each(|directory| sync_directory(directory));
+        renamed
     }
 
     /// Gives the file its final name. If another process has created a file of that name in the
     /// meantime, that file is kept unless `overwrite` is true.
-    fn rename(self) -> Result<(), IoError> {
+    fn rename(self, entries: &mut Entries) -> Result<(), IoError> {
         let Self {
             temporary,
-            claim,
+            claim: _claim,
             path,
             target,
             overwrite,
         } = self;
-        let renamed = temporary.rename(|temporary| {
+        let renamed = temporary.rename(entries, |temporary| {
             let renamed = if overwrite {
                 temporary.persist(&target)
             } else {
@@ -271,15 +290,10 @@ impl PendingFile {
             // A file that could not be renamed is removed when `failed` is dropped.
             renamed.map_err(|failed| failed.error)
         });
-        drop(claim);
-        match renamed {
-            Ok(()) => {
-                sync_directory(directory_of(&target));
-                Ok(())
-            }
-            Err(e) if e.kind() == ErrorKind::AlreadyExists => Err(exists(&path)),
-            Err(e) => Err(unwritable(&path)(e)),
-        }
+        renamed.map_err(|e| match e.kind() {
+            ErrorKind::AlreadyExists => exists(&path),
+            _ => unwritable(&path)(e),
+        })
     }
 }
 

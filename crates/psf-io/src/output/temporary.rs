@@ -26,7 +26,7 @@ use tempfile::TempPath;
 
 /// The temporary files of this process: the absolute name of each, and the path of its output as
 /// the caller gave it. The path is `None` for a lock, and for a temporary copy that is only read.
-type Entries = Vec<(PathBuf, Option<PathBuf>)>;
+pub(crate) type Entries = Vec<(PathBuf, Option<PathBuf>)>;
 
 static ENTRIES: Mutex<Entries> = Mutex::new(Vec::new());
 
@@ -63,14 +63,12 @@ impl Temporary {
 
     /// Calls `rename`, which gives the file its final name. If `rename` fails, it must remove the
     /// file.
-    pub(crate) fn rename<R>(mut self, rename: impl FnOnce(TempPath) -> R) -> R {
-        self.finish(rename)
+    pub(crate) fn rename<R>(mut self, entries: &mut Entries, rename: impl FnOnce(TempPath) -> R) -> R {
+        self.finish(entries, rename)
     }
 
-    /// Gives the file to `end` and removes its entry from the list. The list stays locked
-    /// meanwhile.
-    fn finish<R>(&mut self, end: impl FnOnce(TempPath) -> R) -> R {
-        let mut entries = entries();
+    /// Gives the file to `end` and removes its entry from the list.
+    fn finish<R>(&mut self, entries: &mut Entries, end: impl FnOnce(TempPath) -> R) -> R {
         let ended = end(self.file.take().expect("the file exists until it is renamed"));
         entries.retain(|(absolute, _)| *absolute != self.absolute);
         ended
@@ -80,7 +78,7 @@ impl Temporary {
 impl Drop for Temporary {
     fn drop(&mut self) {
         if self.file.is_some() {
-            self.finish(drop);
+            self.finish(&mut entries(), drop);
         }
     }
 }
