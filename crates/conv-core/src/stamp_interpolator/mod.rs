@@ -67,6 +67,11 @@ impl StampInterpolator {
         }
     }
 
+    /// The coefficients that the kernel's weights multiply ([`Kernel::coefficients`]).
+    pub(crate) fn coefficients(&self) -> &Array2<f64> {
+        &self.coefficients
+    }
+
     /// The PSF of a source shifted by `(dx, dy)` frame pixels from the centre of `target`, at the
     /// pixels of `target` `[y, x]`. The values remain fractions of the flux per frame pixel, for
     /// all oversamplings of the two grids.

@@ -1,20 +1,23 @@
 //! Draws a catalogue block by block. Threads draw blocks at the same time if their stars light
 //! different pixels.
 
-use ndarray::ArrayViewMut2;
-use psf_types::{PixelRegion, PointSource, Position, Progress, PsfModel};
+use ndarray::{ArrayViewMut2, Axis};
+use psf_types::{PixelRegion, PointSource, Position, Progress, PsfModel, StampGrid};
 use rayon::prelude::*;
 
 use super::draw::{DrawGroup, Group};
 use super::phase_norms::PhaseNorms;
+use super::phased_stamps::PhasedStamps;
 use super::phases::{PhasedAxis, PhasedStar, Star};
 use super::spread::Spreader;
 use super::star_block::{BlockKey, RowLayout, StarBlock, block_of, region_of};
 use super::star_vectors::StarVectors;
 use crate::kept::Kept;
 use crate::overlap::split;
+use crate::plan::PlanOptions;
 use crate::plan::psf_space::PsfSpace;
 use crate::simd::{Lanes, WithIsa};
+use crate::stamp_interpolator::StampInterpolator;
 use crate::working_range::{Rescaling, brightest_allowed};
 use crate::{ConvError, ConvReal};
 
@@ -27,11 +30,56 @@ pub(super) struct Phased<T> {
     /// Whether crowded stars may be spread.
     pub(super) may_spread: bool,
     pub(super) space: PsfSpace,
+    pub(super) stamps: PhasedStamps<T>,
     pub(super) norms: PhaseNorms,
     pub(super) tolerance: f64,
     /// Errors of PSFs up to this fraction count as rounding.
     pub(super) rounding: f64,
     pub(super) blocks: Kept<BlockKey, StarBlock<T>>,
+}
+
+/// Spread stars keep the light beyond the reach of their stamps, up to 5e-7 of their flux
+/// ([`edge_reach_of`](crate::edge_reach_of)). Drawn stars do not. So stars are spread only if the
+/// tolerance is at least 20 times as large.
+const LEAST_SPREAD_TOLERANCE: f64 = 1e-5;
+
+impl<T: ConvReal> Phased<T> {
+    /// Prepares the stamps that the models share. `target` holds the frame's pixels that a star may
+    /// light.
+    pub(super) fn new(
+        models: &[PsfModel],
+        axes: [PhasedAxis; 2],
+        target: StampGrid,
+        (options, size): (PlanOptions, Option<usize>),
+    ) -> Result<Self, ConvError> {
+        let space = PsfSpace::new(models, options.tolerance_on());
+        let layout = RowLayout::new(&axes[0]);
+        let tolerance = options.tolerance_in::<T>();
+        let grid = models[0].grid();
+        let stamps: Vec<StampInterpolator> = space
+            .stamps()
+            .axis_iter(Axis(0))
+            .into_par_iter()
+            .map(|stamp| {
+                let stamp = stamp.into_shape_with_order(grid.dim());
+                let stamp = stamp.expect("the size of a stamp");
+                StampInterpolator::with_kernel(stamp, grid, axes[0].kernel)
+            })
+            .collect();
+        Ok(Self {
+            spreader: Spreader::new(&axes, layout),
+            // Transforms do not truncate stars.
+            may_spread: size.is_none() && tolerance >= LEAST_SPREAD_TOLERANCE,
+            norms: PhaseNorms::new(&stamps, grid, target).map_err(ConvError::Result)?,
+            stamps: PhasedStamps::new(&stamps, &axes, layout),
+            axes,
+            layout,
+            space,
+            tolerance,
+            rounding: PlanOptions::rounding_in::<T>(),
+            blocks: Kept::new(options.memory_bytes()),
+        })
+    }
 }
 
 /// Stars, with positions in pixels of a scene, and the frame, which is a region of the scene.
@@ -181,8 +229,8 @@ impl<T: ConvReal> BlockDrawer<'_, T> {
         let ((row, column), _) = task.stars[0];
         let key = (i64::from(row), i64::from(column));
         let region = region_of(key, phased.spreader.side as i64);
-        let (space, norms, tolerance) = (&phased.space, &phased.norms, phased.tolerance);
-        let make = || StarBlock::new(self.model, space, region, &phased.axes, norms, tolerance);
+        let directions = (&phased.space, &phased.stamps);
+        let make = || StarBlock::new(directions, region, &phased.norms, phased.tolerance);
         let block = &*phased.blocks.get(key, make, StarBlock::bytes);
         let (mut image, origin) = (task.image, task.origin);
         let mut stars: Vec<usize> = task.stars.iter().map(|&(_, index)| index).collect();

@@ -15,6 +15,7 @@ mod draw;
 mod draw_blocks;
 mod painter;
 mod phase_norms;
+mod phased_stamps;
 mod phases;
 mod spread;
 mod star_block;

@@ -2,13 +2,12 @@
 //! because a frame pixel sees only some of the pixels of an oversampled stamp.
 
 use nalgebra::DMatrix;
-use ndarray::{Array1, Array2, ArrayView1, Axis, s};
+use ndarray::{Array1, Array2, ArrayView1, s};
 use psf_types::{DataError, StampGrid};
 use rayon::prelude::*;
 
 use crate::plan::local_modes::LocalModes;
-use crate::plan::psf_space::PsfSpace;
-use crate::stamp_interpolator::{Kernel, StampInterpolator};
+use crate::stamp_interpolator::StampInterpolator;
 
 /// The largest number of tabulated phases in a frame pixel along each axis. There are two per pixel
 /// of the stamp, if this is not more.
@@ -24,7 +23,7 @@ pub(super) struct PhaseNorms {
     /// Columns and rows of phases.
     axes: [PhaseTable; 2],
     /// `[phase]`, row by row. For each phase, the scalar products on the frame's pixels of the
-    /// directions of [`PsfSpace`].
+    /// directions of [`PsfSpace`](crate::plan::psf_space::PsfSpace).
     products: Vec<Array2<f64>>,
     /// For each phase, the largest norm on the frame's pixels of a PSF of norm 1.
     largest: Vec<f64>,
@@ -79,11 +78,11 @@ impl PhaseTable {
 pub(super) type AlongMean = Array2<f64>;
 
 impl PhaseNorms {
+    /// `stamps` are those of the directions of [`PsfSpace`](crate::plan::psf_space::PsfSpace).
     /// `target` holds the frame's pixels that a star may light.
     pub(super) fn new(
-        space: &PsfSpace,
+        stamps: &[StampInterpolator],
         grid: StampGrid,
-        kernel: Kernel,
         target: StampGrid,
     ) -> Result<Self, DataError> {
         let oversampling = grid.oversampling() as usize;
@@ -99,17 +98,9 @@ impl PhaseNorms {
         )?
         .with_oversampling(steps as f64)?
         .with_centre(centre[0] as f64, centre[1] as f64)?;
-        let stamps: Vec<Array2<f64>> = space
-            .stamps()
-            .axis_iter(Axis(0))
-            .into_par_iter()
-            .map(|stamp| {
-                let values = stamp
-                    .into_shape_with_order(grid.dim())
-                    .expect("the size of a stamp");
-                let stamp = StampInterpolator::with_kernel(values, grid, kernel);
-                stamp.resample((axes[0].first, axes[1].first), fine)
-            })
+        let stamps: Vec<Array2<f64>> = stamps
+            .par_iter()
+            .map(|stamp| stamp.resample((axes[0].first, axes[1].first), fine))
             .collect();
         let products: Vec<Array2<f64>> = (0..axes[0].count * axes[1].count)
             .into_par_iter()

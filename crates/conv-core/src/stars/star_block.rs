@@ -1,9 +1,9 @@
 //! Blocks of the field whose stars are drawn from one local basis.
 
-use ndarray::Array2;
-use psf_types::{PixelRegion, PsfModel};
+use psf_types::PixelRegion;
 
 use super::phase_norms::{AlongMean, PhaseNorms};
+use super::phased_stamps::PhasedStamps;
 use super::phases::PhasedAxis;
 use crate::ConvReal;
 use crate::overlap::region;
@@ -16,10 +16,7 @@ use crate::simd::Aligned;
 pub(super) struct StarBlock<T> {
     pub(super) modes: LocalModes,
     pub(super) along_mean: AlongMean,
-    /// `[row, kernel, chunk, residue, pixel]`. `row` counts the rows of coefficients of the
-    /// oversampled stamp, in the order of the stamp. Rows that no star can use are left out
-    /// ([`PhasedAxis`]). `kernel` counts the PSFs of the local basis. [`RowLayout`] explains the
-    /// last three indices.
+    /// As [`PhasedStamps`], with the PSFs of the local basis in the place of the directions.
     values: Aligned<T>,
 }
 
@@ -67,7 +64,7 @@ impl RowLayout {
     }
 
     /// The pixel and the residue of the value at an index.
-    fn place(self, index: usize) -> (usize, usize) {
+    pub(super) fn place(self, index: usize) -> (usize, usize) {
         let (line, pixel) = (index / self.chunk, index % self.chunk);
         (line / self.residues * self.chunk + pixel, line % self.residues)
     }
@@ -101,10 +98,8 @@ impl<T: ConvReal> StarBlock<T> {
     /// Finds the block's modes from a few of its rows. Other rows may need more modes, so every
     /// star is checked against the tolerance when it is drawn.
     pub(super) fn new(
-        model: &PsfModel,
-        space: &PsfSpace,
+        (space, stamps): (&PsfSpace, &PhasedStamps<T>),
         region: PixelRegion,
-        [columns, rows]: &[PhasedAxis; 2],
         norms: &PhaseNorms,
         tolerance: f64,
     ) -> Self {
@@ -112,14 +107,8 @@ impl<T: ConvReal> StarBlock<T> {
         let mean = LocalModes::mean(space, &cells);
         let of_modes = MARGIN * tolerance * norms.share(mean.view());
         let modes = LocalModes::of_exact_cells(space, &cells, of_modes.max(ROUNDING));
-        let stamps = space.stamps_of(&modes.kernels(), 0..space.pixel_count());
-        let stamps = stamps.outer_iter().map(|stamp| {
-            let stamp = stamp.into_shape_with_order(model.grid().dim());
-            columns.kernel.coefficients(stamp.expect("the size of a stamp"))
-        });
-        let kernels: Vec<Array2<f64>> = stamps.collect();
         Self {
-            values: by_phases(&kernels, columns, rows),
+            values: stamps.combined(&modes.kernels()),
             along_mean: norms.along_mean(mean.view(), &modes),
             modes,
         }
@@ -147,24 +136,6 @@ impl<T: ConvReal> StarBlock<T> {
             into.copy_from_slice(&values[first..first + into.len()]);
         }
     }
-}
-
-/// Stores coefficients of kernels in the order in which stars use them.
-fn by_phases<T: ConvReal>(kernels: &[Array2<f64>], columns: &PhasedAxis, rows: &PhasedAxis) -> Aligned<T> {
-    let layout = RowLayout::new(columns);
-    let mut aligned = Aligned::zeros(rows.kept * kernels.len() * layout.kernel);
-    for (at, to) in aligned.get_mut().chunks_exact_mut(layout.kernel).enumerate() {
-        let (row, kernel) = (at / kernels.len(), at % kernels.len());
-        let Some(j) = rows.index(row) else { continue };
-        for (at, value) in to.iter_mut().enumerate() {
-            let (pixel, residue) = layout.place(at);
-            let column = pixel * columns.oversampling + residue;
-            if let Some(i) = columns.index(column).filter(|_| column < columns.kept) {
-                *value = T::nearest(kernels[kernel][[j, i]]);
-            }
-        }
-    }
-    aligned
 }
 
 /// Row and column of a block of the field. The row is first, so that blocks are sorted by rows.

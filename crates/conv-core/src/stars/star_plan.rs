@@ -7,13 +7,8 @@ use psf_types::{Anchor, PixelRegion, PointSource, Progress, PsfModel};
 
 use super::draw_blocks::{BlockDrawer, Catalogue, DrawBlocks, Phased};
 use super::painter::{StarPainter, StarStamps};
-use super::phase_norms::PhaseNorms;
 use super::phases::PhasedAxis;
-use super::spread::Spreader;
-use super::star_block::RowLayout;
 use crate::image_memory::{check_shape, with_rows_in_memory};
-use crate::kept::Kept;
-use crate::plan::psf_space::PsfSpace;
 use crate::plan::{PlanOptions, check_layers, share_stamps};
 use crate::{ConvError, ConvReal};
 
@@ -82,11 +77,6 @@ pub struct StarPlan<T> {
     phased: Option<Arc<Phased<T>>>,
 }
 
-/// Spread stars keep the light beyond the reach of their stamps, up to 5e-7 of their flux
-/// ([`edge_reach_of`](crate::edge_reach_of)). Drawn stars do not. So stars are spread only if the
-/// tolerance is at least 20 times as large.
-const LEAST_SPREAD_TOLERANCE: f64 = 1e-5;
-
 impl<T: ConvReal> StarPlan<T> {
     /// Plans the drawing of stars with the PSFs of a model. If `size` is given, a star is drawn on
     /// `size` columns and rows. The pixel that the star lies on has index `size / 2` in both.
@@ -120,25 +110,9 @@ impl<T: ConvReal> StarPlan<T> {
             .filter(|_| options.anchor() != Anchor::Output);
         Ok(Self {
             phased: axes
-                .map(|axes| -> Result<_, ConvError> {
-                    let space = PsfSpace::new(models, options.tolerance_on());
-                    let layout = RowLayout::new(&axes[0]);
-                    let tolerance = options.tolerance_in::<T>();
-                    Ok(Arc::new(Phased {
-                        spreader: Spreader::new(&axes, layout),
-                        // Transforms do not truncate stars.
-                        may_spread: size.is_none() && tolerance >= LEAST_SPREAD_TOLERANCE,
-                        layout,
-                        axes,
-                        norms: PhaseNorms::new(&space, model.grid(), stamps.kernel, stamps.target)
-                            .map_err(ConvError::Result)?,
-                        space,
-                        tolerance,
-                        rounding: PlanOptions::rounding_in::<T>(),
-                        blocks: Kept::new(options.memory_bytes()),
-                    }))
-                })
-                .transpose()?,
+                .map(|axes| Phased::new(models, axes, stamps.target, (options, size)))
+                .transpose()?
+                .map(Arc::new),
             model: model.clone(),
             size,
             stamps: Arc::new(stamps),
