@@ -277,6 +277,10 @@ fn sources_of_another_field_share_local_bases() {
         let error = peak(&(&found - &own)) / peak(&own);
         assert!(error < 2.0 * TOLERANCE && error > 0.0, "{repeat}: {error:e}");
     }
+    // Other layers get local bases of their own.
+    let found = draw(&shared.for_other_layers(std::slice::from_ref(&mixed)).unwrap());
+    let error = peak(&(&found - &own)) / peak(&own);
+    assert!(error < 1e-12, "{error:e}");
     // The plan itself draws with the first model.
     let first = draw(&StarPlan::new(&models[0], options, None).unwrap());
     let error = peak(&(&draw(&shared) - &first)) / peak(&first);
@@ -299,6 +303,11 @@ fn sources_of_another_field_share_local_bases() {
     let error = peak(&(&draw(&shared.for_other_field(&mixed).unwrap()) - &own)) / peak(&own);
     assert!(error < 2.0 * TOLERANCE, "{error:e}");
 
+    let found = draw(&shared.for_other_layers(std::slice::from_ref(&mixed)).unwrap());
+    let error = peak(&(&found - &own)) / peak(&own);
+    assert!(error < 1e-12, "{error:e}");
+
     let other = model_with(Arc::new(Waves), (21, 18), (11, 9), true, Normalisation::Unit);
     assert!(shared.for_other_field(&other).is_none());
+    assert!(shared.for_other_layers(&[mixed, other]).is_none() && shared.for_other_layers(&[]).is_none());
 }

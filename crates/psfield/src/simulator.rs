@@ -35,7 +35,7 @@ use sources::{Sources, has_sources};
 pub use builder::{OwnMethodBuilder, SimulatorBuilder};
 pub(crate) use check::spot_check_layers;
 pub use colours::ColourSimulator;
-pub(crate) use mixtures::Mixtures;
+pub(crate) use mixtures::{Mixture, Mixtures};
 pub use warnings::SimulationWarning;
 
 /// The start of the error message for a region with a method that makes no plan

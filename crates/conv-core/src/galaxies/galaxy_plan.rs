@@ -49,7 +49,7 @@ pub(super) struct Shared<T> {
     size: Option<usize>,
     /// Made when the first galaxy is drawn.
     space: OnceLock<PsfSpace>,
-    stamps: OnceLock<Stamps>,
+    stamps: Arc<OnceLock<Stamps>>,
     pub(super) tolerance: f64,
     pub(super) extent: Extent,
     blocks: Kept<BlockKey, Block>,
@@ -144,7 +144,7 @@ impl<T: ConvReal> GalaxyPlan<T> {
         let shared = Shared {
             size,
             space: OnceLock::new(),
-            stamps: OnceLock::new(),
+            stamps: Arc::default(),
             tolerance,
             extent: Extent::new(&models[0], size, tolerance),
             blocks: Kept::new(usize::MAX),
@@ -164,6 +164,30 @@ impl<T: ConvReal> GalaxyPlan<T> {
         share_stamps(&self.model, model).then(|| Self {
             model: model.clone(),
             shared: Arc::clone(&self.shared),
+        })
+    }
+
+    /// Returns a plan for other models with local bases of its own, as
+    /// [`StarPlan::for_other_layers`](crate::StarPlan::for_other_layers) does for stars.
+    pub fn for_other_layers(&self, models: &[PsfModel]) -> Option<Self> {
+        let Shared { options, size, .. } = *self.shared;
+        let other = self.for_other_field(models.first()?)?;
+        check_layers(models).is_ok().then(|| {
+            let shared = Shared {
+                models: models.to_vec(),
+                options,
+                size,
+                space: OnceLock::new(),
+                stamps: Arc::clone(&self.shared.stamps),
+                tolerance: self.shared.tolerance,
+                extent: self.shared.extent,
+                blocks: Kept::new(usize::MAX),
+                spectra: Kept::new(options.memory_bytes()),
+            };
+            Self {
+                shared: Arc::new(shared),
+                ..other
+            }
         })
     }
 

@@ -1,6 +1,8 @@
 //! Draws a catalogue block by block. Threads draw blocks at the same time if their stars light
 //! different pixels.
 
+use std::sync::Arc;
+
 use ndarray::{ArrayViewMut2, Axis};
 use psf_types::{PixelRegion, PointSource, Position, Progress, PsfModel, StampGrid};
 use rayon::prelude::*;
@@ -26,12 +28,12 @@ use crate::{ConvError, ConvReal};
 pub(super) struct Phased<T> {
     pub(super) axes: [PhasedAxis; 2],
     pub(super) layout: RowLayout,
-    pub(super) spreader: Spreader<T>,
+    pub(super) spreader: Arc<Spreader<T>>,
     /// Whether crowded stars may be spread.
     pub(super) may_spread: bool,
     pub(super) space: PsfSpace,
-    pub(super) stamps: PhasedStamps<T>,
-    pub(super) norms: PhaseNorms,
+    pub(super) stamps: Arc<PhasedStamps<T>>,
+    pub(super) norms: Arc<PhaseNorms>,
     pub(super) tolerance: f64,
     /// Errors of PSFs up to this fraction count as rounding.
     pub(super) rounding: f64,
@@ -67,11 +69,11 @@ impl<T: ConvReal> Phased<T> {
             })
             .collect();
         Ok(Self {
-            spreader: Spreader::new(&axes, layout),
+            spreader: Arc::new(Spreader::new(&axes, layout)),
             // Transforms do not truncate stars.
             may_spread: size.is_none() && tolerance >= LEAST_SPREAD_TOLERANCE,
-            norms: PhaseNorms::new(&stamps, grid, target).map_err(ConvError::Result)?,
-            stamps: PhasedStamps::new(&stamps, &axes, layout),
+            norms: Arc::new(PhaseNorms::new(&stamps, grid, target).map_err(ConvError::Result)?),
+            stamps: Arc::new(PhasedStamps::new(&stamps, &axes, layout)),
             axes,
             layout,
             space,
@@ -79,6 +81,18 @@ impl<T: ConvReal> Phased<T> {
             rounding: PlanOptions::rounding_in::<T>(),
             blocks: Kept::new(options.memory_bytes()),
         })
+    }
+
+    /// The same stamps, for local bases of other models.
+    pub(super) fn for_other_models(&self, models: &[PsfModel], options: PlanOptions) -> Self {
+        Self {
+            spreader: Arc::clone(&self.spreader),
+            norms: Arc::clone(&self.norms),
+            stamps: Arc::clone(&self.stamps),
+            space: self.space.for_other_models(models, options.tolerance_on()),
+            blocks: Kept::new(options.memory_bytes()),
+            ..*self
+        }
     }
 }
 
@@ -229,7 +243,7 @@ impl<T: ConvReal> BlockDrawer<'_, T> {
         let ((row, column), _) = task.stars[0];
         let key = (i64::from(row), i64::from(column));
         let region = region_of(key, phased.spreader.side as i64);
-        let directions = (&phased.space, &phased.stamps);
+        let directions = (&phased.space, &*phased.stamps);
         let make = || StarBlock::new(directions, region, &phased.norms, phased.tolerance);
         let block = &*phased.blocks.get(key, make, StarBlock::bytes);
         let (mut image, origin) = (task.image, task.origin);

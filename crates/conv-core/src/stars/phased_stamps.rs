@@ -1,11 +1,11 @@
 //! The stamps of a model as interpolation coefficients that are sorted by sub-pixel phase.
 
-use ndarray::{Array2, Axis};
+use ndarray::Array2;
 use pulp::bytemuck::{cast_slice, cast_slice_mut};
 use rayon::prelude::*;
 
 use super::phases::PhasedAxis;
-use super::star_block::RowLayout;
+use super::star_block::{CHUNK, RowLayout};
 use crate::ConvReal;
 use crate::simd::{Aligned, Lanes, WithIsa, vectorized};
 use crate::stamp_interpolator::StampInterpolator;
@@ -14,12 +14,12 @@ use crate::stamp_interpolator::StampInterpolator;
 /// them to kernels.
 #[derive(Debug)]
 pub(super) struct PhasedStamps<T> {
-    /// `[row, direction, chunk, residue, pixel]`. `row` counts the rows of coefficients of the
-    /// oversampled stamp, in the order of the stamp. Rows that no star can use are left out
-    /// ([`PhasedAxis`]). [`RowLayout`] explains the last three indices.
+    /// `[row, part, direction, value]`: the rows of a kernel ([`RowLayout`]) in parts of [`CHUNK`] values.
+    /// `row` counts the rows of coefficients of the oversampled stamp, in the order of the stamp. Rows
+    /// that no star can use are left out ([`PhasedAxis`]).
     values: Aligned<T>,
     directions: usize,
-    /// The number of values in a row of one direction.
+    /// The number of values in a row of a kernel.
     length: usize,
 }
 
@@ -42,11 +42,14 @@ impl<T: ConvReal> PhasedStamps<T> {
         let rows_of_all = values.get_mut().par_chunks_mut((directions * length).max(1));
         rows_of_all.enumerate().for_each(|(row, to)| {
             let Some(j) = rows.index(row) else { return };
-            for (stamp, to) in stamps.iter().zip(to.chunks_exact_mut(length)) {
-                let from = stamp.coefficients().index_axis(Axis(0), j);
-                for (value, i) in to.iter_mut().zip(&columns) {
-                    if let Some(i) = *i {
-                        *value = T::nearest(from[i]);
+            let parts = to.chunks_exact_mut(directions * CHUNK);
+            for (to, columns) in parts.zip(columns.chunks_exact(CHUNK)) {
+                for (stamp, to) in stamps.iter().zip(to.chunks_exact_mut(CHUNK)) {
+                    let from = stamp.coefficients().row(j);
+                    for (value, column) in to.iter_mut().zip(columns) {
+                        if let Some(i) = *column {
+                            *value = T::nearest(from[i]);
+                        }
                     }
                 }
             }
@@ -67,10 +70,8 @@ impl<T: ConvReal> PhasedStamps<T> {
     }
 }
 
-/// Kernels that are computed together.
-const TOGETHER: usize = 4;
-/// Vectors of a row that are computed together.
-const WIDE: usize = 3;
+/// The most kernels that are computed together.
+const TOGETHER: usize = 8;
 
 /// The work of [`PhasedStamps::combined`].
 struct Combine<'a, T> {
@@ -88,17 +89,17 @@ impl<T: ConvReal> WithIsa<T> for Combine<'_, T> {
             length,
         } = self.stamps;
         let count = self.kernels.nrows();
-        // The factors of some kernels, `[direction, kernel]`. Missing kernels have the factor 0.
+        // The factors of some kernels, `[direction, kernel]`. Kernels beyond the last have the factor 0.
         let factors: Vec<Vec<[T; TOGETHER]>> = (0..count)
             .step_by(TOGETHER)
             .map(|first| {
-                let column = |direction| {
+                let of_direction = |direction| {
                     std::array::from_fn(|k| match self.kernels.get((first + k, direction)) {
                         Some(&factor) => T::nearest(factor),
                         None => T::zero(),
                     })
                 };
-                (0..*directions).map(column).collect()
+                (0..*directions).map(of_direction).collect()
             })
             .collect();
         let rows = values.get().len() / (directions * length).max(1);
@@ -107,14 +108,15 @@ impl<T: ConvReal> WithIsa<T> for Combine<'_, T> {
             let from = values.get().chunks_exact((directions * length).max(1));
             let to = combined.get_mut().chunks_exact_mut((count * length).max(1));
             for (from, to) in from.zip(to) {
-                for first in (0..*length).step_by(WIDE * S::LANES) {
-                    // The same few columns of all directions stay in the cache for all kernels.
+                for (part, from) in from.chunks_exact((directions * CHUNK).max(1)).enumerate() {
                     for (factors, to) in factors.iter().zip(to.chunks_mut(TOGETHER * length)) {
-                        if first + WIDE * S::LANES <= *length {
-                            combine::<T, S, WIDE>(simd, (from, factors), first, *length, to);
-                        } else {
-                            for first in (first..*length).step_by(S::LANES) {
-                                combine::<T, S, 1>(simd, (from, factors), first, *length, to);
+                        for first in (0..CHUNK).step_by(S::LANES) {
+                            let (from, at) = (&from[first..], part * CHUNK + first);
+                            let to = to.chunks_exact_mut(*length).map(|to| &mut to[at..at + S::LANES]);
+                            if to.len() > TOGETHER / 2 {
+                                combine::<T, S, TOGETHER>(simd, from, factors, to);
+                            } else {
+                                combine::<T, S, { TOGETHER / 2 }>(simd, from, factors, to);
                             }
                         }
                     }
@@ -125,28 +127,23 @@ impl<T: ConvReal> WithIsa<T> for Combine<'_, T> {
     }
 }
 
-/// Computes `N` vectors of a row of some kernels, from column `first` on. `from` and `to` hold rows of
-/// `length` values, one for each direction and one for each kernel.
+/// Computes a vector of each of `N` kernels, or of fewer. The values of a direction are [`CHUNK`] values
+/// from those of the last one.
 #[inline(always)]
-fn combine<T: ConvReal, S: Lanes<T>, const N: usize>(
+fn combine<'a, T: ConvReal, S: Lanes<T>, const N: usize>(
     simd: S,
-    (from, factors): (&[T], &[[T; TOGETHER]]),
-    first: usize,
-    length: usize,
-    to: &mut [T],
+    from: &[T],
+    factors: &[[T; TOGETHER]],
+    to: impl Iterator<Item = &'a mut [T]>,
 ) {
-    let columns = first..first + N * S::LANES;
-    let mut sums = [[simd.splat(T::zero()); N]; TOGETHER];
-    for (values, factors) in from.chunks_exact(length).zip(factors) {
-        let values: &[S::V] = cast_slice(&values[columns.clone()]);
-        for (sums, &factor) in sums.iter_mut().zip(factors) {
-            let factor = simd.splat(factor);
-            for (sum, &value) in sums.iter_mut().zip(values) {
-                *sum = simd.mul_add(factor, value, *sum);
-            }
+    let mut sums = [simd.splat(T::zero()); N];
+    for (values, factors) in from.chunks(CHUNK).zip(factors) {
+        let values = cast_slice::<T, S::V>(&values[..S::LANES])[0];
+        for (sum, &factor) in sums.iter_mut().zip(factors) {
+            *sum = simd.mul_add(simd.splat(factor), values, *sum);
         }
     }
-    for (to, sums) in to.chunks_exact_mut(length).zip(sums) {
-        cast_slice_mut::<T, S::V>(&mut to[columns.clone()]).copy_from_slice(&sums);
+    for (to, sum) in to.zip(sums) {
+        cast_slice_mut(to)[0] = sum;
     }
 }

@@ -71,6 +71,7 @@ use crate::{ConvError, ConvReal};
 #[derive(Debug)]
 pub struct StarPlan<T> {
     model: PsfModel,
+    options: PlanOptions,
     size: Option<usize>,
     stamps: Arc<StarStamps>,
     /// `None` if all stars are drawn from all components.
@@ -114,6 +115,7 @@ impl<T: ConvReal> StarPlan<T> {
                 .transpose()?
                 .map(Arc::new),
             model: model.clone(),
+            options,
             size,
             stamps: Arc::new(stamps),
         })
@@ -126,9 +128,22 @@ impl<T: ConvReal> StarPlan<T> {
     pub fn for_other_field(&self, model: &PsfModel) -> Option<Self> {
         share_stamps(&self.model, model).then(|| Self {
             model: model.clone(),
+            options: self.options,
             size: self.size,
             stamps: Arc::clone(&self.stamps),
             phased: self.phased.clone(),
+        })
+    }
+
+    /// Returns a plan [of layers](Self::of_layers) for other models, with local bases of its own. It
+    /// shares what depends on the stamps alone, so it is made at once. `None` without models, or if they
+    /// have other stamps or another scaling to unit flux.
+    pub fn for_other_layers(&self, models: &[PsfModel]) -> Option<Self> {
+        let phased = |phased: &Arc<Phased<T>>| Arc::new(phased.for_other_models(models, self.options));
+        let other = self.for_other_field(models.first()?)?;
+        check_layers(models).is_ok().then(|| Self {
+            phased: self.phased.as_ref().map(phased),
+            ..other
         })
     }
 

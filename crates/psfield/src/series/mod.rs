@@ -6,15 +6,16 @@ mod pointing;
 
 use std::borrow::Cow;
 use std::collections::HashSet;
+use std::ops::Range;
 use std::sync::Arc;
 
 use conv_core::{ConvReal, TileCounts};
-use ndarray::{Array2, ArrayView2, ArrayViewMut2, s};
+use ndarray::{Array2, ArrayView2, ArrayViewMut2, Axis, s};
 use psf_io::Catalog;
-use psf_types::{Image, NoProgress, PointSource, Position, Progress, SersicSource, StateKind};
+use psf_types::{Image, NoProgress, PointSource, Position, Progress, SampleStates, SersicSource, StateKind};
 
 use crate::psf::QUADRATURE;
-use crate::simulator::{Mixtures, spot_check_layers};
+use crate::simulator::{Mixture, Mixtures, spot_check_layers};
 use crate::{ErrorKind, Motion, Psf, PsfieldError, Scene, SimulateOptions, Simulator, SpotCheck};
 
 pub use exposures::Exposures;
@@ -89,12 +90,23 @@ pub struct SeriesSimulator<T: ConvReal> {
     last: [Option<Last<T>>; 2],
 }
 
+/// The indices of [`SeriesSimulator::last`].
+const AT_REST: usize = 0;
+const MOVING: usize = 1;
+/// The most exposures that share local bases, if the PSF depends on the time. Local bases of more
+/// exposures are larger.
+const GROUP: usize = 16;
+/// The exposures of a group whose PSFs its local bases represent. Stars of the others are tested, too.
+const REPRESENTED: usize = 4;
+
 /// The PSF and the simulator of the last exposure.
 #[derive(Debug)]
 struct Last<T: ConvReal> {
     motion: Motion,
     moved: Mixtures<T>,
     weights: Option<Array2<f64>>,
+    /// The exposures whose PSFs the simulator's local bases represent.
+    group: Range<usize>,
     simulator: Arc<Simulator<T>>,
 }
 
@@ -250,24 +262,16 @@ impl<T: ConvReal> SeriesSimulator<T> {
         progress: &dyn Progress,
     ) -> Result<SeriesExposure<'_, T>, PsfieldError> {
         let times = self.series.exposures.times(number);
-        let motion = self.series.pointing.during(times)?;
-        let shift_px = motion.mean();
-        // The pixels of an image can only move by whole pixels.
-        let origin = match self.image {
-            Some(_) => shift_px.map(f64::round),
-            None => shift_px,
-        };
-        let motion = motion.about(origin);
-        let weights = self.state_weights(number)?;
+        let (motion, origin, shift_px) = self.motion(number)?;
         // Moving sources have trails of their own.
         let jitter = Motion::fixed([0.0, 0.0]).with_jitter_px(self.series.pointing.jitter_px)?;
         let is_still = motion.equals(&jitter);
-        let at_rest = self.simulator(0, motion, weights.clone(), progress)?;
+        let at_rest = self.simulator(AT_REST, number, motion, progress)?;
         let velocities = self.catalog.velocities();
         let moving = match velocities.is_some_and(|all| all.iter().any(is_moving)) {
             false => None,
             true if is_still => Some(Arc::clone(&at_rest)),
-            true => Some(self.simulator(1, jitter, weights, progress)?),
+            true => Some(self.simulator(MOVING, number, jitter, progress)?),
         };
         let image = match &self.image {
             Some(image) => self.moved_image(image, origin)?,
@@ -291,37 +295,102 @@ impl<T: ConvReal> SeriesSimulator<T> {
         })
     }
 
-    /// The simulator for the PSF with this motion and these weights of its states. `kind` is 1 for moving
-    /// sources.
+    /// The motion of light at rest on the sky during an exposure, about a shift, this shift, and the mean
+    /// shift.
+    fn motion(&self, number: usize) -> Result<(Motion, [f64; 2], [f64; 2]), PsfieldError> {
+        let motion = self.series.pointing.during(self.series.exposures.times(number))?;
+        let shift_px = motion.mean();
+        // The pixels of an image can only move by whole pixels.
+        let origin = match self.image {
+            Some(_) => shift_px.map(f64::round),
+            None => shift_px,
+        };
+        Ok((motion.about(origin), origin, shift_px))
+    }
+
+    /// The simulator of an exposure, for the PSF with this motion. `kind` is [`AT_REST`] or [`MOVING`].
     fn simulator(
         &mut self,
         kind: usize,
+        number: usize,
         motion: Motion,
-        weights: Option<Array2<f64>>,
         progress: &dyn Progress,
     ) -> Result<Arc<Simulator<T>>, PsfieldError> {
+        let weights = self.state_weights(number)?;
         let last = self.last[kind].take();
-        let (moved, before) = match last {
-            Some(last) if last.motion.equals(&motion) && last.weights == weights => {
+        let last = last.map(|last| (last.motion.equals(&motion), last));
+        let (moved, group, before) = match last {
+            Some((true, last)) if last.weights == weights && last.group.contains(&number) => {
                 let simulator = Arc::clone(&last.simulator);
                 self.last[kind] = Some(last);
                 return Ok(simulator);
             }
-            Some(last) if last.motion.equals(&motion) => (last.moved, Some(last.simulator)),
-            Some(last) => (Mixtures::new(self.psf.moved(&motion)?), Some(last.simulator)),
-            None => (Mixtures::new(self.psf.moved(&motion)?), None),
+            Some((true, last)) => (last.moved, Some(last.group), Some(last.simulator)),
+            Some((false, last)) => (
+                Mixtures::new(self.psf.moved(&motion)?),
+                None,
+                Some(last.simulator),
+            ),
+            None => (Mixtures::new(self.psf.moved(&motion)?), None, None),
         };
+        let group = group.filter(|group| group.contains(&number));
+        let is_new = group.is_none();
+        let group = match group {
+            Some(group) => group,
+            None => self.group(kind, number, &motion)?,
+        };
+        let represented = match &weights {
+            Some(_) if is_new => {
+                let count = group.len().min(REPRESENTED);
+                let chosen = (0..count).map(|i| group.start + i * (group.len() - 1) / (count - 1).max(1));
+                let chosen: Vec<_> = chosen
+                    .map(|number| self.state_weights(number))
+                    .collect::<Result<_, _>>()?;
+                let rows: Vec<_> = chosen.iter().flatten().map(|row| row.view()).collect();
+                Some(ndarray::concatenate(Axis(0), &rows).expect("one weight for each state"))
+            }
+            _ => None,
+        };
+        let mixture = weights.clone().map(|weights| Mixture { weights, represented });
         let settings = (self.shape, &self.options);
-        let light = (kind == 0 && self.image.is_some(), !self.catalog.rows().is_empty());
-        let made = moved.simulator(weights.as_ref(), settings, light, before.as_deref(), progress)?;
+        let light = (
+            kind == AT_REST && self.image.is_some(),
+            !self.catalog.rows().is_empty(),
+        );
+        let made = moved.simulator(mixture.as_ref(), settings, light, before.as_deref(), progress)?;
         let simulator = Arc::new(made);
         self.last[kind] = Some(Last {
             motion,
             moved,
             weights,
+            group,
             simulator: Arc::clone(&simulator),
         });
         Ok(simulator)
+    }
+
+    /// The exposures that share local bases with an exposure: neighbours with its motion and a similar
+    /// PSF.
+    fn group(&self, kind: usize, number: usize, motion: &Motion) -> Result<Range<usize>, PsfieldError> {
+        let mut group = number..number + 1;
+        match self.psf.states().map(SampleStates::kind) {
+            None => return Ok(0..self.series.exposures.len()),
+            Some(StateKind::Time) => {}
+            // PSFs of different frames may have nothing in common.
+            Some(_) => return Ok(group),
+        }
+        let first = number - number % GROUP;
+        let last = (first + GROUP).min(self.series.exposures.len());
+        if kind == MOVING {
+            return Ok(first..last);
+        }
+        while group.start > first && self.motion(group.start - 1)?.0.equals(motion) {
+            group.start -= 1;
+        }
+        while group.end < last && self.motion(group.end)?.0.equals(motion) {
+            group.end += 1;
+        }
+        Ok(group)
     }
 
     /// The weights of the PSF's states in an exposure, `[1, state]`. None if it has no states.

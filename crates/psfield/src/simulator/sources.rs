@@ -28,14 +28,37 @@ impl<T: ConvReal> Sources<T> {
     /// Draws sources through another model with the local bases of this one. None if the model has other
     /// stamps.
     pub(super) fn for_other_field(&self, model: &PsfModel) -> Option<Self> {
+        self.planned_as(
+            model,
+            |plan| plan.for_other_field(model),
+            |plan| plan.for_other_field(model),
+        )
+    }
+
+    /// Draws sources through the first of some other models, with local bases that represent the PSFs of
+    /// all. None if they have other stamps.
+    pub(super) fn for_other_layers(&self, models: &[PsfModel]) -> Option<Self> {
+        self.planned_as(
+            &models[0],
+            |plan| plan.for_other_layers(models),
+            |plan| plan.for_other_layers(models),
+        )
+    }
+
+    fn planned_as(
+        &self,
+        model: &PsfModel,
+        stars: impl FnOnce(&StarPlan<T>) -> Option<StarPlan<T>>,
+        galaxies: impl FnOnce(&GalaxyPlan<T>) -> Option<GalaxyPlan<T>>,
+    ) -> Option<Self> {
         let stars = match &self.stars {
-            Some(stars) => Some(stars.for_other_field(model)?),
+            Some(plan) => Some(stars(plan)?),
             None => None,
         };
         Some(Self {
             model: model.clone(),
             stars,
-            galaxies: self.galaxies.for_other_field(model)?,
+            galaxies: galaxies(&self.galaxies)?,
             fit_seconds: 0.0,
             plan_seconds: 0.0,
         })
