@@ -3,8 +3,10 @@
 
 use faer::diag::Diag;
 use faer::dyn_stack::{MemBuffer, MemStack};
+use faer::linalg::cholesky::llt::factor::{LltRegularization, cholesky_in_place, cholesky_in_place_scratch};
 use faer::linalg::matmul::matmul;
 use faer::linalg::svd::{ComputeSvdVectors, SvdParams, svd, svd_scratch};
+use faer::linalg::triangular_solve::solve_lower_triangular_in_place;
 use faer::{Accum, Mat, MatRef, Par, Spec};
 use ndarray::{Array2, Array3, ArrayView2, Axis};
 use psf_types::{DataError, PsfBasis, StampGrid};
@@ -281,6 +283,86 @@ pub fn orthonormal(
     Ok((PsfBasis::new(mean, components, grid)?, coefficients))
 }
 
+/// Stamps whose parts at right angles to the stamps before them are below this fraction of the largest
+/// count as dependent.
+const DEPENDENT: f64 = 1e-5;
+
+/// Does the work of [`orthonormal`] several times as fast, for stamps that are nearly orthonormal, such
+/// as a basis after a small change.
+///
+/// The first component is the first stamp scaled to norm 1, the next is the part of the second stamp at
+/// right angles to it, and so on (two Cholesky decompositions of the stamps' scalar products: Yamamoto
+/// et al. 2015, ETNA 44, 306). For stamps that are nearly dependent, the result is that of
+/// [`orthonormal`].
+///
+/// ```
+/// use ndarray::{Array3, array};
+/// use psf_types::StampGrid;
+/// let stamps = Array3::from_shape_vec((2, 1, 2), vec![3.0, 0.0, 1.0, 1.0])?;
+/// let grid = StampGrid::new(2, 1)?;
+/// let (basis, coefficients) = psf_basis::orthonormal_in_order(None, stamps, array![[1.0, 2.0]].view(), grid)?;
+/// // 1 (3, 0) + 2 (1, 1) = (5, 2)
+/// assert!((coefficients[[0, 0]] - 5.0).abs() < 1e-14 && (coefficients[[0, 1]] - 2.0).abs() < 1e-14);
+/// assert!((basis.components()[[1, 0, 1]] - 1.0).abs() < 1e-14);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+///
+/// # Errors
+/// The errors of [`orthonormal`].
+pub fn orthonormal_in_order(
+    mean: Option<Array2<f64>>,
+    stamps: Array3<f64>,
+    coefficients: ArrayView2<'_, f64>,
+    grid: StampGrid,
+) -> Result<(PsfBasis, Array2<f64>), BasisError> {
+    let (count, ny, nx) = stamps.dim();
+    DataError::check_count("coefficients, one for each stamp", count, coefficients.ncols())?;
+    let rows = stamps.as_standard_layout().into_owned();
+    let rows = rows.into_shape_with_order((count, ny * nx)).expect("row-major");
+    // `[pixel, stamp]`.
+    let mut components = columns_of(rows.view()).to_owned();
+    let mut turned = coefficients.to_owned();
+    for _ in 0..2 {
+        let Some(lower) = triangle_of(components.as_ref()) else {
+            return orthonormal(mean, stamps, coefficients, grid);
+        };
+        let chunks = components.par_row_chunks_mut(ROWS);
+        chunks
+            .for_each(|rows| solve_lower_triangular_in_place(lower.as_ref(), rows.transpose_mut(), Par::Seq));
+        turned = turned.dot(&Array2::from_shape_fn((count, count), |(i, k)| lower[(i, k)]));
+    }
+    let components = Array3::from_shape_fn((count, ny, nx), |(k, y, x)| components[(y * nx + x, k)]);
+    Ok((PsfBasis::new(mean, components, grid)?, turned))
+}
+
+/// The lower triangular matrix `L` with `L L^T = M^T M`. None if columns of the matrix `M` are nearly
+/// dependent or not finite.
+fn triangle_of(matrix: MatRef<'_, f64>) -> Option<Mat<f64>> {
+    let count = matrix.ncols();
+    let mut lower = Mat::zeros(count, count);
+    matmul(
+        lower.as_mut(),
+        Accum::Replace,
+        matrix.transpose(),
+        matrix,
+        1.0,
+        Par::rayon(SPLIT),
+    );
+    let mut memory = MemBuffer::new(cholesky_in_place_scratch::<f64>(count, Par::Seq, Spec::default()));
+    let stack = MemStack::new(&mut memory);
+    let regularization = LltRegularization::default();
+    cholesky_in_place(lower.as_mut(), regularization, Par::Seq, stack, Spec::default()).ok()?;
+    for k in 1..count {
+        lower.col_mut(k).subrows_mut(0, k).fill(0.0);
+    }
+    let diagonal = || (0..count).map(|k| lower[(k, k)]);
+    let (least, most) = (
+        diagonal().fold(f64::INFINITY, f64::min),
+        diagonal().fold(0.0, f64::max),
+    );
+    (least > DEPENDENT * most && most.is_finite()).then_some(lower)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -315,6 +397,44 @@ mod tests {
                 assert!((got - wanted).abs() < ROUNDING, "{nodes}: {got} against {wanted}");
             }
         }
+    }
+
+    #[test]
+    fn a_changed_basis_keeps_its_order_and_its_sums() {
+        let grid = StampGrid::new(6, 5).unwrap();
+        let value = |a: usize, b: usize| ((a * 31 + b * 17) as f64 * 0.7).sin();
+        let stamps = Array3::from_shape_fn((4, 5, 6), |(k, y, x)| {
+            value(k + 1, 6 * y + x) * 0.1 + f64::from(u8::from(6 * y + x == 7 * k))
+        });
+        let a = Array2::from_shape_fn((9, 4), |(j, k)| value(j + 3, k + 40));
+        let mut dependent = stamps.clone();
+        let first = &stamps.index_axis(Axis(0), 0) * 2.0;
+        dependent.index_axis_mut(Axis(0), 3).assign(&first);
+        for (stamps, rank) in [(stamps, 4), (dependent, 3)] {
+            let expected = a.dot(&stamps.to_shape((4, 30)).unwrap());
+            let (basis, b) = orthonormal_in_order(None, stamps.clone(), a.view(), grid).unwrap();
+            assert_eq!(basis.rank(), rank);
+            let flat = basis.components().into_shape_with_order((rank, 30)).unwrap();
+            for (got, wanted) in b.dot(&flat).iter().zip(&expected) {
+                assert!((got - wanted).abs() < ROUNDING, "{got} against {wanted}");
+            }
+            // The first component is the first stamp.
+            let along = (&basis.components().index_axis(Axis(0), 0) * &stamps.index_axis(Axis(0), 0)).sum();
+            let norm = stamps
+                .index_axis(Axis(0), 0)
+                .iter()
+                .map(|v| v * v)
+                .sum::<f64>()
+                .sqrt();
+            assert!(rank == 3 || (along / norm - 1.0).abs() < ROUNDING);
+        }
+        let none = orthonormal_in_order(
+            None,
+            Array3::from_elem((1, 5, 6), f64::NAN),
+            Array2::ones((1, 1)).view(),
+            grid,
+        );
+        assert!(none.is_err());
     }
 
     #[test]

@@ -33,7 +33,7 @@ mod fit;
 mod noise;
 mod rank;
 
-pub use decomposition::{BasisError, orthonormal};
+pub use decomposition::{BasisError, orthonormal, orthonormal_in_order};
 pub use fit::{BasisFit, BasisMethod, Centring, GivenStamps, Svd, project};
 pub use noise::PixelNoise;
 pub use rank::{RankSelection, Spectrum};

@@ -267,10 +267,10 @@ fn dispersed(
     margin: [usize; 2],
     wide: StampGrid,
 ) -> Array3<f64> {
-    let plane = StampPlane::new(wide.dim());
+    let plane = StampPlane::new(wide.dim(), 1);
     let transformed: Vec<Array2<Complex64>> = (0..stamps.dim().0)
         .into_par_iter()
-        .map(|stamp| plane.forward(stamps.index_axis(Axis(0), stamp), margin))
+        .map(|stamp| plane.forward(&[stamps.index_axis(Axis(0), stamp)], margin))
         .collect();
     let states = stamps.dim().0 / nodes;
     let factors: Vec<Vec<_>> = spectra
@@ -290,7 +290,7 @@ fn dispersed(
                     .for_each(|sum, f, t| *sum += f * t);
             }
         }
-        into.assign(&plane.inverse(sum));
+        into.assign(&plane.inverse(sum)[0]);
     });
     mixed
 }

@@ -24,7 +24,7 @@ use crate::{ErrorKind, FitOptions, PsfieldError};
 pub use extrapolation::Extrapolation;
 pub use format_records::record_of_psfex;
 pub use motion::Motion;
-pub(crate) use motion::QUADRATURE;
+pub(crate) use motion::{MovingNative, QUADRATURE};
 pub use open::{FitChoices, PsfFileOptions};
 pub(crate) use resample::native_grid_of;
 pub use states::join_samples;

@@ -42,13 +42,25 @@ pub(crate) struct StampPlane {
     steps: [[Arc<dyn Fft<f64>>; 2]; 2],
 }
 
+impl std::fmt::Debug for StampPlane {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let Self { room, size, .. } = self;
+        f.debug_struct("StampPlane")
+            .field("room", room)
+            .field("size", size)
+            .finish_non_exhaustive()
+    }
+}
+
 impl StampPlane {
-    /// Room for stamps of `(ny, nx)` pixels, margins included.
-    pub(crate) fn new(room: (usize, usize)) -> Self {
+    /// Room for stamps of `(ny, nx)` pixels, margins included. Transforms have a multiple of `step` rows
+    /// and columns.
+    pub(crate) fn new(room: (usize, usize), step: usize) -> Self {
         let mut planner = FftPlanner::new();
         let size = [room.0, room.1].map(|n| {
-            let sizes = n..=n.next_power_of_two();
-            sizes.into_iter().find(|&n| is_smooth(n)).unwrap_or(n)
+            let n = n.div_ceil(step);
+            let mut sizes = n..=n.next_power_of_two();
+            sizes.find(|&n| is_smooth(n)).unwrap_or(n) * step
         });
         let steps = size.map(|n| [planner.plan_fft_forward(n), planner.plan_fft_inverse(n)]);
         Self { room, size, steps }
@@ -59,34 +71,52 @@ impl StampPlane {
         self.size
     }
 
-    /// The transform of a stamp that begins `margin` pixels (x, y) inside the plane.
-    pub(crate) fn forward(&self, stamp: ArrayView2<'_, f64>, [mx, my]: [usize; 2]) -> Array2<Complex64> {
-        let mut values = Array2::zeros(self.size);
-        let (ny, nx) = stamp.dim();
-        values
-            .slice_mut(s![my..my + ny, mx..mx + nx])
-            .assign(&stamp.mapv(Complex64::from));
+    /// The transform of one stamp or two that begin `margin` pixels (x, y) inside the plane. The second
+    /// is the imaginary part.
+    pub(crate) fn forward(&self, stamps: &[ArrayView2<'_, f64>], [mx, my]: [usize; 2]) -> Array2<Complex64> {
+        let mut values: Array2<Complex64> = Array2::zeros(self.size);
+        for (stamp, unit) in stamps.iter().zip([Complex64::ONE, Complex64::I]) {
+            let (ny, nx) = stamp.dim();
+            let mut part = values.slice_mut(s![my..my + ny, mx..mx + nx]);
+            part.zip_mut_with(stamp, |to, &v| *to += unit * v);
+        }
         self.transform(&mut values, 0);
         values
     }
 
-    /// The stamp of a transform, with its margins.
-    pub(crate) fn inverse(&self, mut values: Array2<Complex64>) -> Array2<f64> {
+    /// The stamps of a transform, with their margins: the real and the imaginary part.
+    pub(crate) fn inverse(&self, mut values: Array2<Complex64>) -> [Array2<f64>; 2] {
         self.transform(&mut values, 1);
         let pixels = (self.size[0] * self.size[1]) as f64;
         let (ny, nx) = self.room;
-        values.slice(s![..ny, ..nx]).mapv(|v| v.re / pixels)
+        let stamps = values.slice(s![..ny, ..nx]);
+        [stamps.mapv(|v| v.re / pixels), stamps.mapv(|v| v.im / pixels)]
+    }
+
+    /// Returns every `step`-th pixel of the stamps of a transform, from the first pixel on, as a
+    /// transform. Both axes of this plane must have a multiple of `step` pixels.
+    pub(crate) fn thinned(&self, values: &Array2<Complex64>, step: usize) -> Array2<Complex64> {
+        let [ny, nx] = self.size.map(|n| n / step);
+        let mut sum: Array2<Complex64> = Array2::zeros((ny, nx));
+        for part in values.exact_chunks((ny, nx)) {
+            sum += &part;
+        }
+        sum / (step * step) as f64
     }
 
     /// The factor in Fourier space that shifts a stamp by several distances and adds up the results,
     /// `[qy, qx]`: `sum_j w_j exp(-2 pi i q d_j)`. `shifts` are the weights `w_j` and the distances `d_j`
-    /// along x and y, in stamp pixels.
+    /// along x and y, in stamp pixels. At the highest frequency of an even number of pixels, the factor of
+    /// a shift is its real part, so that real stamps stay real.
     pub(crate) fn shift_factor(&self, shifts: &[(f64, [f64; 2])]) -> Array2<Complex64> {
         let mut factor: Array2<Complex64> = Array2::zeros(self.size);
         let [ny, nx] = self.size;
         let turns = |n: usize, shift: f64| -> Vec<Complex64> {
             (0..n)
-                .map(|k| Complex64::cis(-TAU * frequency(k, n) * shift))
+                .map(|k| {
+                    let turn = Complex64::cis(-TAU * frequency(k, n) * shift);
+                    if 2 * k == n { turn.re.into() } else { turn }
+                })
                 .collect()
         };
         for &(weight, [dx, dy]) in shifts {

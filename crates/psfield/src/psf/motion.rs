@@ -1,11 +1,13 @@
 //! PSFs of exposures during which the light moves over the frame.
 
-use ndarray::{Array2, ArrayView2};
+use ndarray::{Array2, Array3, ArrayView2, s};
 use psf_types::{SamplePositions, StampGrid};
+use rayon::prelude::*;
 use rustfft::num_complex::Complex64;
 
-use super::Psf;
-use super::resample::StampChange;
+use super::resample::{StampChange, native_grid_of, native_picks, on_basis};
+use super::{Origin, Psf};
+use crate::stack_size::check_stack;
 use crate::stamp_plane::{StampPlane, margin_of, widened};
 use crate::{ErrorKind, PsfieldError};
 
@@ -162,7 +164,7 @@ impl Motion {
     }
 
     /// Returns whether this motion leaves PSFs as they are.
-    fn is_none(&self) -> bool {
+    pub(crate) fn is_none(&self) -> bool {
         let at_rest = |(_, [x, y]): &(f64, [f64; 2])| x.abs() <= EQUAL && y.abs() <= EQUAL;
         self.jitter_px == 0.0 && self.points.iter().all(at_rest)
     }
@@ -198,45 +200,225 @@ impl Psf {
         if motion.is_none() {
             return Ok(self.clone());
         }
-        let (grid, jitter) = (self.grid(), motion.jitter_px);
-        let s = grid.oversampling();
-        let scaled = |&(weight, [dx, dy]): &(f64, [f64; 2])| (weight, [dx * s, dy * s]);
-        let shifts: Vec<_> = motion.points.iter().map(scaled).collect();
-        let margin = [0, 1].map(|axis| {
-            let reach = |(_, at): &(f64, [f64; 2])| at[axis].abs() + DEVIATIONS * jitter * s;
-            margin_of(shifts.iter().map(reach))
-        });
-        let target = widened(grid, margin)?;
-        let plane = StampPlane::new(target.dim());
-        let factor = plane.shift_factor(&shifts) * plane.gaussian_factor(jitter * s).mapv(Complex64::from);
-        self.changed(&Moving {
-            plane,
+        let moving = Moving::new(self.grid(), std::slice::from_ref(motion))?;
+        let factor = moving.factor(motion, [0.0, 0.0]);
+        self.changed(&Moved {
+            moving: &moving,
             factor,
-            margin,
-            target,
         })
     }
 }
 
-/// Moves stamps.
+/// Room for moved stamps.
+#[derive(Debug)]
 struct Moving {
     plane: StampPlane,
-    factor: Array2<Complex64>,
+    oversampling: f64,
+    /// Along x and y.
     margin: [usize; 2],
     target: StampGrid,
 }
 
-impl StampChange for Moving {
+impl Moving {
+    /// Room for all of these motions.
+    fn new(grid: StampGrid, motions: &[Motion]) -> Result<Self, PsfieldError> {
+        let oversampling = grid.oversampling();
+        let margin = [0, 1].map(|axis| {
+            let reach = |motion: &Motion| {
+                let farthest = motion
+                    .points
+                    .iter()
+                    .map(|(_, at)| at[axis].abs())
+                    .fold(0.0, f64::max);
+                (farthest + DEVIATIONS * motion.jitter_px) * oversampling
+            };
+            margin_of(motions.iter().map(reach))
+        });
+        let target = widened(grid, margin)?;
+        let step = if native_picks(grid) {
+            oversampling as usize
+        } else {
+            1
+        };
+        Ok(Self {
+            plane: StampPlane::new(target.dim(), step),
+            oversampling,
+            margin,
+            target,
+        })
+    }
+
+    /// The factor of a motion in Fourier space. The moved stamps are shifted by `offset` stamp pixels
+    /// more.
+    fn factor(&self, motion: &Motion, offset: [f64; 2]) -> Array2<Complex64> {
+        let s = self.oversampling;
+        let scaled =
+            |&(weight, [dx, dy]): &(f64, [f64; 2])| (weight, [dx * s + offset[0], dy * s + offset[1]]);
+        let shifts: Vec<_> = motion.points.iter().map(scaled).collect();
+        let jitter = self.plane.gaussian_factor(motion.jitter_px * s);
+        self.plane.shift_factor(&shifts) * jitter.mapv(Complex64::from)
+    }
+}
+
+/// Moves stamps.
+struct Moved<'a> {
+    moving: &'a Moving,
+    factor: Array2<Complex64>,
+}
+
+impl StampChange for Moved<'_> {
     fn target(&self) -> StampGrid {
-        self.target
+        self.moving.target
     }
 
     fn stamp(&self, stamp: ArrayView2<'_, f64>, _: StampGrid) -> Array2<f64> {
-        self.plane
-            .inverse(self.plane.forward(stamp, self.margin) * &self.factor)
+        let Moving { plane, margin, .. } = self.moving;
+        let [moved, _] = plane.inverse(plane.forward(&[stamp], *margin) * &self.factor);
+        moved
     }
 
     fn positions(&self, positions: &SamplePositions) -> Result<SamplePositions, PsfieldError> {
         Ok(positions.clone())
+    }
+}
+
+/// A PSF whose light moves in another way in each exposure, for images. The transforms of its stamps are
+/// made once. Only the native pixels of moved stamps are computed.
+#[derive(Debug)]
+pub(crate) struct MovingNative {
+    psf: Psf,
+    moving: Moving,
+    native: StampGrid,
+    /// The transforms of native stamps.
+    native_plane: StampPlane,
+    /// Of the mean, if there is one, and of the components, two stamps in each.
+    transforms: Vec<Array2<Complex64>>,
+}
+
+impl MovingNative {
+    /// Prepares a PSF for these motions. `None` if its native pixels are not some of the pixels of its
+    /// stamps, or if the caller implements its coefficient field.
+    pub(crate) fn new(psf: &Psf, motions: &[Motion]) -> Result<Option<Self>, PsfieldError> {
+        let grid = psf.grid();
+        if !native_picks(grid) || matches!(psf.0.origin, Origin::Model(..)) {
+            return Ok(None);
+        }
+        let moving = Moving::new(grid, motions)?;
+        let native = native_grid_of(moving.target, 1.0, 0.0, || 0)?;
+        let step = moving.oversampling as usize;
+        let [ny, nx] = moving.plane.shape().map(|n| n / step);
+        let basis = psf.record()?.basis();
+        check_stack(2 * (basis.rank() + 1), moving.target)?;
+        let stamps: Vec<_> = basis
+            .mean()
+            .into_iter()
+            .chain(basis.components().into_outer_iter())
+            .collect();
+        let transforms = stamps
+            .par_chunks(2)
+            .map(|two| moving.plane.forward(two, moving.margin));
+        let transforms = transforms.collect();
+        Ok(Some(Self {
+            native_plane: StampPlane::new((ny, nx), 1),
+            transforms,
+            native,
+            moving,
+            psf: psf.clone(),
+        }))
+    }
+
+    /// The PSF of an exposure during which all light moves, with native stamps.
+    pub(crate) fn psf(&self, motion: &Motion) -> Result<Psf, PsfieldError> {
+        let (fine, native, s) = (self.moving.target, self.native, self.moving.oversampling);
+        // The stamp pixel of the first native pixel.
+        let first = [
+            fine.centre_x() - s * native.centre_x(),
+            fine.centre_y() - s * native.centre_y(),
+        ];
+        let factor = self.moving.factor(motion, first.map(|at| -at));
+        let moved = self.transforms.par_iter().map(|transform| {
+            let thinned = self.moving.plane.thinned(&(transform * &factor), s as usize);
+            self.native_plane.inverse(thinned)
+        });
+        let moved: Vec<[Array2<f64>; 2]> = moved.collect();
+        let mut stamps = moved
+            .iter()
+            .flatten()
+            .map(|stamp| stamp.slice(s![..native.ny(), ..native.nx()]));
+        let record = self.psf.record()?;
+        let basis = record.basis();
+        let mean = basis
+            .mean()
+            .and_then(|_| stamps.next())
+            .map(|mean| mean.to_owned());
+        let mut components = Array3::zeros((basis.rank(), native.ny(), native.nx()));
+        for (mut component, stamp) in components.outer_iter_mut().zip(stamps) {
+            component.assign(&stamp);
+        }
+        let nodes = record.coefficients();
+        let made = psf_basis::orthonormal_in_order(mean, components, nodes.values(), native)?;
+        Ok(self
+            .psf
+            .with_record(on_basis(record, made, nodes.positions().clone())?))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use ndarray::Array3;
+    use psf_types::Position;
+
+    use super::*;
+
+    /// Rounding of transforms, relative to the peak.
+    const ROUNDING: f64 = 1e-12;
+
+    #[test]
+    fn native_stamps_are_pixels_of_the_moved_stamps() {
+        for (oversampling, side) in [(1.0, 21), (2.0, 40), (3.0, 45)] {
+            let stamps = Array3::from_shape_fn((3, side, side + 3), |(j, y, x)| {
+                let (u, v) = (x as f64 - 20.0, y as f64 - 19.0 + j as f64);
+                (-(u * u + 0.6 * u * v + v * v) / (4.0 + 2.0 * j as f64) / oversampling).exp()
+            });
+            let grid = StampGrid::new(side + 3, side)
+                .unwrap()
+                .with_oversampling(oversampling)
+                .unwrap()
+                .with_centre(20.0, 19.0)
+                .unwrap()
+                .with_pixel_response_included(true);
+            let at = [(0.0, 0.0), (90.0, 10.0), (30.0, 70.0)];
+            let positions = at.map(|(x, y)| Position::new(x, y).unwrap()).to_vec();
+            let positions = SamplePositions::new(positions, None).unwrap();
+            let psf = Psf::from(psf_types::PsfSamples::new(stamps, positions, grid).unwrap());
+            let psf = psf.fitted().unwrap();
+            let motions = [
+                Motion::along_line([-0.3, 0.1], [0.9, 0.4]).unwrap(),
+                Motion::along_line([0.2, -1.1], [0.2, -0.4])
+                    .unwrap()
+                    .with_jitter_px(0.4)
+                    .unwrap(),
+            ];
+            for motion in &motions {
+                let moving = MovingNative::new(&psf, std::slice::from_ref(motion))
+                    .unwrap()
+                    .unwrap();
+                let found = moving.psf(motion).unwrap();
+                let expected = psf.moved(motion).unwrap().native(None).unwrap();
+                for (x, y) in at {
+                    let at = Position::new(x + 1.0, y + 2.0).unwrap();
+                    let [found, expected] =
+                        [&found, &expected].map(|psf| psf.model().unwrap().psf_at(at).unwrap());
+                    let peak = expected.values().iter().fold(0.0, |m: f64, v| m.max(v.abs()));
+                    assert_eq!(found.grid(), expected.grid());
+                    for (value, other) in expected.values().iter().zip(found.values()) {
+                        assert!(
+                            (value - other).abs() < ROUNDING * peak,
+                            "{oversampling}: {value} {other}"
+                        );
+                    }
+                }
+            }
+        }
     }
 }

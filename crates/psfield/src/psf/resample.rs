@@ -3,7 +3,8 @@
 use conv_core::{ScenePixelFilter, StampInterpolator, edge_reach, grid_with_pixel_response, native_grid};
 use ndarray::{Array2, Array3, ArrayView2, ArrayView3, Axis};
 use psf_types::{
-    Anchor, FrameShape, Position, PsfModelRecord, PsfSamples, SampleCoefficients, SamplePositions, StampGrid,
+    Anchor, FrameShape, Position, PsfBasis, PsfModelRecord, PsfSamples, SampleCoefficients, SamplePositions,
+    StampGrid,
 };
 use rayon::prelude::*;
 
@@ -164,6 +165,20 @@ impl Psf {
         }
     }
 
+    /// Another PSF, with the name of this one's file for messages.
+    fn with_origin(&self, origin: Origin) -> Self {
+        let source = SourceFile {
+            path: self.0.source.path.clone(),
+            ..SourceFile::default()
+        };
+        Self::with_source(origin, source)
+    }
+
+    /// This PSF with another record.
+    pub(super) fn with_record(&self, record: PsfModelRecord) -> Self {
+        self.with_origin(Origin::Record(record))
+    }
+
     /// Returns this PSF with every stamp changed.
     ///
     /// For a model, only the mean and the components are changed. The change and interpolation are
@@ -171,11 +186,6 @@ impl Psf {
     /// scaling to unit flux. The scaling is done last, on the new stamps.
     pub(super) fn changed(&self, change: &dyn StampChange) -> Result<Self, PsfieldError> {
         let target = change.target();
-        // For messages.
-        let source = SourceFile {
-            path: self.0.source.path.clone(),
-            ..SourceFile::default()
-        };
         match &self.0.origin {
             Origin::Samples(samples, options) => {
                 check_stack(samples.len(), samples.grid())?;
@@ -183,26 +193,19 @@ impl Psf {
                 let stamps = change.stamps(samples.stamps(), samples.grid());
                 let positions = change.positions(samples.positions())?;
                 let samples = PsfSamples::new(stamps, positions, target)?;
-                Ok(Self::with_source(Origin::Samples(samples, *options), source))
+                Ok(self.with_origin(Origin::Samples(samples, *options)))
             }
             Origin::Record(record) => {
                 let (basis, nodes) = (record.basis(), record.coefficients());
                 check_stack(basis.rank() + 1, target)?;
-                let (new_basis, values) = psf_basis::orthonormal(
+                let made = psf_basis::orthonormal(
                     basis.mean().map(|mean| change.stamp(mean, basis.grid())),
                     change.stamps(basis.components(), basis.grid()),
                     nodes.values(),
                     target,
                 )?;
-                let nodes = SampleCoefficients::new(values, change.positions(nodes.positions())?)?;
-                let changed = PsfModelRecord::new(
-                    new_basis,
-                    nodes,
-                    record.interpolation(),
-                    record.outside(),
-                    record.normalisation(),
-                )?;
-                Ok(Self::with_source(Origin::Record(changed), source))
+                let positions = change.positions(nodes.positions())?;
+                Ok(self.with_record(on_basis(record, made, positions)?))
             }
             Origin::Model(..) => {
                 const OWN_FIELD: &str = "the stamps of a model with a coefficient field of your own cannot be resampled. Either \
@@ -213,6 +216,21 @@ impl Psf {
             }
         }
     }
+}
+
+/// A model's record with another basis, the coefficients in it and their positions.
+pub(super) fn on_basis(
+    record: &PsfModelRecord,
+    (basis, values): (PsfBasis, Array2<f64>),
+    positions: SamplePositions,
+) -> Result<PsfModelRecord, PsfieldError> {
+    Ok(PsfModelRecord::new(
+        basis,
+        SampleCoefficients::new(values, positions)?,
+        record.interpolation(),
+        record.outside(),
+        record.normalisation(),
+    )?)
 }
 
 /// A linear operation on stamps.
@@ -259,7 +277,7 @@ impl StampChange for SceneFilter {
 }
 
 /// Returns whether the native pixels of stamps are some of their own pixels.
-fn native_picks(grid: StampGrid) -> bool {
+pub(super) fn native_picks(grid: StampGrid) -> bool {
     grid.whole_centre().is_some() && grid.oversampling().fract() == 0.0 && grid.pixel_response_included()
 }
 
@@ -360,7 +378,7 @@ fn finer_positions(
 #[cfg(test)]
 mod tests {
     use ndarray::s;
-    use psf_types::{Interpolation, Normalisation, OutsidePolicy, PsfBasis};
+    use psf_types::{Interpolation, Normalisation, OutsidePolicy};
 
     use super::*;
 

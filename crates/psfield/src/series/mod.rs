@@ -14,7 +14,7 @@ use ndarray::{Array2, ArrayView2, ArrayViewMut2, Axis, s};
 use psf_io::Catalog;
 use psf_types::{Image, NoProgress, PointSource, Position, Progress, SampleStates, SersicSource, StateKind};
 
-use crate::psf::QUADRATURE;
+use crate::psf::{MovingNative, QUADRATURE};
 use crate::simulator::{Mixture, Mixtures, spot_check_layers};
 use crate::{ErrorKind, Motion, Psf, PsfieldError, Scene, SimulateOptions, Simulator, SpotCheck};
 
@@ -86,6 +86,8 @@ pub struct SeriesSimulator<T: ConvReal> {
     series: Series,
     image: Option<Image<T>>,
     catalog: Catalog,
+    /// Moves the PSF of the image, if there is one and its native stamps are all that it needs.
+    native: Option<MovingNative>,
     /// For light at rest on the sky, and for moving sources.
     last: [Option<Last<T>>; 2],
 }
@@ -224,22 +226,28 @@ impl<T: ConvReal> SeriesSimulator<T> {
             );
             return Err(PsfieldError::new(ErrorKind::Data, message));
         }
-        let made = Self {
+        let mut made = Self {
             psf,
             shape,
             options,
             series,
             image,
             catalog,
+            native: None,
             last: [None, None],
         };
+        let mut motions = Vec::new();
         for number in 0..made.series.exposures.len() {
             let times = made.series.exposures.times(number);
-            made.series.pointing.during(times)?;
+            motions.push(made.motion(number)?.0);
             made.state_weights(number)?;
             for row in made.series.light_curves.rows() {
                 made.series.light_curves.mean_factor(row, times)?;
             }
+        }
+        let is_native = made.options.oversample == 1 && made.options.stamp_size.is_none();
+        if made.image.is_some() && is_native && !motions.iter().all(Motion::is_none) {
+            made.native = MovingNative::new(&made.psf, &motions)?;
         }
         Ok(made)
     }
@@ -326,12 +334,8 @@ impl<T: ConvReal> SeriesSimulator<T> {
                 return Ok(simulator);
             }
             Some((true, last)) => (last.moved, Some(last.group), Some(last.simulator)),
-            Some((false, last)) => (
-                Mixtures::new(self.psf.moved(&motion)?),
-                None,
-                Some(last.simulator),
-            ),
-            None => (Mixtures::new(self.psf.moved(&motion)?), None, None),
+            Some((false, last)) => (self.moved(kind, &motion)?, None, Some(last.simulator)),
+            None => (self.moved(kind, &motion)?, None, None),
         };
         let group = group.filter(|group| group.contains(&number));
         let is_new = group.is_none();
@@ -367,6 +371,19 @@ impl<T: ConvReal> SeriesSimulator<T> {
             simulator: Arc::clone(&simulator),
         });
         Ok(simulator)
+    }
+
+    /// The PSF of light that moves.
+    fn moved(&self, kind: usize, motion: &Motion) -> Result<Mixtures<T>, PsfieldError> {
+        let native = match &self.native {
+            Some(moving) if kind == AT_REST => Some(moving.psf(motion)?),
+            _ => None,
+        };
+        Ok(match native {
+            // Images need no other stamps.
+            Some(native) if self.catalog.rows().is_empty() => Mixtures::new(native, None),
+            native => Mixtures::new(self.psf.moved(motion)?, native),
+        })
     }
 
     /// The exposures that share local bases with an exposure: neighbours with its motion and a similar

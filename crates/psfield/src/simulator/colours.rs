@@ -83,7 +83,7 @@ impl<T: ConvReal> ColourSimulator<T> {
         Ok(Self {
             psf: psf.clone(),
             spectra,
-            shared: Mixtures::new(psf.clone()),
+            shared: Mixtures::new(psf.clone(), None),
             engines: Mutex::new(Vec::new()),
         })
     }

@@ -25,6 +25,8 @@ pub(crate) struct Mixture {
 #[derive(Debug)]
 pub(crate) struct Mixtures<T: ConvReal> {
     psf: Psf,
+    /// For images, if it is another one.
+    native: Option<Psf>,
     /// The PSF on the pixels of the scenes' images.
     on_pixels: OnceLock<Psf>,
     /// The PSF with the response of a pixel.
@@ -34,9 +36,11 @@ pub(crate) struct Mixtures<T: ConvReal> {
 }
 
 impl<T: ConvReal> Mixtures<T> {
-    pub(crate) fn new(psf: Psf) -> Self {
+    /// `native` is the PSF for images if it is not made of `psf`.
+    pub(crate) fn new(psf: Psf, native: Option<Psf>) -> Self {
         Self {
             psf,
+            native,
             on_pixels: OnceLock::new(),
             with_response: OnceLock::new(),
             sources: OnceLock::new(),
@@ -54,43 +58,33 @@ impl<T: ConvReal> Mixtures<T> {
         before: Option<&Simulator<T>>,
         progress: &dyn Progress,
     ) -> Result<Simulator<T>, PsfieldError> {
-        let planned = options.method.has_plan();
-        let Some(Mixture { weights, represented }) = mixture.filter(|_| planned) else {
-            let psf = match mixture {
-                Some(Mixture { weights, .. }) => self.psf.mixed(weights.view(), None)?,
-                None => self.psf.clone(),
-            };
-            return match before.filter(|_| planned && image) {
-                Some(before) => before.for_other_field(psf, progress),
-                None => psf.simulator(shape).options(options.clone()).build(),
-            };
+        let mixed = |psf: &Psf| match mixture {
+            Some(mixture) => mixed(psf, &mixture.weights),
+            None => Ok(psf.clone()),
         };
-        let simulator = mixed(&self.psf, weights)?
+        let simulator = mixed(&self.psf)?
             .simulator(shape)
             .options(options.clone())
             .build()?;
-        if sources {
+        if !options.method.has_plan() {
+            return Ok(simulator);
+        }
+        if let Some(mixture) = mixture.filter(|_| sources) {
             let psf = get_or_make(&self.with_response, || self.psf.with_pixel_response())?;
-            let model = mixed(psf, weights)?.model()?.clone();
+            let model = mixed(psf)?.model()?.clone();
             let lent = before.and_then(|before| before.shared.sources.get());
-            let made = if let Some(represented) = represented {
-                let psf = mixed(psf, represented)?;
-                let models = psf.models()?;
-                let made = match lent.and_then(|lent| lent.for_other_layers(models)) {
-                    Some(made) => made,
-                    None => simulator.sources_of_layers(models, 0.0)?,
-                };
-                made.for_other_field(&model)
-            } else {
-                lent.and_then(|lent| lent.for_other_field(&model))
+            let made = match &mixture.represented {
+                Some(represented) => self
+                    .local_bases(represented, lent, &simulator)?
+                    .for_other_field(&model),
+                None => lent.and_then(|lent| lent.for_other_field(&model)),
             };
             if let Some(made) = made {
                 simulator.shared.sources.get_or_init(|| made);
             }
         }
         if image {
-            let model = mixed(self.on_pixels(&simulator.options)?, weights)?;
-            let model = model.model()?.clone();
+            let model = mixed(self.on_pixels(&simulator.options)?)?.model()?.clone();
             simulator.shared.image_model.get_or_init(|| (model, 0.0));
             if let Some(before) = before {
                 simulator.plan_as(before, progress)?;
@@ -99,9 +93,28 @@ impl<T: ConvReal> Mixtures<T> {
         Ok(simulator)
     }
 
+    /// A plan for stars and galaxies whose local bases represent these mixtures `[mixture, state]`. If
+    /// another plan has the same stamps, it lends them.
+    fn local_bases(
+        &self,
+        represented: &Array2<f64>,
+        lent: Option<&Sources<T>>,
+        simulator: &Simulator<T>,
+    ) -> Result<Sources<T>, PsfieldError> {
+        let psf = get_or_make(&self.with_response, || self.psf.with_pixel_response())?;
+        let psf = mixed(psf, represented)?;
+        let models = psf.models()?;
+        match lent.and_then(|lent| lent.for_other_layers(models)) {
+            Some(made) => Ok(made),
+            None => simulator.sources_of_layers(models, 0.0),
+        }
+    }
+
     /// The PSF on the pixels of the scenes' images, with all its states.
     pub(crate) fn on_pixels(&self, options: &SimulateOptions) -> Result<&Psf, PsfieldError> {
-        get_or_make(&self.on_pixels, || on_scene_pixels(&self.psf, options))
+        get_or_make(&self.on_pixels, || {
+            on_scene_pixels(self.native.as_ref().unwrap_or(&self.psf), options)
+        })
     }
 
     /// Gives each simulator, one for each state of the PSF, the plan for stars and galaxies that all
