@@ -18,7 +18,9 @@ from pool import Pool
 STARS = 100, 1000
 """Numbers of stars that are drawn. The difference of their times gives the time of a star."""
 GALAXIES = 300
-ORDER = "pixels", "light", "stars", "galaxies", "frames", "fields", "colours"
+STARS_OF_SERIES = 2000
+"""Stars in each exposure of the group `starseries`."""
+ORDER = "pixels", "light", "stars", "galaxies", "frames", "fields", "colours", "series", "starseries"
 
 
 class Peers:
@@ -35,9 +37,12 @@ class Peers:
         if row["group"] == "stars":
             name, seconds = min(self.star(size).items(), key=lambda item: item[1])
             return name, seconds * amount
+        if row["group"] == "starseries":
+            name, seconds = min(self.star(size).items(), key=lambda item: item[1])
+            return name, seconds * STARS_OF_SERIES * amount
         if row["group"] == "galaxies":
             return galaxies.GalSim.name, self.galaxy(size) * amount
-        frames = int(amount) if row["group"] in ("frames", "fields", "colours") else 1
+        frames = int(amount) if row["group"] in ("frames", "fields", "colours", "series") else 1
         return "fftconvolve", self.images(size, frames)
 
     def _samples(self):
@@ -149,6 +154,8 @@ def case(row):
     frame = " x ".join(map(str, row["size"]))
     if row["group"] == "pixels":
         return frame
+    if row["group"] in ("series", "starseries"):
+        return f"{row['group']}, {amount:.0f} exposures of {frame}"
     if row["group"] == "frames":
         return f"{amount:.0f} frames of {frame}"
     if row["group"] == "fields":

@@ -55,6 +55,10 @@ pub(crate) struct BenchArgs {
     /// fields: 100 frames of 256 x 256 pixels, each with its own PSF field: plan and image.
     /// colours: frames of --sizes with the light of five black bodies, each with its own image,
     /// every pixel lit. The column ratio is the run time divided by that of one of the spectra.
+    /// series: 100 exposures of 2048 x 2048 pixels, every pixel lit. The PSF changes with time, and the
+    /// telescope drifts: plans and images. The column ratio is the run time divided by that of a series
+    /// through the first PSF, without drift.
+    /// starseries: such a series of 2000 stars.
     ///
     /// The method is auto with tolerance 1e-3, in f32. No frame is larger than the largest of
     /// --sizes. A case whose first run takes more than 10 s runs once. All groups together take
@@ -65,7 +69,7 @@ pub(crate) struct BenchArgs {
         num_args = 0..=1,
         require_equals = true,
         value_delimiter = ',',
-        default_missing_value = "pixels,light,stars,galaxies,frames,fields,colours",
+        default_missing_value = "pixels,light,stars,galaxies,frames,fields,colours,series,starseries",
         conflicts_with_all = [
             "grids", "psf", "scene", "stretch", "preset", "rank", "methods", "tolerances", "patches", "ranks", "anchor",
             "precision", "plot", "device", "gpu_adapter"

@@ -76,8 +76,8 @@ fn table(rows: &[RealRow]) -> String {
             seconds(row.seconds_median),
             or_dash(row.seconds_single.map(seconds)),
             or_dash(
-                row.seconds_one_spectrum
-                    .map(|one| format!("{:.2}", row.seconds / one)),
+                row.seconds_simpler
+                    .map(|simpler| format!("{:.2}", row.seconds / simpler)),
             ),
             or_dash(row.relative_l2.map(|e| format!("{e:.1e}"))),
             or_dash(row.peak_memory_bytes.map(mebibytes)),

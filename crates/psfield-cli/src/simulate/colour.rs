@@ -183,6 +183,11 @@ impl SimulateArgs {
         let made = light.into_simulator(psf, (&bandpass, dispersion), shape, &self.options());
         drop(spinner);
         let (simulator, scenes) = made.map_err(|error| self.explained(error))?;
+        let sources = (
+            scenes.iter().map(|scene| scene.stars().len()).sum(),
+            scenes.iter().map(|scene| scene.galaxies().len()).sum(),
+        );
+        self.warn_of_empty_catalog(sources, context);
         // Layers are in the order of their spectra.
         rows.sort_by_key(|(spectrum, _)| *spectrum);
         let (streamed, readers): (Vec<usize>, Vec<ImageReader>) = rows.into_iter().unzip();
@@ -213,10 +218,6 @@ impl SimulateArgs {
         } else {
             self.in_memory(ready, &read, exposing, &mut seconds, context)?
         };
-        let sources = (
-            scenes.iter().map(|scene| scene.stars().len()).sum(),
-            scenes.iter().map(|scene| scene.galaxies().len()).sum(),
-        );
         Ok(Report {
             streamed: is_streamed,
             ..self.report((in_colour.of_frame(), &made), &read, sources, outcome, seconds)

@@ -322,12 +322,8 @@ impl SimulateArgs {
         drop(spinner);
 
         self.note_of_scene(&read, context);
-        if let (Some(path), true) = (
-            &self.scene.catalog,
-            read.scene.stars().is_empty() && read.scene.galaxies().is_empty(),
-        ) {
-            context.warn(&format!("{}: the catalogue has no sources", path.display()));
-        }
+        let sources = (read.scene.stars().len(), read.scene.galaxies().len());
+        self.warn_of_empty_catalog(sources, context);
         let simulator = self.simulator::<T>(&psf, read.shape, simulators)?;
         let kind = (&read.scene, rows.is_some());
         let made = self.prepare(&simulator, kind, simulators, &mut seconds, context)?;
@@ -342,11 +338,17 @@ impl SimulateArgs {
             let scene = (&*simulator, &read.scene);
             self.in_memory((&scene, &made), &read, exposing.as_ref(), &mut seconds, context)?
         };
-        let sources = (read.scene.stars().len(), read.scene.galaxies().len());
         Ok(Report {
             streamed,
             ..self.report(ready, &read, sources, outcome, seconds)
         })
+    }
+
+    /// Warns if there is a catalogue without sources. `sources` are the numbers of stars and galaxies.
+    fn warn_of_empty_catalog(&self, sources: (usize, usize), context: &Context) {
+        if let (Some(path), (0, 0)) = (&self.scene.catalog, sources) {
+            context.warn(&format!("{}: the catalogue has no sources", path.display()));
+        }
     }
 
     /// Notes the size of a frame that the user did not give.

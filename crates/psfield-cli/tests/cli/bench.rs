@@ -199,7 +199,7 @@ const WORK_KEYS: [&str; 13] = [
     "seconds",
     "seconds_median",
     "seconds_single",
-    "seconds_one_spectrum",
+    "seconds_simpler",
     "relative_l2",
     "peak_memory_bytes",
 ];
@@ -228,6 +228,8 @@ fn real_work_has_rows_for_every_group_within_the_tolerance() {
         ("frames", 1),
         ("fields", 5),
         ("colours", 1),
+        ("series", 1),
+        ("starseries", 1),
     ] {
         assert!(
             run.stdout.contains(&format!("\n{group} ")),
@@ -242,10 +244,10 @@ fn real_work_has_rows_for_every_group_within_the_tolerance() {
             let seconds = |key: &str| row[key].as_f64().unwrap();
             assert!(seconds("seconds") > 0.0 && seconds("seconds") <= seconds("seconds_median"));
             assert!(seconds("seconds_plan") > 0.0 && seconds("seconds_first") > 0.0);
-            let with_image = !["stars", "galaxies"].contains(&group);
-            assert_eq!(row["seconds_single"].is_number(), with_image, "{row}");
-            let is_coloured = group == "colours";
-            assert_eq!(row["seconds_one_spectrum"].is_number(), is_coloured, "{row}");
+            let without_single = ["stars", "galaxies", "series", "starseries"].contains(&group);
+            assert_eq!(row["seconds_single"].is_null(), without_single, "{row}");
+            let has_simpler = ["colours", "series", "starseries"].contains(&group);
+            assert_eq!(row["seconds_simpler"].is_number(), has_simpler, "{row}");
             match row["relative_l2"].as_f64() {
                 Some(error) => assert!(error <= tolerance, "{row}"),
                 None => assert_eq!(row["amount"], 0.0, "{row}"),

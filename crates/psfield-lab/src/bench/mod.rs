@@ -35,6 +35,7 @@ mod real;
 mod real_case;
 mod real_colours;
 mod real_scenes;
+mod real_series;
 mod run;
 
 pub(crate) use case::random_position;

@@ -1,5 +1,5 @@
 //! A benchmark of real work: how the cost of the method auto grows with pixels, light, sources,
-//! frames and spectra.
+//! frames, spectra and exposures.
 
 use std::time::Instant;
 
@@ -12,6 +12,7 @@ use serde::Serialize;
 use crate::bench::real_case::{RealCase, RealGroup, RealPsf};
 use crate::bench::real_colours::black_bodies;
 use crate::bench::real_scenes::{CaseSimulator, Scenes, mirrored, of_frame};
+use crate::bench::real_series::{SeriesCase, psf_of_times};
 use crate::bench::run::{median, relative_l2, runs_per_turn};
 use crate::bench::{BenchOptions, Contender};
 use crate::memory::PeakMemory;
@@ -45,19 +46,21 @@ pub struct RealRow {
     /// Seconds from the model to a simulator that is ready to run: the least of all repetitions.
     pub seconds_plan: f64,
     /// Seconds of the first run, of all frames. For stars and galaxies, this run also makes the
-    /// PSFs of all blocks of the frame. Later runs use them again. For [`RealGroup::Fields`], all runs
-    /// make a plan for each frame.
+    /// PSFs of all blocks of the frame. Later runs use them again. For [`RealGroup::Fields`] and series,
+    /// all runs make their plans.
     pub seconds_first: f64,
     /// Seconds of the fastest run after the first one. Equals `seconds_first` if this takes more
     /// than 10 s, because the case then runs only once.
     pub seconds: f64,
     /// Median of the seconds of these runs.
     pub seconds_median: f64,
-    /// Seconds of the fastest run with [`Contender::Single`]. None for stars and galaxies.
+    /// Seconds of the fastest run with [`Contender::Single`]. None for stars, galaxies and series.
     pub seconds_single: Option<f64>,
-    /// Seconds of the fastest run with the light and the PSF of the first spectrum alone, by the
-    /// method auto. None except for [`RealGroup::Colours`].
-    pub seconds_one_spectrum: Option<f64>,
+    /// Seconds of the fastest run of simpler work. For [`RealGroup::Colours`]: the light and the PSF of
+    /// the first spectrum alone. For [`RealGroup::Series`] and [`RealGroup::StarSeries`]: the series
+    /// through the PSF of the first time, without drift, so that one plan serves all exposures. None
+    /// for other groups.
+    pub seconds_simpler: Option<f64>,
     /// Relative L2 difference of the last frame from the direct sum in double precision, at random
     /// pixels. For stars and galaxies, these are at most 3 pixels from a source along x and along
     /// y. None if the direct sum is 0 at all these pixels.
@@ -68,11 +71,11 @@ pub struct RealRow {
 }
 
 /// Measures cases one after the other, with tolerance [`REAL_TOLERANCE`] and the method auto in
-/// f32. `grid` is a model on a regular grid of samples, interpolated bilinearly. Only the PSF
-/// [`RealPsf::Spectra`] does not need it.
+/// f32. `grid` is a model on a regular grid of samples, interpolated bilinearly. Only the PSFs
+/// [`RealPsf::Spectra`] and [`RealPsf::Times`] do not need it.
 ///
 /// For cases with images, the method auto and the single PSF run in turn, as in
-/// [`run`](crate::bench::run()), and so does one spectrum for [`RealGroup::Colours`].
+/// [`run`](crate::bench::run()), and so does simpler work ([`RealRow::seconds_simpler`]).
 ///
 /// # Errors
 /// [`PsfieldError`] if a PSF cannot be made from `grid`, or if a simulation fails.
@@ -87,7 +90,7 @@ pub fn run_real_cases(
 ) -> Result<Vec<RealRow>, PsfieldError> {
     progress.start(cases.len() as u64);
     let mut rows = Vec::with_capacity(cases.len());
-    let mut of_spectra = None;
+    let (mut of_spectra, mut of_times) = (None, None);
     // Cases of one PSF and field are neighbours in the list.
     for cases in cases.chunk_by(|a, b| (a.psf, a.field_side()) == (b.psf, b.field_side())) {
         let side = cases[0].field_side();
@@ -99,6 +102,12 @@ pub fn run_real_cases(
                     of_spectra = Some(black_bodies()?);
                 }
                 of_spectra.as_ref().expect("made above")
+            }
+            RealPsf::Times => {
+                if of_times.is_none() {
+                    of_times = Some(psf_of_times(cases[0].amount as usize)?);
+                }
+                of_times.as_ref().expect("made above")
             }
             _ => grid.expect("a model on a grid"),
         };
@@ -126,7 +135,11 @@ struct Timed<'a> {
     later: Vec<f64>,
 }
 
-/// Makes the simulator of a case and its plan.
+fn is_series(group: RealGroup) -> bool {
+    matches!(group, RealGroup::Series | RealGroup::StarSeries)
+}
+
+/// Makes the simulator of a case and its plan. Series make their plans in each run.
 fn planned(
     case: &RealCase,
     (record, psf): (&PsfModelRecord, &Psf),
@@ -138,6 +151,10 @@ fn planned(
         let simulator = ColourSimulator::new(psf, (frame.ny(), frame.nx()), &settings)?;
         simulator.prepare(&scenes.of_spectra()?, &[], &NoProgress)?;
         return Ok(CaseSimulator::Colours(Box::new(simulator)));
+    }
+    if is_series(case.group) {
+        let series = SeriesCase::new(psf, scenes, AUTO.settings(options), case.amount as usize)?;
+        return Ok(CaseSimulator::Series(Box::new(series)));
     }
     let simulator = AUTO.simulator(record, psf, frame, options)?;
     simulator.prepare(&scenes.get(scenes.count - 1)?, false, &NoProgress)?;
@@ -170,6 +187,7 @@ fn exact(
             }
             Ok(sums)
         }
+        CaseSimulator::Series(series) => series.exact(pixels),
     }
 }
 
@@ -212,8 +230,16 @@ fn measured(
         first,
         later: Vec::new(),
     };
+    let at_rest = match &simulator {
+        CaseSimulator::Series(series) => Some(series.at_rest()?),
+        _ => None,
+    };
     let mut all = vec![timed(simulator, fields, first)];
-    if scenes.get(0)?.image().is_some() {
+    if let Some(series) = at_rest {
+        let series = CaseSimulator::Series(Box::new(series));
+        let first = scenes.seconds(&series, &[], &mut image)?;
+        all.push(timed(series, &[], first));
+    } else if scenes.get(0)?.image().is_some() {
         let psf = match case.group {
             RealGroup::Colours => psf.at_state(0.0)?,
             _ => psf,
@@ -254,8 +280,13 @@ fn measured(
         seconds_first: first,
         seconds: all[0].later[0],
         seconds_median: median(&all[0].later),
-        seconds_single: all.get(1).map(|single| single.later[0]),
-        seconds_one_spectrum: all.get(2).map(|one| one.later[0]),
+        seconds_single: all
+            .get(1)
+            .filter(|_| !is_series(case.group))
+            .map(|single| single.later[0]),
+        seconds_simpler: all
+            .get(if is_series(case.group) { 1 } else { 2 })
+            .map(|one| one.later[0]),
         relative_l2,
         peak_memory_bytes,
     })

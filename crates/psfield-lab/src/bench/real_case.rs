@@ -35,15 +35,20 @@ pub enum RealGroup {
     /// Frames of several sizes with the light of black bodies at several temperatures. The light of
     /// each has an image of its own, in which every pixel is lit.
     Colours,
+    /// A series of exposures with every pixel lit. The PSF changes with time, and the telescope drifts
+    /// and jitters.
+    Series,
+    /// Such a series with stars of a catalogue.
+    StarSeries,
 }
 
 /// The side of the frames of which those of [`RealGroup::Fields`] are a part, in sides of the parts.
 const FIELD: usize = 4;
 
 named!(
-    RealGroup, "group of cases", "pixels, light, stars, galaxies, frames, fields or colours",
+    RealGroup, "group of cases", "pixels, light, stars, galaxies, frames, fields, colours, series or starseries",
     "pixels" => Pixels, "light" => Light, "stars" => Stars, "galaxies" => Galaxies, "frames" => Frames,
-    "fields" => Fields, "colours" => Colours
+    "fields" => Fields, "colours" => Colours, "series" => Series, "starseries" => StarSeries
 );
 
 /// A PSF over a frame, made from a model on a regular grid.
@@ -62,6 +67,8 @@ pub enum RealPsf {
     /// The PSFs of black bodies in a wide band, from the optics of the survey telescope at several
     /// wavelengths.
     Spectra,
+    /// The PSFs of the survey telescope at several times, with oversampled stamps.
+    Times,
 }
 
 impl fmt::Display for RealPsf {
@@ -72,6 +79,7 @@ impl fmt::Display for RealPsf {
             Self::Psfex(degree) => write!(f, "psfex, degree {degree}"),
             Self::Scattered => f.write_str("scattered"),
             Self::Spectra => f.write_str("spectra"),
+            Self::Times => f.write_str("times"),
         }
     }
 }
@@ -80,8 +88,8 @@ impl fmt::Display for RealPsf {
 const SCATTERED: usize = 500;
 
 impl RealPsf {
-    /// Makes the model of this PSF over a frame. `grid` is stretched to the frame. That of
-    /// [`Spectra`](Self::Spectra) has the PSFs of all spectra.
+    /// Makes the model of this PSF over a frame. `grid` is stretched to the frame. Those of
+    /// [`Spectra`](Self::Spectra) and [`Times`](Self::Times) have the PSFs of all spectra and times.
     pub(super) fn record(
         self,
         grid: &PsfModelRecord,
@@ -90,7 +98,7 @@ impl RealPsf {
     ) -> Result<PsfModelRecord, PsfieldError> {
         let grid = stretched(grid, frame)?;
         match self {
-            Self::Grid | Self::Spectra => Ok(grid),
+            Self::Grid | Self::Spectra | Self::Times => Ok(grid),
             Self::Bicubic => {
                 let (basis, coefficients) = (grid.basis().clone(), grid.coefficients().clone());
                 let (outside, normalisation) = (grid.outside(), grid.normalisation());
@@ -138,7 +146,7 @@ pub struct RealCase {
 
 impl RealGroup {
     /// All groups.
-    pub const ALL: [Self; 7] = [
+    pub const ALL: [Self; 9] = [
         Self::Pixels,
         Self::Light,
         Self::Stars,
@@ -146,6 +154,8 @@ impl RealGroup {
         Self::Frames,
         Self::Fields,
         Self::Colours,
+        Self::Series,
+        Self::StarSeries,
     ];
 
     /// The unit of [`RealCase::amount`].
@@ -157,6 +167,7 @@ impl RealGroup {
             Self::Galaxies => "galaxies",
             Self::Frames | Self::Fields => "frames",
             Self::Colours => "spectra",
+            Self::Series | Self::StarSeries => "exposures",
         }
     }
 
@@ -196,6 +207,10 @@ impl RealGroup {
                 let amount = if quick { 4.0 } else { 100.0 };
                 return PSFS.map(|psf| case(psf, side, amount)).to_vec();
             }
+            Self::Series | Self::StarSeries => {
+                let side = largest.map_or(2048, |largest| largest.min(2048));
+                return vec![case(RealPsf::Times, side, if quick { 4.0 } else { 100.0 })];
+            }
             Self::Light => (4096, &[0.0, 0.1, 1.0, 3.0, 10.0, 30.0, 100.0], &[0.0, 3.0, 100.0]),
             Self::Stars => (9216, &[1e3, 1e4, 1e5, 1e6, 1e7], &[1e3]),
             Self::Galaxies => (4096, &[1e3, 1e4, 1e5], &[10.0]),
@@ -228,8 +243,11 @@ mod tests {
             let cases = RealGroup::ALL.map(|group| group.cases(sizes, false));
             cases.map(|cases| cases.iter().map(|case| case.side).max().unwrap())
         };
-        assert_eq!(sides(&[1024, 9216]), [9216, 4096, 9216, 4096, 256, 256, 9216]);
-        assert_eq!(sides(&[200, 100]), [200; 7]);
+        assert_eq!(
+            sides(&[1024, 9216]),
+            [9216, 4096, 9216, 4096, 256, 256, 9216, 2048, 2048]
+        );
+        assert_eq!(sides(&[200, 100]), [200; 9]);
         let names = RealGroup::ALL.map(|group| group.to_string().parse::<RealGroup>());
         assert_eq!(names.map(Result::unwrap), RealGroup::ALL);
     }

@@ -33,9 +33,18 @@ pub(crate) fn psf_of_wavelengths(
 ) -> Result<Psf, PsfieldError> {
     let telescopes = wavelengths_um.iter().map(|&um| telescope.at_wavelength_um(um));
     let telescopes = telescopes.collect::<Result<Vec<_>, _>>()?;
+    psf_of_states(&telescopes, (StateKind::Wavelength, wavelengths_um), across)
+}
+
+/// The PSF of one telescope for each state, with one basis for all of them, from `across` samples along
+/// each axis of a regular grid.
+pub(super) fn psf_of_states(
+    telescopes: &[Telescope],
+    states: (StateKind, &[f64]),
+    across: usize,
+) -> Result<Psf, PsfieldError> {
     let sources: Vec<&dyn PsfSource> = telescopes.iter().map(|t| t as &dyn PsfSource).collect();
-    let positions = UniformSampling::new(across, across)?.positions(telescope.field())?;
-    let states = (StateKind::Wavelength, wavelengths_um);
+    let positions = UniformSampling::new(across, across)?.positions(telescopes[0].field())?;
     let samples = draw_states(&sources, states, &positions, &NoProgress)?;
     Ok(Psf::new(samples, FitOptions::default()))
 }

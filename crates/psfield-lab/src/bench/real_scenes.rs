@@ -15,6 +15,7 @@ use rand_distr::{Distribution, LogNormal};
 use crate::bench::case::{lit_scene, placed, random_position};
 use crate::bench::contender::timed_run;
 use crate::bench::real_case::{RealCase, RealGroup};
+use crate::bench::real_series::SeriesCase;
 use crate::bench::run::BenchOptions;
 
 /// A PSF and its mirror images about the middle of a frame: along x, along y, and along both.
@@ -49,7 +50,12 @@ pub(super) enum CaseSimulator {
     OneSpectrum(Box<Simulator<f32>>),
     /// One scene for each spectrum, added up in one image.
     Colours(Box<ColourSimulator<f32>>),
+    /// Exposures, each with its own plan.
+    Series(Box<SeriesCase>),
 }
+
+/// The stars of a series.
+const STARS_OF_SERIES: usize = 2000;
 
 /// The scenes of a case.
 pub(super) struct Scenes {
@@ -77,7 +83,9 @@ impl Scenes {
         };
         let sources = 0..case.amount as usize;
         match case.group {
-            RealGroup::Pixels => scenes.image = Some(lit_scene(frame, seed)?.into_pixels()),
+            RealGroup::Pixels | RealGroup::Series => {
+                scenes.image = Some(lit_scene(frame, seed)?.into_pixels())
+            }
             RealGroup::Light => {
                 let mut image = lit_scene(frame, seed)?.into_pixels();
                 let lit = case.amount / 100.0;
@@ -86,6 +94,10 @@ impl Scenes {
             }
             RealGroup::Stars => {
                 scenes.stars = sources.map(|_| star(frame, &mut rng)).collect::<Result<_, _>>()?;
+            }
+            RealGroup::StarSeries => {
+                let stars = (0..STARS_OF_SERIES).map(|_| star(frame, &mut rng));
+                scenes.stars = stars.collect::<Result<_, _>>()?;
             }
             RealGroup::Galaxies => {
                 scenes.galaxies = sources
@@ -104,6 +116,11 @@ impl Scenes {
             }
         }
         Ok(scenes)
+    }
+
+    /// Rows and columns of an image.
+    pub(super) fn shape(&self) -> (usize, usize) {
+        (self.frame.ny(), self.frame.nx())
     }
 
     pub(super) fn get(&self, k: usize) -> Result<Scene<'_, f32>, PsfieldError> {
@@ -160,6 +177,7 @@ impl Scenes {
                 simulator.simulate_into(&scenes, image.view_mut(), &NoProgress)?;
                 return Ok(clock.elapsed().as_secs_f64());
             }
+            CaseSimulator::Series(series) => return series.seconds(image),
         };
         if self.count == 1 {
             return Ok(timed_run(simulator, &self.get(0)?, image)?.seconds);

@@ -1,0 +1,126 @@
+//! Series of exposures: the PSF changes with time, and the telescope drifts.
+
+use std::time::Instant;
+
+use ndarray::Array2;
+use psf_optics::Telescope;
+use psf_types::{Image, NoProgress, PsfModelRecord, StateKind};
+use psfield::psf_io::Catalog;
+use psfield::{
+    Exposures, LightCurves, Pointing, Psf, PsfieldError, Series, SeriesSimulator, SimulateOptions,
+};
+
+use crate::bench::real_colours::psf_of_states;
+use crate::bench::real_scenes::Scenes;
+
+/// The wavelengths, in micrometres, whose PSFs are those of the times: the image of a star widens by
+/// 20 %.
+const WAVELENGTHS_UM: [f64; 5] = [0.50, 0.525, 0.55, 0.575, 0.60];
+/// Number of PSF samples at each time, along each axis.
+const SAMPLES_ACROSS: usize = 7;
+/// Seconds from the start of an exposure to that of the next, and from the start to the end of one.
+const CADENCE_S: f64 = 40.0;
+const EXPOSURE_S: f64 = 30.0;
+/// The stamps: side in stamp pixels, and stamp pixels per frame pixel.
+const STAMP: (usize, usize) = (129, 3);
+const DRIFT_PX_PER_S: f64 = 1e-3;
+const JITTER_PX: f64 = 0.05;
+
+/// The PSFs of the survey telescope at several times, which span this number of exposures.
+pub(super) fn psf_of_times(exposures: usize) -> Result<PsfModelRecord, PsfieldError> {
+    let mut params = Telescope::survey_2m().params().clone();
+    (params.stamp.nx, params.stamp.ny, params.stamp.oversampling) = (STAMP.0, STAMP.0, STAMP.1);
+    let telescope = Telescope::new(params)?;
+    let telescopes = WAVELENGTHS_UM.map(|um| telescope.at_wavelength_um(um));
+    let telescopes = telescopes.into_iter().collect::<Result<Vec<_>, _>>()?;
+    let last = (telescopes.len() - 1) as f64;
+    let times: Vec<f64> = (0..telescopes.len())
+        .map(|k| exposures as f64 * CADENCE_S * k as f64 / last)
+        .collect();
+    let psf = psf_of_states(&telescopes, (StateKind::Time, &times), SAMPLES_ACROSS)?;
+    Ok(psf.record()?.clone())
+}
+
+/// The images of a series.
+pub(super) struct SeriesCase {
+    psf: Psf,
+    shape: (usize, usize),
+    options: SimulateOptions,
+    series: Series,
+    image: Option<Image<f32>>,
+    catalog: Catalog,
+}
+
+impl SeriesCase {
+    /// The light of a scene in exposures that span the times of the PSF.
+    pub(super) fn new(
+        psf: &Psf,
+        scenes: &Scenes,
+        options: SimulateOptions,
+        exposures: usize,
+    ) -> Result<Self, PsfieldError> {
+        let scene = scenes.get(0)?;
+        let image = scene.image().map(|image| Image::new(image.pixels().to_owned()));
+        Ok(Self {
+            psf: psf.clone(),
+            shape: scenes.shape(),
+            options,
+            series: Series {
+                exposures: Exposures::regular(exposures, EXPOSURE_S, CADENCE_S)?,
+                pointing: Pointing {
+                    drift_px_per_s: [DRIFT_PX_PER_S, 0.0],
+                    jitter_px: JITTER_PX,
+                    path: None,
+                },
+                light_curves: LightCurves::default(),
+            },
+            image: image.transpose()?,
+            catalog: Catalog::new(scene.stars().to_vec(), Vec::new()),
+        })
+    }
+
+    /// The same series without drift, through the PSF of the first time: one plan and as many
+    /// executions.
+    pub(super) fn at_rest(&self) -> Result<Self, PsfieldError> {
+        let mut series = self.series.clone();
+        series.pointing.drift_px_per_s = [0.0; 2];
+        Ok(Self {
+            psf: self.psf.at_state(0.0)?,
+            series,
+            image: self.image.clone(),
+            options: self.options.clone(),
+            catalog: self.catalog.clone(),
+            ..*self
+        })
+    }
+
+    fn simulator(&self) -> Result<SeriesSimulator<f32>, PsfieldError> {
+        let light = (self.image.clone(), self.catalog.clone());
+        SeriesSimulator::new(
+            &self.psf,
+            self.shape,
+            self.options.clone(),
+            self.series.clone(),
+            light,
+        )
+    }
+
+    /// Makes all images, the last in the array `image`. Returns the seconds of all plans and images.
+    pub(super) fn seconds(&self, image: &mut Array2<f32>) -> Result<f64, PsfieldError> {
+        let clock = Instant::now();
+        let mut simulator = self.simulator()?;
+        for number in 0..self.series.exposures.len() {
+            image.fill(0.0);
+            let exposure = simulator.exposure(number, &NoProgress)?;
+            exposure.simulate_into(image.view_mut(), &NoProgress)?;
+        }
+        Ok(clock.elapsed().as_secs_f64())
+    }
+
+    /// The direct sum for the last exposure, at some pixels.
+    pub(super) fn exact(&self, pixels: &[(usize, usize)]) -> Result<Vec<f64>, PsfieldError> {
+        let mut simulator = self.simulator()?;
+        let last = simulator.exposure(self.series.exposures.len() - 1, &NoProgress)?;
+        last.simulator().exact_at(last.scene(), pixels, &NoProgress)
+    }
+}
