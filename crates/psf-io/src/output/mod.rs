@@ -267,7 +267,9 @@ impl PendingFile {
         drop(entries);
         // After an error, this removes the other files.
         drop(left);
-        directories.iter().for_each(|directory| sync_directory(directory));
+        for directory in &directories {
+            sync_directory(directory);
+        }
         renamed
     }
 

@@ -84,7 +84,7 @@ impl Scenes {
         let sources = 0..case.amount as usize;
         match case.group {
             RealGroup::Pixels | RealGroup::Series => {
-                scenes.image = Some(lit_scene(frame, seed)?.into_pixels())
+                scenes.image = Some(lit_scene(frame, seed)?.into_pixels());
             }
             RealGroup::Light => {
                 let mut image = lit_scene(frame, seed)?.into_pixels();
