@@ -69,7 +69,9 @@ def galsim_image(zenith: float, kelvin: float) -> np.ndarray:
     for nm in np.arange(low, high) + 0.5:
         photons = nm**-4.0 / np.expm1(HC_OVER_K_NM_K / (nm * kelvin))
         image = galsim.ImageD(SIDE, SIDE, scale=SCALE)
-        total += photons * psf.evaluateAtWavelength(nm).drawImage(image=image, method="no_pixel").array
+        total += (
+            photons * psf.evaluateAtWavelength(nm).drawImage(image=image, method="no_pixel").array
+        )
     return total
 
 
@@ -79,7 +81,7 @@ def main() -> None:
     parser.add_argument("--psfield", default="target/release/psfield")
     parser.add_argument("--work", type=Path, default=Path("dispersion"))
     given = parser.parse_args()
-    given.work.mkdir(exist_ok=True)
+    given.work.mkdir(parents=True, exist_ok=True)
     names = "samples.fits", "band.csv", "star.csv", "image.fits"
     samples, band, star, image = (given.work / name for name in names)
     write_samples(samples)
@@ -88,14 +90,36 @@ def main() -> None:
     for zenith in ZENITH_DISTANCES:
         for kelvin in KELVIN:
             star.write_text(f"x,y,flux,sed\n{SIDE // 2},{SIDE // 2},1,blackbody:{kelvin}\n")
-            dispersion = f"zenith={zenith},scale={SCALE},reference={REFERENCE_UM}"
-            command = [given.psfield, "simulate", "--psf", samples, "--catalog", star, "--shape", f"{SIDE},{SIDE}"]
-            command += ["--bandpass", band, "--dispersion", dispersion, "--precision", "f64", "--tolerance", "1e-6"]
+            dispersion = (
+                f"zenith={zenith},scale={SCALE},reference={REFERENCE_UM},pressure=800,temperature=7"
+            )
+            command = [
+                given.psfield,
+                "simulate",
+                "--psf",
+                samples,
+                "--catalog",
+                star,
+                "--shape",
+                f"{SIDE},{SIDE}",
+            ]
+            command += [
+                "--bandpass",
+                band,
+                "--dispersion",
+                dispersion,
+                "--precision",
+                "f64",
+                "--tolerance",
+                "1e-6",
+            ]
             subprocess.run([*command, "-o", image, "--overwrite", "-q"], check=True)
             ours, theirs = centroid(fits.getdata(image)), centroid(galsim_image(zenith, kelvin))
             difference = float(np.hypot(*(ours - theirs)))
             largest = max(largest, difference)
-            print(f"{zenith:2} degrees, {kelvin:5} K: shift {ours[1] - SIDE // 2:+.4f} pixels, difference {difference:.1e}")
+            print(
+                f"{zenith:2} degrees, {kelvin:5} K: shift {ours[1] - SIDE // 2:+.4f} pixels, difference {difference:.1e}"
+            )
     print(f"largest difference: {largest:.1e} pixels")
 
 

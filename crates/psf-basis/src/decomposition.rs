@@ -287,8 +287,9 @@ pub fn orthonormal(
 /// count as dependent.
 const DEPENDENT: f64 = 1e-5;
 
-/// Does the work of [`orthonormal`] several times as fast, for stamps that are nearly orthonormal, such
-/// as a basis after a small change.
+/// Converts PSFs to an orthonormal basis as [`orthonormal`] does, but faster, for stamps that are nearly
+/// orthonormal, such as a basis after a small change. All components are kept, in their order, whatever
+/// the coefficients are.
 ///
 /// The first component is the first stamp scaled to norm 1, the next is the part of the second stamp at
 /// right angles to it, and so on (two Cholesky decompositions of the stamps' scalar products: Yamamoto
@@ -356,11 +357,10 @@ fn triangle_of(matrix: MatRef<'_, f64>) -> Option<Mat<f64>> {
         lower.col_mut(k).subrows_mut(0, k).fill(0.0);
     }
     let diagonal = || (0..count).map(|k| lower[(k, k)]);
-    let (least, most) = (
-        diagonal().fold(f64::INFINITY, f64::min),
-        diagonal().fold(0.0, f64::max),
-    );
-    (least > DEPENDENT * most && most.is_finite()).then_some(lower)
+    let most = diagonal().fold(0.0, f64::max);
+    diagonal()
+        .all(|d| d.is_finite() && d > DEPENDENT * most)
+        .then_some(lower)
 }
 
 #[cfg(test)]

@@ -217,6 +217,57 @@ fn a_psf_with_times_is_averaged_over_each_exposure() {
     assert!(message.contains("from 0 to 40 s"), "{message}");
 }
 
+/// More exposures than share local bases. The PSF changes, and the telescope drifts.
+#[test]
+fn exposures_do_not_depend_on_those_before() {
+    const COUNT: usize = 20;
+    let times = [0.0, 50.0, 100.0, 150.0, 200.0];
+    let psf = psf(
+        Some((StateKind::Time, &times)),
+        &[1.0, 1.15, 1.2, 1.1, 1.05],
+        WIDENING,
+    );
+    let image = Array2::from_shape_fn(FRAME, |(y, x)| 5.0 + ((7 * x + 11 * y) % 13) as f64);
+    let image = Image::new(image).unwrap();
+    for (with_image, stars) in [(true, Vec::new()), (false, stars()), (true, stars())] {
+        for drift in [0.0, 0.02] {
+            let mut all = series(Exposures::regular(COUNT, 5.0, 10.0).unwrap());
+            all.pointing = Pointing {
+                drift_px_per_s: [drift, -0.5 * drift],
+                jitter_px: 0.2,
+                path: None,
+            };
+            let simulator = || {
+                let light = (
+                    with_image.then(|| image.clone()),
+                    Catalog::new(stars.clone(), Vec::new()),
+                );
+                SeriesSimulator::<f64>::new(&psf, FRAME, options(), all.clone(), light).unwrap()
+            };
+            let (mut forward, mut backward) = (simulator(), simulator());
+            let mut images = Vec::new();
+            for number in 0..COUNT {
+                let exposure = forward.exposure(number, &NoProgress).unwrap();
+                let made = exposure.simulate().unwrap();
+                let check = exposure.spot_check(&made, (100, 1), &NoProgress).unwrap();
+                assert_eq!(
+                    check.passed,
+                    Some(true),
+                    "{with_image} {drift} {number}: {check:?}"
+                );
+                images.push(made.into_pixels());
+            }
+            for number in (0..COUNT).rev() {
+                let exposure = backward.exposure(number, &NoProgress).unwrap();
+                let made = exposure.simulate().unwrap().into_pixels();
+                let error = largest_difference(&made, &images[number]);
+                assert!(error < TOLERANCE, "{with_image} {drift} {number}: {error:e}");
+            }
+            assert!(largest_difference(&images[10], &images[0]) > 1e-2);
+        }
+    }
+}
+
 #[test]
 fn fluxes_follow_the_light_curves() {
     // Sums and aperture photometry, corrected by the known PSF, in 20 exposures with drift and jitter.

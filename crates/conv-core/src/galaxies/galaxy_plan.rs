@@ -140,22 +140,31 @@ impl<T: ConvReal> GalaxyPlan<T> {
     ) -> Result<Self, ConvError> {
         check_layers(models)?;
         check_stamps(models[0].grid(), size)?;
-        let tolerance = options.tolerance_in::<T>();
+        let extent = Extent::new(&models[0], size, options.tolerance_in::<T>());
+        Ok(Self::on_stamps(models, (options, size), (extent, Arc::default())))
+    }
+
+    /// A plan on stamps, with local bases of its own.
+    fn on_stamps(
+        models: &[PsfModel],
+        (options, size): (PlanOptions, Option<usize>),
+        (extent, stamps): (Extent, Arc<OnceLock<Stamps>>),
+    ) -> Self {
         let shared = Shared {
             size,
             space: OnceLock::new(),
-            stamps: Arc::default(),
-            tolerance,
-            extent: Extent::new(&models[0], size, tolerance),
+            stamps,
+            tolerance: options.tolerance_in::<T>(),
+            extent,
             blocks: Kept::new(usize::MAX),
             spectra: Kept::new(options.memory_bytes()),
             models: models.to_vec(),
             options,
         };
-        Ok(Self {
+        Self {
             model: models[0].clone(),
             shared: Arc::new(shared),
-        })
+        }
     }
 
     /// Returns a plan that draws galaxies with the PSFs of another model, as
@@ -170,24 +179,16 @@ impl<T: ConvReal> GalaxyPlan<T> {
     /// Returns a plan for other models with local bases of its own, as
     /// [`StarPlan::for_other_layers`](crate::StarPlan::for_other_layers) does for stars.
     pub fn for_other_layers(&self, models: &[PsfModel]) -> Option<Self> {
-        let Shared { options, size, .. } = *self.shared;
-        let other = self.for_other_field(models.first()?)?;
-        check_layers(models).is_ok().then(|| {
-            let shared = Shared {
-                models: models.to_vec(),
+        let is_possible = check_layers(models).is_ok() && share_stamps(&self.model, &models[0]);
+        is_possible.then(|| {
+            let Shared {
                 options,
                 size,
-                space: OnceLock::new(),
-                stamps: Arc::clone(&self.shared.stamps),
-                tolerance: self.shared.tolerance,
-                extent: self.shared.extent,
-                blocks: Kept::new(usize::MAX),
-                spectra: Kept::new(options.memory_bytes()),
-            };
-            Self {
-                shared: Arc::new(shared),
-                ..other
-            }
+                extent,
+                ref stamps,
+                ..
+            } = *self.shared;
+            Self::on_stamps(models, (options, size), (extent, Arc::clone(stamps)))
         })
     }
 

@@ -83,7 +83,7 @@ impl<T: ConvReal> Phased<T> {
         })
     }
 
-    /// The same stamps, for local bases of other models.
+    /// Shares the stamps with a plan for other models, which makes local bases of its own.
     pub(super) fn for_other_models(&self, models: &[PsfModel], options: PlanOptions) -> Self {
         Self {
             spreader: Arc::clone(&self.spreader),

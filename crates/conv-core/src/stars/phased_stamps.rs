@@ -11,7 +11,7 @@ use crate::simd::{Aligned, Lanes, WithIsa, vectorized};
 use crate::stamp_interpolator::StampInterpolator;
 
 /// The stamps of the directions of [`PsfSpace`](crate::plan::psf_space::PsfSpace). Blocks combine
-/// them to kernels.
+/// them to kernels. They fill about as much memory as the stamps of the model, in the precision `T`.
 #[derive(Debug)]
 pub(super) struct PhasedStamps<T> {
     /// `[row, part, direction, value]`: the rows of a kernel ([`RowLayout`]) in parts of [`CHUNK`] values.
@@ -112,7 +112,10 @@ impl<T: ConvReal> WithIsa<T> for Combine<'_, T> {
                     for (factors, to) in factors.iter().zip(to.chunks_mut(TOGETHER * length)) {
                         for first in (0..CHUNK).step_by(S::LANES) {
                             let (from, at) = (&from[first..], part * CHUNK + first);
-                            let to = to.chunks_exact_mut(*length).map(|to| &mut to[at..at + S::LANES]);
+                            let to = to.chunks_exact_mut(*length).map(
+                                #[inline(always)]
+                                |to| &mut to[at..at + S::LANES],
+                            );
                             if to.len() > TOGETHER / 2 {
                                 combine::<T, S, TOGETHER>(simd, from, factors, to);
                             } else {

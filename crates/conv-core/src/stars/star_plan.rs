@@ -136,14 +136,15 @@ impl<T: ConvReal> StarPlan<T> {
     }
 
     /// Returns a plan [of layers](Self::of_layers) for other models, with local bases of its own. It
-    /// shares what depends on the stamps alone, so it is made at once. `None` without models, or if they
-    /// have other stamps or another scaling to unit flux.
+    /// shares the other parts of this plan, so this is fast. Among these parts is the distance beyond the
+    /// stamps up to which stars are drawn, which the edges of this plan's PSFs decide. `None` without
+    /// models, or if they have other stamps or another scaling to unit flux.
     pub fn for_other_layers(&self, models: &[PsfModel]) -> Option<Self> {
+        check_layers(models).ok()?;
         let phased = |phased: &Arc<Phased<T>>| Arc::new(phased.for_other_models(models, self.options));
-        let other = self.for_other_field(models.first()?)?;
-        check_layers(models).is_ok().then(|| Self {
+        Some(Self {
             phased: self.phased.as_ref().map(phased),
-            ..other
+            ..self.for_other_field(&models[0])?
         })
     }
 

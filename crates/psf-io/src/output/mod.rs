@@ -85,8 +85,8 @@ thread_local! {
 /// they were written. [`remove_unfinished`](crate::remove_unfinished) waits meanwhile. If `write`
 /// fails, or if the process ends before `write` returns, no file appears. Files get their names one
 /// after the other, so a process that is killed in this moment may leave only the first ones: write
-/// the main file last. Where it is, the others are. `write` must not read these files, and must
-/// write them on the thread that called `write_together`.
+/// the main file last. `write` must not read these files, and must write them on the thread that
+/// called `write_together`.
 ///
 /// ```
 /// # let directory = tempfile::tempdir()?;
@@ -261,8 +261,9 @@ impl PendingFile {
             .iter()
             .map(|file| directory_of(&file.target).to_owned())
             .collect();
-        let mut entries = entries();
+        // Dropped after the lock, because a file that is dropped needs it.
         let mut left = files.into_iter();
+        let mut entries = entries();
         let renamed = left.by_ref().try_for_each(|file| file.rename(&mut entries));
         drop(entries);
         // After an error, this removes the other files.

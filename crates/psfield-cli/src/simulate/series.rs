@@ -241,16 +241,8 @@ impl SeriesArgs {
         let bar = context.bar("exposures");
         bar.start(count as u64);
         for number in 0..count {
-            let made = self.expose(
-                (options, exposing.as_ref(), &read, sources),
-                (&mut simulator, number, start),
-                context,
-            )?;
-            if with_sources {
-                let path = self.sources(number);
-                psf_io::write_csv(path, &["row", "x", "y", "flux"], &made.1, self.overwrite)?;
-            }
-            frames.push(made.0);
+            let of_all = (options, exposing.as_ref(), &read, sources);
+            frames.push(self.expose(of_all, (&mut simulator, number, start), context)?);
             bar.advance(1);
         }
         drop(bar);
@@ -276,17 +268,13 @@ impl SeriesArgs {
         made.map_err(|error| anyhow::Error::new(error).context(self.series.display().to_string()))
     }
 
-    /// Simulates an exposure and writes its image. Returns the report and the sources.
-    #[allow(
-        clippy::type_complexity,
-        reason = "the parts of all exposures, and of this one"
-    )]
+    /// Simulates an exposure and writes its files.
     fn expose<T: ConvReal>(
         &self,
         (options, exposing, read, sources): (&SimulateArgs, Option<&Exposing>, &ReadScene<T>, (usize, usize)),
         (simulator, number, start): (&mut SeriesSimulator<T>, usize, SystemTime),
         context: &Context,
-    ) -> anyhow::Result<(Report, Vec<psfield::SourceInExposure>)> {
+    ) -> anyhow::Result<Report> {
         let context = &context.for_part(&format!("exposure {number}"));
         let times = simulator.series().exposures.times(number);
         let exposure_s = simulator.series().exposures.exposure_s();
@@ -345,15 +333,16 @@ impl SeriesArgs {
             header: read.header.shifted_origin(-dx * s, -dy * s),
             ..*read
         };
-        let outcome = of_frame.in_memory(
-            (&exposure, &made),
-            &read,
-            exposing.as_ref(),
-            &mut seconds,
-            context,
-        )?;
-        let report = of_frame.report((simulator, &made), &read, sources, outcome, seconds);
-        Ok((report, exposure.sources().to_vec()))
+        // The table of sources waits for the image.
+        let outcome = psf_io::write_together(|| {
+            if sources != (0, 0) {
+                let (path, columns) = (self.sources(number), ["row", "x", "y", "flux"]);
+                psf_io::write_csv(path, &columns, exposure.sources(), self.overwrite)?;
+            }
+            let scene = (&exposure, &made);
+            of_frame.in_memory(scene, &read, exposing.as_ref(), &mut seconds, context)
+        })?;
+        Ok(of_frame.report((simulator, &made), &read, sources, outcome, seconds))
     }
 
     fn report(&self, frames: &[Report], seconds: f64, context: &Context) -> anyhow::Result<()> {

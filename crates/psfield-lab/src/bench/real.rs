@@ -43,7 +43,8 @@ pub struct RealRow {
     /// of all repetitions. A model serves any number of plans. The fit, which makes the
     /// coefficients, is not included.
     pub seconds_model: f64,
-    /// Seconds from the model to a simulator that is ready to run: the least of all repetitions.
+    /// Seconds from the model to a simulator that is ready to run: the least of all repetitions. Series
+    /// make their plans in each run, so this is next to nothing for them.
     pub seconds_plan: f64,
     /// Seconds of the first run, of all frames. For stars and galaxies, this run also makes the
     /// PSFs of all blocks of the frame. Later runs use them again. For [`RealGroup::Fields`] and series,

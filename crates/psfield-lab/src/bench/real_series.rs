@@ -13,8 +13,8 @@ use psfield::{
 use crate::bench::real_colours::psf_of_states;
 use crate::bench::real_scenes::Scenes;
 
-/// The wavelengths, in micrometres, whose PSFs are those of the times: the image of a star widens by
-/// 20 %.
+/// The PSF at each time is that of the telescope at one of these wavelengths, in micrometres. So it
+/// widens by 20 %.
 const WAVELENGTHS_UM: [f64; 5] = [0.50, 0.525, 0.55, 0.575, 0.60];
 /// Number of PSF samples at each time, along each axis.
 const SAMPLES_ACROSS: usize = 7;

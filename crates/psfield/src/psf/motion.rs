@@ -163,6 +163,14 @@ impl Motion {
                 .all(|((v, a), (w, b))| close(*v, *w) && close(a[0], b[0]) && close(a[1], b[1]))
     }
 
+    /// The distance along x and y up to which light moves, in frame pixels.
+    fn reach(&self) -> [f64; 2] {
+        [0, 1].map(|axis| {
+            let shifts = self.points.iter().map(|(_, at)| at[axis].abs());
+            shifts.fold(0.0, f64::max) + DEVIATIONS * self.jitter_px
+        })
+    }
+
     /// Returns whether this motion leaves PSFs as they are.
     pub(crate) fn is_none(&self) -> bool {
         let at_rest = |(_, [x, y]): &(f64, [f64; 2])| x.abs() <= EQUAL && y.abs() <= EQUAL;
@@ -200,7 +208,7 @@ impl Psf {
         if motion.is_none() {
             return Ok(self.clone());
         }
-        let moving = Moving::new(self.grid(), std::slice::from_ref(motion))?;
+        let moving = Moving::new(self.grid(), motion.reach())?;
         let factor = moving.factor(motion, [0.0, 0.0]);
         self.changed(&Moved {
             moving: &moving,
@@ -220,20 +228,10 @@ struct Moving {
 }
 
 impl Moving {
-    /// Room for all of these motions.
-    fn new(grid: StampGrid, motions: &[Motion]) -> Result<Self, PsfieldError> {
+    /// Room for light that moves by at most this distance along x and y, in frame pixels.
+    fn new(grid: StampGrid, reach: [f64; 2]) -> Result<Self, PsfieldError> {
         let oversampling = grid.oversampling();
-        let margin = [0, 1].map(|axis| {
-            let reach = |motion: &Motion| {
-                let farthest = motion
-                    .points
-                    .iter()
-                    .map(|(_, at)| at[axis].abs())
-                    .fold(0.0, f64::max);
-                (farthest + DEVIATIONS * motion.jitter_px) * oversampling
-            };
-            margin_of(motions.iter().map(reach))
-        });
+        let margin = reach.map(|reach| margin_of(std::iter::once(reach * oversampling)));
         let target = widened(grid, margin)?;
         let step = if native_picks(grid) {
             oversampling as usize
@@ -282,11 +280,13 @@ impl StampChange for Moved<'_> {
     }
 }
 
-/// A PSF whose light moves in another way in each exposure, for images. The transforms of its stamps are
+/// A PSF whose light moves differently in each exposure, for images. The transforms of its stamps are
 /// made once. Only the native pixels of moved stamps are computed.
 #[derive(Debug)]
 pub(crate) struct MovingNative {
     psf: Psf,
+    /// The longest motion, in frame pixels.
+    reach: f64,
     moving: Moving,
     native: StampGrid,
     /// The transforms of native stamps.
@@ -295,20 +295,32 @@ pub(crate) struct MovingNative {
     transforms: Vec<Array2<Complex64>>,
 }
 
+/// The longest motion, without jitter, for which [`MovingNative`] has room, in frame pixels along each
+/// axis. More room would make all exposures slower.
+const ROOM: f64 = 4.0;
+
 impl MovingNative {
-    /// Prepares a PSF for these motions. `None` if its native pixels are not some of the pixels of its
-    /// stamps, or if the caller implements its coefficient field.
-    pub(crate) fn new(psf: &Psf, motions: &[Motion]) -> Result<Option<Self>, PsfieldError> {
-        let grid = psf.grid();
-        if !native_picks(grid) || matches!(psf.0.origin, Origin::Model(..)) {
+    /// Prepares a PSF for motions with this jitter. `None` if its native pixels are not some of the
+    /// pixels of its stamps, if the caller implements its coefficient field, or if the transforms are too
+    /// large for the memory.
+    pub(crate) fn new(psf: &Psf, jitter_px: f64) -> Result<Option<Self>, PsfieldError> {
+        if matches!(psf.0.origin, Origin::Model(..)) {
             return Ok(None);
         }
-        let moving = Moving::new(grid, motions)?;
+        let psf = psf.with_pixel_response()?;
+        let grid = psf.grid();
+        if !native_picks(grid) {
+            return Ok(None);
+        }
+        let reach = ROOM + DEVIATIONS * jitter_px;
+        let moving = Moving::new(grid, [reach; 2])?;
         let native = native_grid_of(moving.target, 1.0, 0.0, || 0)?;
         let step = moving.oversampling as usize;
         let [ny, nx] = moving.plane.shape().map(|n| n / step);
         let basis = psf.record()?.basis();
-        check_stack(2 * (basis.rank() + 1), moving.target)?;
+        if check_stack(2 * (basis.rank() + 1), moving.target).is_err() {
+            return Ok(None);
+        }
         let stamps: Vec<_> = basis
             .mean()
             .into_iter()
@@ -323,12 +335,17 @@ impl MovingNative {
             transforms,
             native,
             moving,
-            psf: psf.clone(),
+            psf,
+            reach,
         }))
     }
 
-    /// The PSF of an exposure during which all light moves, with native stamps.
-    pub(crate) fn psf(&self, motion: &Motion) -> Result<Psf, PsfieldError> {
+    /// The PSF of an exposure during which all light moves, with native stamps. `None` for a motion that
+    /// is too long.
+    pub(crate) fn psf(&self, motion: &Motion) -> Result<Option<Psf>, PsfieldError> {
+        if motion.reach().iter().any(|&reach| reach > self.reach) {
+            return Ok(None);
+        }
         let (fine, native, s) = (self.moving.target, self.native, self.moving.oversampling);
         // The stamp pixel of the first native pixel.
         let first = [
@@ -357,9 +374,8 @@ impl MovingNative {
         }
         let nodes = record.coefficients();
         let made = psf_basis::orthonormal_in_order(mean, components, nodes.values(), native)?;
-        Ok(self
-            .psf
-            .with_record(on_basis(record, made, nodes.positions().clone())?))
+        let moved = on_basis(record, made, nodes.positions().clone())?;
+        Ok(Some(self.psf.with_record(moved)))
     }
 }
 
@@ -375,8 +391,8 @@ mod tests {
 
     #[test]
     fn native_stamps_are_pixels_of_the_moved_stamps() {
-        for (oversampling, side) in [(1.0, 21), (2.0, 40), (3.0, 45)] {
-            let stamps = Array3::from_shape_fn((3, side, side + 3), |(j, y, x)| {
+        for (oversampling, side, count) in [(1.0, 21, 3), (2.0, 40, 3), (3.0, 45, 3), (3.0, 45, 1)] {
+            let stamps = Array3::from_shape_fn((count, side, side + 3), |(j, y, x)| {
                 let (u, v) = (x as f64 - 20.0, y as f64 - 19.0 + j as f64);
                 (-(u * u + 0.6 * u * v + v * v) / (4.0 + 2.0 * j as f64) / oversampling).exp()
             });
@@ -387,25 +403,27 @@ mod tests {
                 .with_centre(20.0, 19.0)
                 .unwrap()
                 .with_pixel_response_included(true);
-            let at = [(0.0, 0.0), (90.0, 10.0), (30.0, 70.0)];
-            let positions = at.map(|(x, y)| Position::new(x, y).unwrap()).to_vec();
+            let at = &[(0.0, 0.0), (90.0, 10.0), (30.0, 70.0)][..count];
+            let positions = at.iter().map(|&(x, y)| Position::new(x, y).unwrap()).collect();
             let positions = SamplePositions::new(positions, None).unwrap();
             let psf = Psf::from(psf_types::PsfSamples::new(stamps, positions, grid).unwrap());
             let psf = psf.fitted().unwrap();
-            let motions = [
-                Motion::along_line([-0.3, 0.1], [0.9, 0.4]).unwrap(),
-                Motion::along_line([0.2, -1.1], [0.2, -0.4])
-                    .unwrap()
-                    .with_jitter_px(0.4)
-                    .unwrap(),
-            ];
+            let jitter_px = 0.4;
+            let motions = [([-0.3, 0.1], [0.9, 0.4]), ([0.2, -4.0], [0.2, -0.4])].map(|(from, to)| {
+                let line = Motion::along_line(from, to).unwrap();
+                line.with_jitter_px(jitter_px).unwrap()
+            });
+            let moving = MovingNative::new(&psf, jitter_px).unwrap().unwrap();
             for motion in &motions {
-                let moving = MovingNative::new(&psf, std::slice::from_ref(motion))
-                    .unwrap()
-                    .unwrap();
-                let found = moving.psf(motion).unwrap();
-                let expected = psf.moved(motion).unwrap().native(None).unwrap();
-                for (x, y) in at {
+                let found = moving.psf(motion).unwrap().unwrap();
+                let room = Moving::new(psf.grid(), [moving.reach; 2]).unwrap();
+                let factor = room.factor(motion, [0.0, 0.0]);
+                let moved = Moved {
+                    moving: &room,
+                    factor,
+                };
+                let expected = psf.changed(&moved).unwrap().native(None).unwrap();
+                for &(x, y) in at {
                     let at = Position::new(x + 1.0, y + 2.0).unwrap();
                     let [found, expected] =
                         [&found, &expected].map(|psf| psf.model().unwrap().psf_at(at).unwrap());
@@ -419,6 +437,8 @@ mod tests {
                     }
                 }
             }
+            let long = Motion::along_line([0.0, 0.0], [9.0, 0.0]).unwrap();
+            assert!(moving.psf(&long).unwrap().is_none());
         }
     }
 }

@@ -107,7 +107,7 @@ struct Last<T: ConvReal> {
     motion: Motion,
     moved: Mixtures<T>,
     weights: Option<Array2<f64>>,
-    /// The exposures whose PSFs the simulator's local bases represent.
+    /// The exposures that use the simulator's local bases.
     group: Range<usize>,
     simulator: Arc<Simulator<T>>,
 }
@@ -236,18 +236,23 @@ impl<T: ConvReal> SeriesSimulator<T> {
             native: None,
             last: [None, None],
         };
-        let mut motions = Vec::new();
+        let mut moves = false;
         for number in 0..made.series.exposures.len() {
             let times = made.series.exposures.times(number);
-            motions.push(made.motion(number)?.0);
+            moves |= !made.motion(number)?.0.is_none();
             made.state_weights(number)?;
             for row in made.series.light_curves.rows() {
                 made.series.light_curves.mean_factor(row, times)?;
             }
         }
-        let is_native = made.options.oversample == 1 && made.options.stamp_size.is_none();
-        if made.image.is_some() && is_native && !motions.iter().all(Motion::is_none) {
-            made.native = MovingNative::new(&made.psf, &motions)?;
+        let SimulateOptions {
+            oversample,
+            stamp_size,
+            method,
+            ..
+        } = &made.options;
+        if moves && made.image.is_some() && (*oversample, *stamp_size) == (1, None) && method.has_plan() {
+            made.native = MovingNative::new(&made.psf, made.series.pointing.jitter_px)?;
         }
         Ok(made)
     }
@@ -303,8 +308,8 @@ impl<T: ConvReal> SeriesSimulator<T> {
         })
     }
 
-    /// The motion of light at rest on the sky during an exposure, about a shift, this shift, and the mean
-    /// shift.
+    /// Returns the motion of light at rest on the sky during an exposure relative to an origin, this
+    /// origin, and the mean shift.
     fn motion(&self, number: usize) -> Result<(Motion, [f64; 2], [f64; 2]), PsfieldError> {
         let motion = self.series.pointing.during(self.series.exposures.times(number))?;
         let shift_px = motion.mean();
@@ -325,35 +330,28 @@ impl<T: ConvReal> SeriesSimulator<T> {
         progress: &dyn Progress,
     ) -> Result<Arc<Simulator<T>>, PsfieldError> {
         let weights = self.state_weights(number)?;
-        let last = self.last[kind].take();
-        let last = last.map(|last| (last.motion.equals(&motion), last));
-        let (moved, group, before) = match last {
-            Some((true, last)) if last.weights == weights && last.group.contains(&number) => {
+        let (mut before, mut kept) = (None, None);
+        if let Some(last) = self.last[kind].take() {
+            let is_equal = last.motion.equals(&motion);
+            if is_equal && last.weights == weights && last.group.contains(&number) {
                 let simulator = Arc::clone(&last.simulator);
                 self.last[kind] = Some(last);
                 return Ok(simulator);
             }
-            Some((true, last)) => (last.moved, Some(last.group), Some(last.simulator)),
-            Some((false, last)) => (self.moved(kind, &motion)?, None, Some(last.simulator)),
-            None => (self.moved(kind, &motion)?, None, None),
+            before = Some(last.simulator);
+            kept = is_equal.then_some((last.moved, last.group));
+        }
+        let (moved, group) = match kept {
+            Some((moved, group)) => (moved, Some(group).filter(|group| group.contains(&number))),
+            None => (self.moved(kind, &motion)?, None),
         };
-        let group = group.filter(|group| group.contains(&number));
-        let is_new = group.is_none();
-        let group = match group {
-            Some(group) => group,
-            None => self.group(kind, number, &motion)?,
-        };
-        let represented = match &weights {
-            Some(_) if is_new => {
-                let count = group.len().min(REPRESENTED);
-                let chosen = (0..count).map(|i| group.start + i * (group.len() - 1) / (count - 1).max(1));
-                let chosen: Vec<_> = chosen
-                    .map(|number| self.state_weights(number))
-                    .collect::<Result<_, _>>()?;
-                let rows: Vec<_> = chosen.iter().flatten().map(|row| row.view()).collect();
-                Some(ndarray::concatenate(Axis(0), &rows).expect("one weight for each state"))
+        let (group, represented) = match group {
+            Some(group) => (group, None),
+            None => {
+                let group = self.group(kind, number, &motion)?;
+                let represented = self.represented(&group)?;
+                (group, represented)
             }
-            _ => None,
         };
         let mixture = weights.clone().map(|weights| Mixture { weights, represented });
         let settings = (self.shape, &self.options);
@@ -376,7 +374,7 @@ impl<T: ConvReal> SeriesSimulator<T> {
     /// The PSF of light that moves.
     fn moved(&self, kind: usize, motion: &Motion) -> Result<Mixtures<T>, PsfieldError> {
         let native = match &self.native {
-            Some(moving) if kind == AT_REST => Some(moving.psf(motion)?),
+            Some(moving) if kind == AT_REST => moving.psf(motion)?,
             _ => None,
         };
         Ok(match native {
@@ -408,6 +406,21 @@ impl<T: ConvReal> SeriesSimulator<T> {
             group.end += 1;
         }
         Ok(group)
+    }
+
+    /// The mixtures `[mixture, state]` that the local bases of a group represent. None if the PSF has no
+    /// states.
+    fn represented(&self, group: &Range<usize>) -> Result<Option<Array2<f64>>, PsfieldError> {
+        let count = group.len().min(REPRESENTED);
+        let chosen = (0..count).map(|i| group.start + i * (group.len() - 1) / (count - 1).max(1));
+        let weights = chosen.map(|number| self.state_weights(number));
+        let Some(weights) = weights.collect::<Result<Option<Vec<_>>, _>>()? else {
+            return Ok(None);
+        };
+        let rows: Vec<_> = weights.iter().map(|row| row.view()).collect();
+        Ok(Some(
+            ndarray::concatenate(Axis(0), &rows).expect("one weight for each state"),
+        ))
     }
 
     /// The weights of the PSF's states in an exposure, `[1, state]`. None if it has no states.

@@ -12,12 +12,12 @@ use crate::psf::get_or_make;
 use crate::{Psf, PsfieldError, SimulateOptions};
 
 /// A mixture of the states of a PSF.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug)]
 pub(crate) struct Mixture {
     /// `[1, state]`.
     pub(crate) weights: Array2<f64>,
-    /// The mixtures `[mixture, state]` that new local bases represent. None: the local bases of another
-    /// simulator represent this mixture.
+    /// New local bases represent these mixtures `[mixture, state]`. None: the local bases of the
+    /// simulator before are used again.
     pub(crate) represented: Option<Array2<f64>>,
 }
 
@@ -31,7 +31,7 @@ pub(crate) struct Mixtures<T: ConvReal> {
     on_pixels: OnceLock<Psf>,
     /// The PSF with the response of a pixel.
     with_response: OnceLock<Psf>,
-    /// Local bases for stars and galaxies that represent the PSFs of all states.
+    /// The plan for stars and galaxies with the PSFs of all states.
     sources: OnceLock<Sources<T>>,
 }
 
@@ -49,7 +49,7 @@ impl<T: ConvReal> Mixtures<T> {
 
     /// Makes the simulator of a mixture. None: the PSF has no states. `light` says whether the scenes
     /// have an image, and whether they have stars or galaxies. A simulator of another mixture lends its
-    /// tiles and its local bases.
+    /// tiles, and its local bases unless the mixture needs new ones.
     pub(crate) fn simulator(
         &self,
         mixture: Option<&Mixture>,
@@ -58,11 +58,11 @@ impl<T: ConvReal> Mixtures<T> {
         before: Option<&Simulator<T>>,
         progress: &dyn Progress,
     ) -> Result<Simulator<T>, PsfieldError> {
-        let mixed = |psf: &Psf| match mixture {
+        let of_mixture = |psf: &Psf| match mixture {
             Some(mixture) => mixed(psf, &mixture.weights),
             None => Ok(psf.clone()),
         };
-        let simulator = mixed(&self.psf)?
+        let simulator = of_mixture(&self.psf)?
             .simulator(shape)
             .options(options.clone())
             .build()?;
@@ -70,21 +70,22 @@ impl<T: ConvReal> Mixtures<T> {
             return Ok(simulator);
         }
         if let Some(mixture) = mixture.filter(|_| sources) {
-            let psf = get_or_make(&self.with_response, || self.psf.with_pixel_response())?;
-            let model = mixed(psf)?.model()?.clone();
-            let lent = before.and_then(|before| before.shared.sources.get());
+            let model = of_mixture(self.with_response()?)?.model()?.clone();
             let made = match &mixture.represented {
                 Some(represented) => self
-                    .local_bases(represented, lent, &simulator)?
-                    .for_other_field(&model),
-                None => lent.and_then(|lent| lent.for_other_field(&model)),
+                    .local_bases(represented, &simulator)?
+                    .and_then(|plan| plan.for_other_field(&model)),
+                None => before
+                    .and_then(|before| before.shared.sources.get())
+                    .and_then(|lent| lent.for_other_field(&model)),
             };
             if let Some(made) = made {
                 simulator.shared.sources.get_or_init(|| made);
             }
         }
         if image {
-            let model = mixed(self.on_pixels(&simulator.options)?)?.model()?.clone();
+            let model = of_mixture(self.on_pixels(&simulator.options)?)?;
+            let model = model.model()?.clone();
             simulator.shared.image_model.get_or_init(|| (model, 0.0));
             if let Some(before) = before {
                 simulator.plan_as(before, progress)?;
@@ -93,21 +94,25 @@ impl<T: ConvReal> Mixtures<T> {
         Ok(simulator)
     }
 
-    /// A plan for stars and galaxies whose local bases represent these mixtures `[mixture, state]`. If
-    /// another plan has the same stamps, it lends them.
+    /// A plan for stars and galaxies whose local bases represent these mixtures `[mixture, state]`.
     fn local_bases(
         &self,
         represented: &Array2<f64>,
-        lent: Option<&Sources<T>>,
         simulator: &Simulator<T>,
-    ) -> Result<Sources<T>, PsfieldError> {
-        let psf = get_or_make(&self.with_response, || self.psf.with_pixel_response())?;
-        let psf = mixed(psf, represented)?;
-        let models = psf.models()?;
-        match lent.and_then(|lent| lent.for_other_layers(models)) {
-            Some(made) => Ok(made),
-            None => simulator.sources_of_layers(models, 0.0),
-        }
+    ) -> Result<Option<Sources<T>>, PsfieldError> {
+        let psf = mixed(self.with_response()?, represented)?;
+        self.sources(simulator)?
+            .for_other_layers(simulator, psf.models()?)
+    }
+
+    /// The plan for stars and galaxies with the PSFs of all states.
+    fn sources(&self, simulator: &Simulator<T>) -> Result<&Sources<T>, PsfieldError> {
+        let models = self.with_response()?.models()?;
+        get_or_make(&self.sources, || simulator.sources_of_layers(models, 0.0))
+    }
+
+    fn with_response(&self) -> Result<&Psf, PsfieldError> {
+        get_or_make(&self.with_response, || self.psf.with_pixel_response())
     }
 
     /// The PSF on the pixels of the scenes' images, with all its states.
@@ -126,9 +131,8 @@ impl<T: ConvReal> Mixtures<T> {
         {
             return Ok(());
         }
-        let psf = get_or_make(&self.with_response, || self.psf.with_pixel_response())?;
-        let models = psf.models()?;
-        let plan = get_or_make(&self.sources, || simulators[0].sources_of_layers(models, 0.0))?;
+        let plan = self.sources(&simulators[0])?;
+        let models = self.with_response()?.models()?;
         for (simulator, model) in simulators.iter().zip(models) {
             if let Some(plan) = plan.for_other_field(model) {
                 simulator.shared.sources.get_or_init(|| plan);

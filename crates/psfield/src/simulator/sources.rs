@@ -37,12 +37,17 @@ impl<T: ConvReal> Sources<T> {
 
     /// Draws sources through the first of some other models, with local bases that represent the PSFs of
     /// all. None if they have other stamps.
-    pub(super) fn for_other_layers(&self, models: &[PsfModel]) -> Option<Self> {
-        self.planned_as(
+    pub(super) fn for_other_layers(
+        &self,
+        simulator: &Simulator<T>,
+        models: &[PsfModel],
+    ) -> Result<Option<Self>, PsfieldError> {
+        simulator.check_fluxes(models)?;
+        Ok(self.planned_as(
             &models[0],
             |plan| plan.for_other_layers(models),
             |plan| plan.for_other_layers(models),
-        )
+        ))
     }
 
     fn planned_as(
@@ -84,11 +89,7 @@ impl<T: ConvReal> Simulator<T> {
         let clock = Instant::now();
         let size = self.options.stamp_size;
         let planned = self.planned_for(&models[0])?;
-        if let Some(options) = &planned {
-            for model in models {
-                check_flux(self.psf(), model, options)?;
-            }
-        }
+        self.check_fluxes(models)?;
         let stars = planned
             .map(|options| StarPlan::of_layers(models, options, size))
             .transpose()?;
@@ -101,6 +102,17 @@ impl<T: ConvReal> Simulator<T> {
             fit_seconds,
             plan_seconds: clock.elapsed().as_secs_f64(),
         })
+    }
+
+    /// The error of PSFs whose flux is too small for the tolerance of apertures.
+    fn check_fluxes(&self, models: &[PsfModel]) -> Result<(), PsfieldError> {
+        let planned = self.planned_for(&models[0])?;
+        let check = |options| {
+            models
+                .iter()
+                .try_for_each(|model| check_flux(self.psf(), model, options))
+        };
+        planned.as_ref().map_or(Ok(()), check)
     }
 
     /// Adds stars and galaxies to `image`, which holds the pixels of a region of the frame.
