@@ -345,13 +345,12 @@ impl<T: ConvReal> SeriesSimulator<T> {
             Some((moved, group)) => (moved, Some(group).filter(|group| group.contains(&number))),
             None => (self.moved(kind, &motion)?, None),
         };
-        let (group, represented) = match group {
-            Some(group) => (group, None),
-            None => {
-                let group = self.group(kind, number, &motion)?;
-                let represented = self.represented(&group)?;
-                (group, represented)
-            }
+        let (group, represented) = if let Some(group) = group {
+            (group, None)
+        } else {
+            let group = self.group(kind, number, &motion)?;
+            let represented = self.represented(&group)?;
+            (group, represented)
         };
         let mixture = weights.clone().map(|weights| Mixture { weights, represented });
         let settings = (self.shape, &self.options);
