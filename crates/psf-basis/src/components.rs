@@ -75,11 +75,11 @@ impl Components {
 /// size. More vectors at a time need more vectors in all.
 const BLOCK: usize = 8;
 /// Dimensions of the space when its components are computed for the first time. Each time the
-/// dimensions are doubled, up to a fraction of the matrix. Beyond that, the whole decomposition is
-/// about as fast.
+/// dimensions are doubled, up to half of the smaller side of the matrix. Beyond that, the whole
+/// decomposition is about as fast.
 const FIRST: usize = 256;
-/// The fraction, as a divisor of the smaller side of the matrix.
-const PART: usize = 4;
+/// The smaller side of matrices of which leading components are computed without the rest.
+const LARGE: usize = 1024;
 /// A component is exact if its residual is at most this multiple of the largest singular value. Its
 /// singular value is then exact to rounding, because its error is of the order of the squared
 /// residual. Its stamp may contain this multiple, divided by the relative distance to the closest
@@ -94,7 +94,7 @@ const QUADRATURE: f64 = 0.01;
 /// Returns whether matrices of this shape are so large that their leading components are computed
 /// without the rest.
 pub(crate) fn is_large(rows: ArrayView2<'_, f64>) -> bool {
-    rows.nrows().min(rows.ncols()) >= PART * FIRST
+    rows.nrows().min(rows.ncols()) >= LARGE
 }
 
 /// A space that contains the leading singular vectors of a matrix `X` ever more accurately: the
@@ -131,7 +131,7 @@ impl<'a> Krylov<'a> {
     /// would be too large.
     pub(crate) fn enlarged(&mut self) -> Result<Option<Components>, BasisError> {
         let (size, from) = ((2 * self.space.ncols()).max(FIRST), self.space.ncols());
-        if size > self.rows.nrows().min(self.rows.ncols()) / PART {
+        if size > self.rows.nrows().min(self.rows.ncols()) / 2 {
             return Ok(None);
         }
         self.space.resize_with(self.rows.ncols(), size, |_, _| 0.0);
@@ -326,8 +326,8 @@ mod tests {
             for (a, b) in found.unexplained.iter().zip(all.left_after(exact)) {
                 assert!((a / b - 1.0).abs() < 1e-9);
             }
-            // The next size is beyond the limit.
-            assert!(space.enlarged().unwrap().is_none());
+            // The size after the next is beyond the limit.
+            assert!(space.enlarged().unwrap().is_some() && space.enlarged().unwrap().is_none());
         }
     }
 }
