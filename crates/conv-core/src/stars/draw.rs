@@ -8,7 +8,8 @@ use psf_types::{PixelRegion, Progress};
 use pulp::bytemuck::{cast_slice, cast_slice_mut};
 
 use super::phases::{PhasedAxis, PhasedStar};
-use super::star_block::{CHUNK, RowLayout, StarBlock};
+use super::row_layout::{CHUNK, RowLayout};
+use super::star_block::StarBlock;
 use crate::overlap::Piece;
 use crate::simd::{Aligned, Lanes, vectorized};
 use crate::stamp_interpolator::MOST_TAPS;

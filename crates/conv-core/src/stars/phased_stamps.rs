@@ -5,7 +5,7 @@ use pulp::bytemuck::{cast_slice, cast_slice_mut};
 use rayon::prelude::*;
 
 use super::phases::PhasedAxis;
-use super::star_block::{CHUNK, RowLayout};
+use super::row_layout::{CHUNK, RowLayout};
 use crate::ConvReal;
 use crate::simd::{Aligned, Lanes, WithIsa, vectorized};
 use crate::stamp_interpolator::StampInterpolator;

@@ -12,7 +12,8 @@ use psf_types::PixelRegion;
 
 use super::draw::Group;
 use super::phases::PhasedAxis;
-use super::star_block::{RowLayout, StarBlock};
+use super::row_layout::RowLayout;
+use super::star_block::StarBlock;
 use crate::overlap::add_values;
 use crate::plan::cost_model::{CostModel, fast_size, transform_size};
 use crate::simd::{Aligned, Lanes, vectorized};

@@ -154,7 +154,8 @@ fn planned(
         return Ok(CaseSimulator::Colours(Box::new(simulator)));
     }
     if is_series(case.group) {
-        let series = SeriesCase::new(psf, scenes, AUTO.settings(options), case.amount as usize)?;
+        let scene = (&scenes.get(0)?, (frame.ny(), frame.nx()));
+        let series = SeriesCase::new(psf, scene, AUTO.settings(options), case.amount as usize)?;
         return Ok(CaseSimulator::Series(Box::new(series)));
     }
     let simulator = AUTO.simulator(record, psf, frame, options)?;

@@ -118,11 +118,6 @@ impl Scenes {
         Ok(scenes)
     }
 
-    /// Rows and columns of an image.
-    pub(super) fn shape(&self) -> (usize, usize) {
-        (self.frame.ny(), self.frame.nx())
-    }
-
     pub(super) fn get(&self, k: usize) -> Result<Scene<'_, f32>, PsfieldError> {
         let scene = match &self.image {
             Some(image) => ImageView::new(image.slice(s![k..k + self.frame.ny(), ..]))?.into(),

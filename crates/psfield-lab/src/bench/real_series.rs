@@ -7,11 +7,10 @@ use psf_optics::Telescope;
 use psf_types::{Image, NoProgress, PsfModelRecord, StateKind};
 use psfield::psf_io::Catalog;
 use psfield::{
-    Exposures, LightCurves, Pointing, Psf, PsfieldError, Series, SeriesSimulator, SimulateOptions,
+    Exposures, LightCurves, Pointing, Psf, PsfieldError, Scene, Series, SeriesSimulator, SimulateOptions,
 };
 
 use crate::bench::real_colours::psf_of_states;
-use crate::bench::real_scenes::Scenes;
 
 /// The PSF at each time is that of the telescope at one of these wavelengths, in micrometres. So it
 /// widens by 20 %.
@@ -52,18 +51,17 @@ pub(super) struct SeriesCase {
 }
 
 impl SeriesCase {
-    /// The light of a scene in exposures that span the times of the PSF.
+    /// The light of a scene with this shape `(ny, nx)`, in exposures that span the times of the PSF.
     pub(super) fn new(
         psf: &Psf,
-        scenes: &Scenes,
+        (scene, shape): (&Scene<'_, f32>, (usize, usize)),
         options: SimulateOptions,
         exposures: usize,
     ) -> Result<Self, PsfieldError> {
-        let scene = scenes.get(0)?;
         let image = scene.image().map(|image| Image::new(image.pixels().to_owned()));
         Ok(Self {
             psf: psf.clone(),
-            shape: scenes.shape(),
+            shape,
             options,
             series: Series {
                 exposures: Exposures::regular(exposures, EXPOSURE_S, CADENCE_S)?,
