@@ -16,7 +16,8 @@ use crate::simd::Aligned;
 pub(super) struct StarBlock<T> {
     pub(super) modes: LocalModes,
     pub(super) along_mean: AlongMean,
-    /// As [`PhasedStamps`], with the PSFs of the local basis in the place of the directions.
+    /// `[row, kernel, chunk, residue, pixel]`, with the rows of [`PhasedStamps`]. `kernel` counts the PSFs
+    /// of the local basis. [`RowLayout`] explains the last three indices.
     values: Aligned<T>,
 }
 

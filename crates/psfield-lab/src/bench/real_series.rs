@@ -77,8 +77,7 @@ impl SeriesCase {
         })
     }
 
-    /// The same series without drift, through the PSF of the first time: one plan and as many
-    /// executions.
+    /// This series without drift, through the PSF of the first time: one plan and as many executions.
     pub(super) fn at_rest(&self) -> Result<Self, PsfieldError> {
         let mut series = self.series.clone();
         series.pointing.drift_px_per_s = [0.0; 2];
