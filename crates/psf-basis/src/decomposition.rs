@@ -8,7 +8,7 @@ use faer::linalg::matmul::matmul;
 use faer::linalg::svd::{ComputeSvdVectors, SvdParams, svd, svd_scratch};
 use faer::linalg::triangular_solve::solve_lower_triangular_in_place;
 use faer::{Accum, Mat, MatRef, Par, Spec};
-use ndarray::{Array2, Array3, ArrayView2, Axis};
+use ndarray::{Array2, Array3, ArrayView2, Axis, CowArray, Ix2};
 use psf_types::{DataError, PsfBasis, StampGrid};
 use rayon::iter::{IndexedParallelIterator as _, ParallelIterator as _};
 use thiserror::Error;
@@ -258,11 +258,7 @@ pub fn orthonormal(
         let basis = PsfBasis::new(mean, Array3::zeros((0, ny, nx)), grid)?;
         return Ok((basis, Array2::zeros((nodes, 0))));
     }
-    let stamps = stamps
-        .as_standard_layout()
-        .into_owned()
-        .into_shape_with_order((count, ny * nx))
-        .expect("row-major");
+    let stamps = flat(&stamps);
     // a = U S V^T: the sums at the nodes have the singular vectors of S V^T C.
     let (shares, turned) = decompose(columns_of(coefficients.as_standard_layout().view()))?;
     let weights = Array2::from_shape_fn((shares.len(), count), |(i, k)| shares[i] * turned[(k, i)]);
@@ -281,6 +277,12 @@ pub fn orthonormal(
         .into_shape_with_order((rank, ny, nx))
         .expect("row-major");
     Ok((PsfBasis::new(mean, components, grid)?, coefficients))
+}
+
+/// Stamps `[stamp, pixel]`, copied only if they are not in row-major order.
+fn flat(stamps: &Array3<f64>) -> CowArray<'_, f64, Ix2> {
+    let (count, ny, nx) = stamps.dim();
+    stamps.to_shape((count, ny * nx)).expect("as many values")
 }
 
 /// Stamps whose parts at right angles to the stamps before them are below this fraction of the largest
@@ -318,10 +320,8 @@ pub fn orthonormal_in_order(
 ) -> Result<(PsfBasis, Array2<f64>), BasisError> {
     let (count, ny, nx) = stamps.dim();
     DataError::check_count("coefficients, one for each stamp", count, coefficients.ncols())?;
-    let rows = stamps.as_standard_layout().into_owned();
-    let rows = rows.into_shape_with_order((count, ny * nx)).expect("row-major");
     // `[pixel, stamp]`.
-    let mut components = columns_of(rows.view()).to_owned();
+    let mut components = columns_of(flat(&stamps).view()).to_owned();
     let mut turned = coefficients.to_owned();
     for _ in 0..2 {
         let Some(lower) = triangle_of(components.as_ref()) else {
