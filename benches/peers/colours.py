@@ -16,7 +16,7 @@ import subprocess
 import time
 import warnings
 from itertools import pairwise
-from multiprocessing import Pool
+from multiprocessing.pool import Pool
 from pathlib import Path
 
 import galsim
@@ -68,11 +68,11 @@ def sampled(x: float, y: float, wavelength: float) -> np.ndarray:
     return stamp
 
 
-def write_samples(path: Path, wavelengths: np.ndarray) -> None:
+def write_samples(path: Path, wavelengths: np.ndarray, pool: Pool) -> None:
     """Write PSF samples in psfield's layout."""
     at = np.linspace(0, SIDE - 1, 5)
     rows = [(x, y, w) for y in at for x in at for w in wavelengths]
-    cube = fits.PrimaryHDU(np.array([sampled(*row) for row in rows]))
+    cube = fits.PrimaryHDU(np.array(pool.starmap(sampled, rows)))
     cube.header["OVERSAMP"] = OVERSAMPLING
     cube.header["FIELDNX"] = cube.header["FIELDNY"] = SIDE
     x, y, w = np.array(rows).T
@@ -116,7 +116,7 @@ def main() -> None:
     parser.add_argument("--psfield", default="target/release/psfield")
     parser.add_argument("--work", type=Path, default=Path("colours"))
     parser.add_argument("--stars", type=int, default=6, help="stars that are compared (20 s each)")
-    parser.add_argument("--processes", type=int, default=2, help="processes for the reference")
+    parser.add_argument("--processes", type=int, default=2, help="processes of GalSim")
     parser.add_argument("--timed", type=int, default=2000, help="stars of the timing")
     given = parser.parse_args()
     warnings.simplefilter("ignore")
@@ -126,7 +126,9 @@ def main() -> None:
         for name in ("samples.fits", "psf.fits", "band.csv", "stars.csv", "image.fits")
     }
     bandpass = galsim.roman.getBandpasses(AB_zeropoint=True)[BAND]
-    write_samples(path["samples.fits"], np.linspace(bandpass.blue_limit, bandpass.red_limit, 9))
+    wavelengths = np.linspace(bandpass.blue_limit, bandpass.red_limit, 9)
+    pool = Pool(given.processes)
+    write_samples(path["samples.fits"], wavelengths, pool)
     fit = ["fit", path["samples.fits"], "-o", path["psf.fits"], "--overwrite", "-q"]
     subprocess.run([given.psfield, *fit, "--rank", "error=1e-6", "--normalise", "keep"], check=True)
     band = [(w, bandpass(w)) for w in bandpass.wave_list]
@@ -168,7 +170,7 @@ def main() -> None:
         (*rng.uniform(40, SIDE - 40, 2), KELVIN[star % len(KELVIN)]) for star in range(given.stars)
     ]
     errors, of_galsim = [], []
-    with Pool(given.processes) as pool:
+    with pool:
         for (x, y, kelvin), exact in zip(stars, pool.imap(reference, stars), strict=True):
             simulated(
                 [x], [y], [kelvin], "--tolerance", "1e-6", "--tolerance-on", "l2", "--precision", "f64"
@@ -189,7 +191,6 @@ def main() -> None:
     x, y = rng.uniform(40, SIDE - 40, (2, given.timed))
     kelvin = [KELVIN[star % len(KELVIN)] for star in range(given.timed)]
     seconds = min(sum(simulated(x, y, kelvin)["seconds"].values()) for _ in range(3))
-    wavelengths = np.linspace(bandpass.blue_limit, bandpass.red_limit, 9)
     interpolated = psf(256, 256).interpolate(wavelengths)
     clock, drawn = time.perf_counter(), 12
     for star in range(drawn):

@@ -285,12 +285,12 @@ fn flat(stamps: &Array3<f64>) -> CowArray<'_, f64, Ix2> {
     stamps.to_shape((count, ny * nx)).expect("as many values")
 }
 
-/// Stamps whose parts at right angles to the stamps before them are below this fraction of the largest
-/// count as dependent.
+/// Stamps count as dependent if the part of one at right angles to those before it is below this fraction
+/// of it.
 const DEPENDENT: f64 = 1e-5;
 
 /// Converts PSFs to an orthonormal basis as [`orthonormal`] does, but faster, for stamps that are nearly
-/// orthonormal, such as a basis after a small change. All components are kept, in their order, whatever
+/// orthogonal, such as a basis after a small change. All components are kept, in their order, whatever
 /// the coefficients are.
 ///
 /// The first component is the first stamp scaled to norm 1, the next is the part of the second stamp at
@@ -349,6 +349,7 @@ fn triangle_of(matrix: MatRef<'_, f64>) -> Option<Mat<f64>> {
         1.0,
         Par::rayon(SPLIT),
     );
+    let sizes: Vec<f64> = (0..count).map(|k| lower[(k, k)].sqrt()).collect();
     let mut memory = MemBuffer::new(cholesky_in_place_scratch::<f64>(count, Par::Seq, Spec::default()));
     let stack = MemStack::new(&mut memory);
     let regularization = LltRegularization::default();
@@ -356,11 +357,8 @@ fn triangle_of(matrix: MatRef<'_, f64>) -> Option<Mat<f64>> {
     for k in 1..count {
         lower.col_mut(k).subrows_mut(0, k).fill(0.0);
     }
-    let diagonal = || (0..count).map(|k| lower[(k, k)]);
-    let most = diagonal().fold(0.0, f64::max);
-    diagonal()
-        .all(|d| d.is_finite() && d > DEPENDENT * most)
-        .then_some(lower)
+    let is_new = |(k, size)| lower[(k, k)].is_finite() && lower[(k, k)] > DEPENDENT * size;
+    sizes.into_iter().enumerate().all(is_new).then_some(lower)
 }
 
 #[cfg(test)]

@@ -3,6 +3,7 @@
 mod extrapolation;
 mod format_records;
 mod motion;
+mod moving_native;
 mod open;
 mod resample;
 mod states;
@@ -24,7 +25,8 @@ use crate::{ErrorKind, FitOptions, PsfieldError};
 pub use extrapolation::Extrapolation;
 pub use format_records::record_of_psfex;
 pub use motion::Motion;
-pub(crate) use motion::{MovingNative, QUADRATURE};
+pub(crate) use motion::QUADRATURE;
+pub(crate) use moving_native::MovingNative;
 pub use open::{FitChoices, PsfFileOptions};
 pub(crate) use resample::native_grid_of;
 pub use states::join_samples;

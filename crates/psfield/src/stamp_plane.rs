@@ -93,15 +93,35 @@ impl StampPlane {
         [stamps.mapv(|v| v.re / pixels), stamps.mapv(|v| v.im / pixels)]
     }
 
-    /// Returns every `step`-th pixel of the stamps of a transform, from the first pixel on, as a
-    /// transform. Both axes of this plane must have a multiple of `step` pixels.
-    pub(crate) fn thinned(&self, values: &Array2<Complex64>, step: usize) -> Array2<Complex64> {
+    /// Returns every `step`-th pixel of stamps, from the first pixel on, as a transform. The stamps are
+    /// the weighted sum of some transforms, times a factor in Fourier space. Both axes of this plane must
+    /// have a multiple of `step` pixels.
+    pub(crate) fn thinned(
+        &self,
+        parts: &[(f64, &Array2<Complex64>)],
+        factor: &Array2<Complex64>,
+        step: usize,
+    ) -> Array2<Complex64> {
         let [ny, nx] = self.size.map(|n| n / step);
-        let mut sum: Array2<Complex64> = Array2::zeros((ny, nx));
-        for part in values.exact_chunks((ny, nx)) {
-            sum += &part;
+        let mut thinned: Array2<Complex64> = Array2::zeros((ny, nx));
+        let mut sum = vec![Complex64::ZERO; self.size[1]];
+        let scale = 1.0 / (step * step) as f64;
+        for (y, factor) in factor.outer_iter().enumerate() {
+            sum.fill(Complex64::ZERO);
+            for (weight, transform) in parts {
+                let row = transform.row(y).to_slice().expect("row-major");
+                sum.iter_mut().zip(row).for_each(|(sum, v)| *sum += v * weight);
+            }
+            let mut row = thinned.row_mut(y % ny);
+            let row = row.as_slice_mut().expect("row-major");
+            let factor = factor.to_slice().expect("row-major");
+            for (sum, factor) in sum.chunks_exact(nx).zip(factor.chunks_exact(nx)) {
+                for (to, (v, factor)) in row.iter_mut().zip(sum.iter().zip(factor)) {
+                    *to += v * factor * scale;
+                }
+            }
         }
-        sum / (step * step) as f64
+        thinned
     }
 
     /// The factor in Fourier space that shifts a stamp by several distances and adds up the results,

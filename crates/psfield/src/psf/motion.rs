@@ -1,13 +1,11 @@
 //! PSFs of exposures during which the light moves over the frame.
 
-use ndarray::{Array2, Array3, ArrayView2, s};
+use ndarray::{Array2, ArrayView2};
 use psf_types::{SamplePositions, StampGrid};
-use rayon::prelude::*;
 use rustfft::num_complex::Complex64;
 
-use super::resample::{StampChange, native_grid_of, native_picks, on_basis};
-use super::{Origin, Psf};
-use crate::stack_size::check_stack;
+use super::Psf;
+use super::resample::{StampChange, native_picks};
 use crate::stamp_plane::{StampPlane, margin_of, widened};
 use crate::{ErrorKind, PsfieldError};
 
@@ -164,7 +162,7 @@ impl Motion {
     }
 
     /// The distance along x and y up to which light moves, in frame pixels.
-    fn reach(&self) -> [f64; 2] {
+    pub(super) fn reach(&self) -> [f64; 2] {
         [0, 1].map(|axis| {
             let shifts = self.points.iter().map(|(_, at)| at[axis].abs());
             shifts.fold(0.0, f64::max) + DEVIATIONS * self.jitter_px
@@ -219,19 +217,26 @@ impl Psf {
 
 /// Room for moved stamps.
 #[derive(Debug)]
-struct Moving {
-    plane: StampPlane,
-    oversampling: f64,
+pub(super) struct Moving {
+    pub(super) plane: StampPlane,
+    pub(super) oversampling: f64,
     /// Along x and y.
-    margin: [usize; 2],
-    target: StampGrid,
+    pub(super) margin: [usize; 2],
+    pub(super) target: StampGrid,
 }
 
 impl Moving {
-    /// Room for light that moves by at most this distance along x and y, in frame pixels.
-    fn new(grid: StampGrid, reach: [f64; 2]) -> Result<Self, PsfieldError> {
+    /// Room for light that moves by at most this distance along x and y, in frame pixels. Along an axis
+    /// with no motion, stamps get no wider.
+    pub(super) fn new(grid: StampGrid, reach: [f64; 2]) -> Result<Self, PsfieldError> {
         let oversampling = grid.oversampling();
-        let margin = reach.map(|reach| margin_of(std::iter::once(reach * oversampling)));
+        let margin = reach.map(|reach| {
+            if reach <= EQUAL {
+                0
+            } else {
+                margin_of(std::iter::once(reach * oversampling))
+            }
+        });
         let target = widened(grid, margin)?;
         let step = if native_picks(grid) {
             oversampling as usize
@@ -248,7 +253,7 @@ impl Moving {
 
     /// The factor of a motion in Fourier space. The moved stamps are shifted by `offset` stamp pixels
     /// more.
-    fn factor(&self, motion: &Motion, offset: [f64; 2]) -> Array2<Complex64> {
+    pub(super) fn factor(&self, motion: &Motion, offset: [f64; 2]) -> Array2<Complex64> {
         let s = self.oversampling;
         let scaled =
             |&(weight, [dx, dy]): &(f64, [f64; 2])| (weight, [dx * s + offset[0], dy * s + offset[1]]);
@@ -259,9 +264,9 @@ impl Moving {
 }
 
 /// Moves stamps.
-struct Moved<'a> {
-    moving: &'a Moving,
-    factor: Array2<Complex64>,
+pub(super) struct Moved<'a> {
+    pub(super) moving: &'a Moving,
+    pub(super) factor: Array2<Complex64>,
 }
 
 impl StampChange for Moved<'_> {
@@ -277,168 +282,5 @@ impl StampChange for Moved<'_> {
 
     fn positions(&self, positions: &SamplePositions) -> Result<SamplePositions, PsfieldError> {
         Ok(positions.clone())
-    }
-}
-
-/// A PSF whose light moves differently in each exposure, for images. The transforms of its stamps are
-/// made once. Only the native pixels of moved stamps are computed.
-#[derive(Debug)]
-pub(crate) struct MovingNative {
-    psf: Psf,
-    /// The longest motion, in frame pixels.
-    reach: f64,
-    moving: Moving,
-    native: StampGrid,
-    /// The transforms of native stamps.
-    native_plane: StampPlane,
-    /// Of the mean, if there is one, and of the components, two stamps in each.
-    transforms: Vec<Array2<Complex64>>,
-}
-
-/// The longest motion, without jitter, for which [`MovingNative`] has room, in frame pixels along each
-/// axis. More room would make all exposures slower.
-const ROOM: f64 = 4.0;
-
-impl MovingNative {
-    /// Prepares a PSF for motions with this jitter. `None` if its native pixels are not some of the
-    /// pixels of its stamps, if the caller implements its coefficient field, or if the transforms are too
-    /// large for the memory.
-    pub(crate) fn new(psf: &Psf, jitter_px: f64) -> Result<Option<Self>, PsfieldError> {
-        if matches!(psf.0.origin, Origin::Model(..)) {
-            return Ok(None);
-        }
-        let psf = psf.with_pixel_response()?;
-        let grid = psf.grid();
-        if !native_picks(grid) {
-            return Ok(None);
-        }
-        let reach = ROOM + DEVIATIONS * jitter_px;
-        let moving = Moving::new(grid, [reach; 2])?;
-        let native = native_grid_of(moving.target, 1.0, 0.0, || 0)?;
-        let step = moving.oversampling as usize;
-        let [ny, nx] = moving.plane.shape().map(|n| n / step);
-        let basis = psf.record()?.basis();
-        if check_stack(2 * (basis.rank() + 1), moving.target).is_err() {
-            return Ok(None);
-        }
-        let stamps: Vec<_> = basis
-            .mean()
-            .into_iter()
-            .chain(basis.components().into_outer_iter())
-            .collect();
-        let transforms = stamps
-            .par_chunks(2)
-            .map(|two| moving.plane.forward(two, moving.margin));
-        let transforms = transforms.collect();
-        Ok(Some(Self {
-            native_plane: StampPlane::new((ny, nx), 1),
-            transforms,
-            native,
-            moving,
-            psf,
-            reach,
-        }))
-    }
-
-    /// The PSF of an exposure during which all light moves, with native stamps. `None` for a motion that
-    /// is too long.
-    pub(crate) fn psf(&self, motion: &Motion) -> Result<Option<Psf>, PsfieldError> {
-        if motion.reach().iter().any(|&reach| reach > self.reach) {
-            return Ok(None);
-        }
-        let (fine, native, s) = (self.moving.target, self.native, self.moving.oversampling);
-        // The stamp pixel of the first native pixel.
-        let first = [
-            fine.centre_x() - s * native.centre_x(),
-            fine.centre_y() - s * native.centre_y(),
-        ];
-        let factor = self.moving.factor(motion, first.map(|at| -at));
-        let moved = self.transforms.par_iter().map(|transform| {
-            let thinned = self.moving.plane.thinned(&(transform * &factor), s as usize);
-            self.native_plane.inverse(thinned)
-        });
-        let moved: Vec<[Array2<f64>; 2]> = moved.collect();
-        let mut stamps = moved
-            .iter()
-            .flatten()
-            .map(|stamp| stamp.slice(s![..native.ny(), ..native.nx()]));
-        let record = self.psf.record()?;
-        let basis = record.basis();
-        let mean = basis
-            .mean()
-            .and_then(|_| stamps.next())
-            .map(|mean| mean.to_owned());
-        let mut components = Array3::zeros((basis.rank(), native.ny(), native.nx()));
-        for (mut component, stamp) in components.outer_iter_mut().zip(stamps) {
-            component.assign(&stamp);
-        }
-        let nodes = record.coefficients();
-        let made = psf_basis::orthonormal_in_order(mean, components, nodes.values(), native)?;
-        let moved = on_basis(record, made, nodes.positions().clone())?;
-        Ok(Some(self.psf.with_record(moved)))
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use ndarray::Array3;
-    use psf_types::Position;
-
-    use super::*;
-
-    /// Rounding of transforms, relative to the peak.
-    const ROUNDING: f64 = 1e-12;
-
-    #[test]
-    fn native_stamps_are_pixels_of_the_moved_stamps() {
-        for (oversampling, side, count) in [(1.0, 21, 3), (2.0, 40, 3), (3.0, 45, 3), (3.0, 45, 1)] {
-            let stamps = Array3::from_shape_fn((count, side, side + 3), |(j, y, x)| {
-                let (u, v) = (x as f64 - 20.0, y as f64 - 19.0 + j as f64);
-                (-(u * u + 0.6 * u * v + v * v) / (4.0 + 2.0 * j as f64) / oversampling).exp()
-            });
-            let grid = StampGrid::new(side + 3, side)
-                .unwrap()
-                .with_oversampling(oversampling)
-                .unwrap()
-                .with_centre(20.0, 19.0)
-                .unwrap()
-                .with_pixel_response_included(true);
-            let at = &[(0.0, 0.0), (90.0, 10.0), (30.0, 70.0)][..count];
-            let positions = at.iter().map(|&(x, y)| Position::new(x, y).unwrap()).collect();
-            let positions = SamplePositions::new(positions, None).unwrap();
-            let psf = Psf::from(psf_types::PsfSamples::new(stamps, positions, grid).unwrap());
-            let psf = psf.fitted().unwrap();
-            let jitter_px = 0.4;
-            let motions = [([-0.3, 0.1], [0.9, 0.4]), ([0.2, -4.0], [0.2, -0.4])].map(|(from, to)| {
-                let line = Motion::along_line(from, to).unwrap();
-                line.with_jitter_px(jitter_px).unwrap()
-            });
-            let moving = MovingNative::new(&psf, jitter_px).unwrap().unwrap();
-            for motion in &motions {
-                let found = moving.psf(motion).unwrap().unwrap();
-                let room = Moving::new(psf.grid(), [moving.reach; 2]).unwrap();
-                let factor = room.factor(motion, [0.0, 0.0]);
-                let moved = Moved {
-                    moving: &room,
-                    factor,
-                };
-                let expected = psf.changed(&moved).unwrap().native(None).unwrap();
-                for &(x, y) in at {
-                    let at = Position::new(x + 1.0, y + 2.0).unwrap();
-                    let [found, expected] =
-                        [&found, &expected].map(|psf| psf.model().unwrap().psf_at(at).unwrap());
-                    let peak = expected.values().iter().fold(0.0, |m: f64, v| m.max(v.abs()));
-                    assert_eq!(found.grid(), expected.grid());
-                    for (value, other) in expected.values().iter().zip(found.values()) {
-                        assert!(
-                            (value - other).abs() < ROUNDING * peak,
-                            "{oversampling}: {value} {other}"
-                        );
-                    }
-                }
-            }
-            let long = Motion::along_line([0.0, 0.0], [9.0, 0.0]).unwrap();
-            assert!(moving.psf(&long).unwrap().is_none());
-        }
     }
 }

@@ -85,8 +85,10 @@ pub struct SeriesSimulator<T: ConvReal> {
     options: SimulateOptions,
     series: Series,
     image: Option<Image<T>>,
+    /// The image moved by whole frame pixels, for the last exposure that needed it.
+    moved_image: Option<([f64; 2], Image<T>)>,
     catalog: Catalog,
-    /// Moves the PSF of the image, if there is one and its native stamps are all that it needs.
+    /// Makes the PSF of the image, if there is one and its native stamps are all that it needs.
     native: Option<MovingNative>,
     /// For light at rest on the sky, and for moving sources.
     last: [Option<Last<T>>; 2],
@@ -232,14 +234,15 @@ impl<T: ConvReal> SeriesSimulator<T> {
             options,
             series,
             image,
+            moved_image: None,
             catalog,
             native: None,
             last: [None, None],
         };
-        let mut moves = false;
+        let mut motions = Vec::new();
         for number in 0..made.series.exposures.len() {
             let times = made.series.exposures.times(number);
-            moves |= !made.motion(number)?.0.is_none();
+            motions.push(made.motion(number)?.0);
             made.state_weights(number)?;
             for row in made.series.light_curves.rows() {
                 made.series.light_curves.mean_factor(row, times)?;
@@ -251,8 +254,9 @@ impl<T: ConvReal> SeriesSimulator<T> {
             method,
             ..
         } = &made.options;
-        if moves && made.image.is_some() && (*oversample, *stamp_size) == (1, None) && method.has_plan() {
-            made.native = MovingNative::new(&made.psf, made.series.pointing.jitter_px)?;
+        let changes = made.psf.states().is_some() || !motions.iter().all(Motion::is_none);
+        if changes && made.image.is_some() && (*oversample, *stamp_size) == (1, None) && method.has_plan() {
+            made.native = MovingNative::new(&made.psf, &motions)?;
         }
         Ok(made)
     }
@@ -286,10 +290,8 @@ impl<T: ConvReal> SeriesSimulator<T> {
             true if is_still => Some(Arc::clone(&at_rest)),
             true => Some(self.simulator(MOVING, number, jitter, progress)?),
         };
-        let image = match &self.image {
-            Some(image) => self.moved_image(image, origin)?,
-            None => Scene::dark(),
-        };
+        self.move_image(origin)?;
+        let image = self.image_moved_by(origin);
         let mut drawn = self.sources_of(times, (origin, shift_px))?;
         let [stars, trails] = drawn.stars;
         let [galaxies, galaxy_trails] = drawn.galaxies;
@@ -341,9 +343,16 @@ impl<T: ConvReal> SeriesSimulator<T> {
             before = Some(last.simulator);
             kept = is_equal.then_some((last.moved, last.group));
         }
+        let native = match &self.native {
+            Some(moving) if kind == AT_REST => moving.psf(&motion, weights.as_ref())?,
+            _ => None,
+        };
+        let images_alone = native.is_some() && self.catalog.rows().is_empty();
         let (moved, group) = match kept {
             Some((moved, group)) => (moved, Some(group).filter(|group| group.contains(&number))),
-            None => (self.moved(kind, &motion)?, None),
+            // Images alone need no other stamps than the native ones.
+            None if images_alone => (Mixtures::new(self.psf.clone()), None),
+            None => (Mixtures::new(self.psf.moved(&motion)?), None),
         };
         let (group, represented) = if let Some(group) = group {
             (group, None)
@@ -352,13 +361,17 @@ impl<T: ConvReal> SeriesSimulator<T> {
             let represented = self.represented(&group)?;
             (group, represented)
         };
-        let mixture = weights.clone().map(|weights| Mixture { weights, represented });
+        let mixture = Mixture {
+            weights: weights.clone(),
+            native,
+            represented,
+        };
         let settings = (self.shape, &self.options);
         let light = (
             kind == AT_REST && self.image.is_some(),
             !self.catalog.rows().is_empty(),
         );
-        let made = moved.simulator(mixture.as_ref(), settings, light, before.as_deref(), progress)?;
+        let made = moved.simulator(&mixture, settings, light, before.as_deref(), progress)?;
         let simulator = Arc::new(made);
         self.last[kind] = Some(Last {
             motion,
@@ -368,19 +381,6 @@ impl<T: ConvReal> SeriesSimulator<T> {
             simulator: Arc::clone(&simulator),
         });
         Ok(simulator)
-    }
-
-    /// The PSF of light that moves.
-    fn moved(&self, kind: usize, motion: &Motion) -> Result<Mixtures<T>, PsfieldError> {
-        let native = match &self.native {
-            Some(moving) if kind == AT_REST => moving.psf(motion)?,
-            _ => None,
-        };
-        Ok(match native {
-            // Images need no other stamps.
-            Some(native) if self.catalog.rows().is_empty() => Mixtures::new(native, None),
-            native => Mixtures::new(self.psf.moved(motion)?, native),
-        })
     }
 
     /// The exposures that share local bases with an exposure: neighbours with its motion and a similar
@@ -464,12 +464,27 @@ impl<T: ConvReal> SeriesSimulator<T> {
     }
 
     /// The image of the scene, moved by whole frame pixels. What comes in from outside is dark.
-    fn moved_image<'a>(&self, image: &'a Image<T>, by: [f64; 2]) -> Result<Scene<'a, T>, PsfieldError> {
-        if by == [0.0, 0.0] {
-            return Ok(Scene::from(image));
+    fn image_moved_by(&self, by: [f64; 2]) -> Scene<'_, T> {
+        match (&self.image, &self.moved_image) {
+            (Some(_), Some((origin, moved))) if *origin == by => Scene::from(moved),
+            (Some(image), _) => Scene::from(image),
+            (None, _) => Scene::dark(),
         }
-        let pixels = by.map(|shift| (shift * self.options.oversample as f64) as i64);
-        Ok(Scene::from(Image::new(translated(image.pixels(), pixels))?))
+    }
+
+    /// Makes the image that [`image_moved_by`](Self::image_moved_by) needs.
+    fn move_image(&mut self, by: [f64; 2]) -> Result<(), PsfieldError> {
+        let is_made = self.moved_image.as_ref().is_some_and(|(origin, _)| *origin == by);
+        if let Some(image) = &self.image
+            && !is_made
+            && by != [0.0, 0.0]
+        {
+            // Frees the memory first.
+            self.moved_image = None;
+            let pixels = by.map(|shift| (shift * self.options.oversample as f64) as i64);
+            self.moved_image = Some((by, Image::new(translated(image.pixels(), pixels))?));
+        }
+        Ok(())
     }
 
     /// The sources of an exposure. Those at rest on the sky have moved by `origin`. The list has moved by

@@ -83,7 +83,7 @@ impl<T: ConvReal> ColourSimulator<T> {
         Ok(Self {
             psf: psf.clone(),
             spectra,
-            shared: Mixtures::new(psf.clone(), None),
+            shared: Mixtures::new(psf.clone()),
             engines: Mutex::new(Vec::new()),
         })
     }

@@ -14,8 +14,10 @@ use crate::{Psf, PsfieldError, SimulateOptions};
 /// A mixture of the states of a PSF.
 #[derive(Debug)]
 pub(crate) struct Mixture {
-    /// `[1, state]`.
-    pub(crate) weights: Array2<f64>,
+    /// `[1, state]`. None: the PSF has no states.
+    pub(crate) weights: Option<Array2<f64>>,
+    /// The PSF of the mixture for images, if it is made in another way.
+    pub(crate) native: Option<Psf>,
     /// New local bases represent these mixtures `[mixture, state]`. None: the local bases of the
     /// simulator before are used again.
     pub(crate) represented: Option<Array2<f64>>,
@@ -25,8 +27,6 @@ pub(crate) struct Mixture {
 #[derive(Debug)]
 pub(crate) struct Mixtures<T: ConvReal> {
     psf: Psf,
-    /// For images, if it is another one.
-    native: Option<Psf>,
     /// The PSF on the pixels of the scenes' images.
     on_pixels: OnceLock<Psf>,
     /// The PSF with the response of a pixel.
@@ -36,40 +36,40 @@ pub(crate) struct Mixtures<T: ConvReal> {
 }
 
 impl<T: ConvReal> Mixtures<T> {
-    /// `native` is the PSF for images if it is not made of `psf`.
-    pub(crate) fn new(psf: Psf, native: Option<Psf>) -> Self {
+    pub(crate) fn new(psf: Psf) -> Self {
         Self {
             psf,
-            native,
             on_pixels: OnceLock::new(),
             with_response: OnceLock::new(),
             sources: OnceLock::new(),
         }
     }
 
-    /// Makes the simulator of a mixture. None: the PSF has no states. `light` says whether the scenes
-    /// have an image, and whether they have stars or galaxies. A simulator of another mixture lends its
-    /// tiles, and its local bases unless the mixture needs new ones.
+    /// Makes the simulator of a mixture. `light` says whether the scenes have an image, and whether they
+    /// have stars or galaxies. A simulator of another mixture lends its tiles, and its local bases unless
+    /// the mixture needs new ones.
     pub(crate) fn simulator(
         &self,
-        mixture: Option<&Mixture>,
+        mixture: &Mixture,
         (shape, options): ((usize, usize), &SimulateOptions),
         (image, sources): (bool, bool),
         before: Option<&Simulator<T>>,
         progress: &dyn Progress,
     ) -> Result<Simulator<T>, PsfieldError> {
-        let of_mixture = |psf: &Psf| match mixture {
-            Some(mixture) => mixed(psf, &mixture.weights),
+        let of_mixture = |psf: &Psf| match &mixture.weights {
+            Some(weights) => mixed(psf, weights),
             None => Ok(psf.clone()),
         };
-        let simulator = of_mixture(&self.psf)?
-            .simulator(shape)
-            .options(options.clone())
-            .build()?;
+        let psf = match &mixture.native {
+            // Images need no other stamps.
+            Some(native) if !sources => native.clone(),
+            _ => of_mixture(&self.psf)?,
+        };
+        let simulator = psf.simulator(shape).options(options.clone()).build()?;
         if !options.method.has_plan() {
             return Ok(simulator);
         }
-        if let Some(mixture) = mixture.filter(|_| sources) {
+        if sources && mixture.weights.is_some() {
             let model = of_mixture(self.with_response()?)?.model()?.clone();
             let made = match &mixture.represented {
                 Some(represented) => self
@@ -84,8 +84,11 @@ impl<T: ConvReal> Mixtures<T> {
             }
         }
         if image {
-            let model = of_mixture(self.on_pixels(&simulator.options)?)?;
-            let model = model.model()?.clone();
+            let on_pixels = match &mixture.native {
+                Some(native) => on_scene_pixels(native, &simulator.options)?,
+                None => of_mixture(self.on_pixels(&simulator.options)?)?,
+            };
+            let model = on_pixels.model()?.clone();
             simulator.shared.image_model.get_or_init(|| (model, 0.0));
             if let Some(before) = before {
                 simulator.plan_as(before, progress)?;
@@ -117,9 +120,7 @@ impl<T: ConvReal> Mixtures<T> {
 
     /// The PSF on the pixels of the scenes' images, with all its states.
     pub(crate) fn on_pixels(&self, options: &SimulateOptions) -> Result<&Psf, PsfieldError> {
-        get_or_make(&self.on_pixels, || {
-            on_scene_pixels(self.native.as_ref().unwrap_or(&self.psf), options)
-        })
+        get_or_make(&self.on_pixels, || on_scene_pixels(&self.psf, options))
     }
 
     /// Gives each simulator, one for each state of the PSF, the plan for stars and galaxies that all
