@@ -21,7 +21,7 @@ pub(crate) mod geometry;
 mod growth_curves;
 pub(crate) mod local_modes;
 mod node_functions;
-mod norm;
+pub(crate) mod norm;
 mod options;
 pub(crate) mod psf_space;
 pub(crate) mod region_cells;

@@ -7,6 +7,8 @@ use psf_types::{DataError, StampGrid};
 use rayon::prelude::*;
 
 use crate::plan::local_modes::LocalModes;
+use crate::plan::norm::{dot, norm, values};
+use crate::simd::vectorized;
 use crate::stamp_interpolator::StampInterpolator;
 
 /// The largest number of tabulated phases in a frame pixel along each axis. There are two per pixel
@@ -77,6 +79,29 @@ impl PhaseTable {
 /// mean PSF, which is scaled to norm 1 on the frame's pixels `[phase, kernel]`.
 pub(super) type AlongMean = Array2<f64>;
 
+/// The mean PSF of a block on the frame's pixels.
+pub(super) struct MeanOnPixels {
+    /// Its scalar products with the directions, `[phase, direction]`.
+    along: Array2<f64>,
+    /// `[phase]`.
+    norms: Array1<f64>,
+}
+
+impl MeanOnPixels {
+    /// Tabulates the products of a block.
+    pub(super) fn along(&self, modes: &LocalModes) -> AlongMean {
+        let mut table = self.along.dot(&modes.kernels().t());
+        for (mut row, &norm) in table.outer_iter_mut().zip(&self.norms) {
+            if norm > 0.0 {
+                row /= norm;
+            } else {
+                row.fill(0.0);
+            }
+        }
+        table
+    }
+}
+
 impl PhaseNorms {
     /// `stamps` are those of the directions of [`PsfSpace`](crate::plan::psf_space::PsfSpace).
     /// `target` holds the frame's pixels that a star may light.
@@ -138,31 +163,30 @@ impl PhaseNorms {
         })
     }
 
+    /// The mean PSF of a block on the frame's pixels.
+    pub(super) fn of_mean(&self, mean: &Array1<f64>) -> MeanOnPixels {
+        let mut along = Array2::zeros((self.products.len(), mean.len()));
+        vectorized!(
+            for (mut along, products) in along.outer_iter_mut().zip(&self.products) {
+                for (to, row) in along.iter_mut().zip(products.outer_iter()) {
+                    *to = dot(row.to_slice().expect("row-major"), values(mean));
+                }
+            }
+        );
+        let norms = along.dot(mean).mapv(|square| square.max(0.0).sqrt());
+        MeanOnPixels { along, norms }
+    }
+
     /// The part of the tolerance that a block's modes may use, for a block with this mean PSF: the
     /// smallest ratio of the norm of the mean to the largest norm of an error, if both have norm 1
     /// in the stamp. At most 1.
-    pub(super) fn share(&self, mean: ArrayView1<'_, f64>) -> f64 {
-        let whole = mean.dot(&mean).sqrt();
-        self.products
-            .iter()
-            .zip(&self.largest)
-            .map(|(products, &largest)| norm(products, mean) / (whole * largest))
+    pub(super) fn share(&self, mean: &Array1<f64>, on_pixels: &MeanOnPixels) -> f64 {
+        let whole = norm(mean.view());
+        let norms = on_pixels.norms.iter().zip(&self.largest);
+        norms
+            .map(|(norm, largest)| norm / (whole * largest))
             // Ignores NaN: a mean of norm 0, or a phase at which no pixel is lit.
             .fold(1.0, f64::min)
-    }
-
-    /// Tabulates the products of a block.
-    pub(super) fn along_mean(&self, mean: ArrayView1<'_, f64>, modes: &LocalModes) -> AlongMean {
-        let kernels = modes.kernels();
-        let mut table = Array2::zeros((self.products.len(), kernels.nrows()));
-        for (mut row, products) in table.outer_iter_mut().zip(&self.products) {
-            let along = products.dot(&mean);
-            let length = mean.dot(&along).max(0.0).sqrt();
-            if length > 0.0 {
-                row.assign(&(kernels.dot(&along) / length));
-            }
-        }
-        table
     }
 
     /// Returns whether an error of the given norm is within the tolerance on the frame's pixels,
@@ -205,10 +229,10 @@ impl PhaseNorms {
             let seen = if self.axes[0].count == 1 {
                 error.dot(&error).sqrt()
             } else {
-                norm(&self.products[phase], error)
+                norm_by(&self.products[phase], error)
             };
             largest = largest.max(seen);
-            least = least.min(norm(&self.products[phase], psf));
+            least = least.min(norm_by(&self.products[phase], psf));
         }
         largest <= BETWEEN * tolerance * least
     }
@@ -221,7 +245,8 @@ impl PhaseNorms {
     }
 }
 
-fn norm(products: &Array2<f64>, vector: ArrayView1<'_, f64>) -> f64 {
+/// The norm on the frame's pixels.
+fn norm_by(products: &Array2<f64>, vector: ArrayView1<'_, f64>) -> f64 {
     let along: Array1<f64> = products.dot(&vector);
     along.dot(&vector).max(0.0).sqrt()
 }

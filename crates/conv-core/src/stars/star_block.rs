@@ -38,11 +38,12 @@ impl<T: ConvReal> StarBlock<T> {
     ) -> Self {
         let cells = space.sampled_cells(region);
         let mean = LocalModes::mean(space, &cells);
-        let of_modes = MARGIN * tolerance * norms.share(mean.view());
+        let on_pixels = norms.of_mean(&mean);
+        let of_modes = MARGIN * tolerance * norms.share(&mean, &on_pixels);
         let modes = LocalModes::of_exact_cells(space, &cells, of_modes.max(ROUNDING));
         Self {
             values: stamps.combined(&modes.kernels()),
-            along_mean: norms.along_mean(mean.view(), &modes),
+            along_mean: on_pixels.along(&modes),
             modes,
         }
     }

@@ -99,7 +99,7 @@ const AT_REST: usize = 0;
 const MOVING: usize = 1;
 /// The most exposures that share local bases, if the PSF depends on the time. Local bases of more
 /// exposures are larger.
-const GROUP: usize = 16;
+const GROUP: usize = 32;
 /// The exposures of a group whose PSFs its local bases represent. Stars of the others are tested, too.
 const REPRESENTED: usize = 4;
 
@@ -393,8 +393,12 @@ impl<T: ConvReal> SeriesSimulator<T> {
             // PSFs of different frames may have nothing in common.
             Some(_) => return Ok(group),
         }
-        let first = number - number % GROUP;
-        let last = (first + GROUP).min(self.series.exposures.len());
+        // Groups of similar lengths.
+        let exposures = self.series.exposures.len();
+        let groups = exposures.div_ceil(GROUP);
+        let start = |group: usize| (group * exposures).div_ceil(groups);
+        let own = number * groups / exposures;
+        let (first, last) = (start(own), start(own + 1));
         if kind == MOVING {
             return Ok(first..last);
         }
