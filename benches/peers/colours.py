@@ -1,4 +1,4 @@
-"""Compares stars in colour with GalSim: Roman's PSF in the band W146, six black bodies.
+"""Compares stars in colour with GalSim: Roman's PSF in a band, six black bodies.
 
     pip install -r benches/peers/requirements.txt
     python benches/peers/colours.py --psfield target/release/psfield --work FOLDER
@@ -8,6 +8,11 @@ psfield interpolates between them. The reference is GalSim's monochromatic PSF a
 each star, at 96 wavelengths, added up with the weights of the detected photons. Errors are the
 largest in a stamp, relative to its peak. GalSim's own chromatic drawing is compared with the same
 reference.
+
+The PSF itself is for the benchmark of images in colour:
+
+    python benches/peers/colours.py --band Y106 --stars 0 --work FOLDER
+    psfield bench --real=colours --psf FOLDER/psf.fits --sizes 9216
 """
 
 import argparse
@@ -15,6 +20,7 @@ import json
 import subprocess
 import time
 import warnings
+from functools import partial
 from itertools import pairwise
 from multiprocessing.pool import Pool
 from pathlib import Path
@@ -24,7 +30,7 @@ import galsim.roman
 import numpy as np
 from astropy.io import fits
 
-BAND, DETECTOR, PUPIL_BIN = "W146", 7, 8
+DETECTOR, PUPIL_BIN = 7, 8
 SIDE, FIRST = 512, 1800  # the tile, and its first pixel on the detector
 STAMP, OVERSAMPLING = 64, 4
 KELVIN = [2500, 3500, 5000, 7000, 10000, 20000]
@@ -37,12 +43,12 @@ PARAMS = galsim.GSParams(
 SCALE = galsim.roman.pixel_scale
 
 
-def psf(x: float, y: float, wavelength: float | None = None):
+def psf(band: str, x: float, y: float, wavelength: float | None = None):
     """Return GalSim's PSF at a position of the tile, of one wavelength (nm) or chromatic."""
     position = galsim.PositionD(FIRST + x + 1, FIRST + y + 1)
     options = {} if wavelength is None else {"wavelength": wavelength}
     return galsim.roman.getPSF(
-        DETECTOR, BAND, SCA_pos=position, pupil_bin=PUPIL_BIN, gsparams=PARAMS, **options
+        DETECTOR, band, SCA_pos=position, pupil_bin=PUPIL_BIN, gsparams=PARAMS, **options
     )
 
 
@@ -51,12 +57,12 @@ def photons(wavelength, kelvin: float):
     return wavelength**-4.0 / np.expm1(HC_OVER_K_NM_K / (wavelength * kelvin))
 
 
-def sampled(x: float, y: float, wavelength: float) -> np.ndarray:
+def sampled(band: str, x: float, y: float, wavelength: float) -> np.ndarray:
     """Return an oversampled stamp, put together from native draws at sub-pixel shifts.
 
     GalSim's draws with finer pixels differ from its native ones by up to 0.2 % of the peak.
     """
-    size, drawn = STAMP * OVERSAMPLING + 1, psf(x, y, wavelength)
+    size, drawn = STAMP * OVERSAMPLING + 1, psf(band, x, y, wavelength)
     stamp = np.zeros((size, size))
     for row in range(OVERSAMPLING):
         for column in range(OVERSAMPLING):
@@ -68,14 +74,14 @@ def sampled(x: float, y: float, wavelength: float) -> np.ndarray:
     return stamp
 
 
-def write_samples(path: Path, wavelengths: np.ndarray, pool: Pool) -> None:
+def write_samples(path: Path, band: str, wavelengths: np.ndarray, pool: Pool) -> None:
     """Write PSF samples in psfield's layout."""
     at = np.linspace(0, SIDE - 1, 5)
-    rows = [(x, y, w) for y in at for x in at for w in wavelengths]
+    rows = [(band, x, y, w) for y in at for x in at for w in wavelengths]
     cube = fits.PrimaryHDU(np.array(pool.starmap(sampled, rows)))
     cube.header["OVERSAMP"] = OVERSAMPLING
     cube.header["FIELDNX"] = cube.header["FIELDNY"] = SIDE
-    x, y, w = np.array(rows).T
+    x, y, w = np.array([row[1:] for row in rows]).T
     columns = [fits.Column("X", "D", array=x), fits.Column("Y", "D", array=y)]
     columns.append(fits.Column("WAVELENGTH", "D", unit="nm", array=w))
     table = fits.BinTableHDU.from_columns(columns, name="POSITIONS")
@@ -88,20 +94,20 @@ def stamp_about(x: float, y: float) -> galsim.ImageD:
     return galsim.ImageD(galsim.BoundsI(column - 32, column + 31, row - 32, row + 31), scale=SCALE)
 
 
-def reference(star: tuple[float, float, float]) -> np.ndarray:
+def reference(band: str, star: tuple[float, float, float]) -> np.ndarray:
     """Return the sum of monochromatic PSFs, weighted by detected photons.
 
     A star is x, y and the temperature in kelvin.
     """
     warnings.simplefilter("ignore")
     x, y, kelvin = star
-    bandpass = galsim.roman.getBandpasses(AB_zeropoint=True)[BAND]
+    bandpass = galsim.roman.getBandpasses(AB_zeropoint=True)[band]
     edges = np.linspace(bandpass.blue_limit, bandpass.red_limit, FINE + 1)
     total, weights = 0.0, 0.0
     for low, high in pairwise(edges):
         points = low + (high - low) * (np.arange(20) + 0.5) / 20
         weight = float(np.sum(photons(points, kelvin) * [bandpass(w) for w in points]))
-        mono = psf(x, y, (low + high) / 2)
+        mono = psf(band, x, y, (low + high) / 2)
         total = (
             total
             + weight * mono.drawImage(image=stamp_about(x, y), center=galsim.PositionD(x, y)).array
@@ -115,9 +121,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--psfield", default="target/release/psfield")
     parser.add_argument("--work", type=Path, default=Path("colours"))
-    parser.add_argument("--stars", type=int, default=6, help="stars that are compared (20 s each)")
+    parser.add_argument(
+        "--stars",
+        type=int,
+        default=6,
+        help="stars that are compared (20 s each); 0: make the PSF only",
+    )
     parser.add_argument("--processes", type=int, default=2, help="processes of GalSim")
     parser.add_argument("--timed", type=int, default=2000, help="stars of the timing")
+    parser.add_argument("--band", default="W146", help="a band of galsim.roman")
     given = parser.parse_args()
     warnings.simplefilter("ignore")
     given.work.mkdir(exist_ok=True)
@@ -125,10 +137,10 @@ def main() -> None:
         name: str(given.work / name)
         for name in ("samples.fits", "psf.fits", "band.csv", "stars.csv", "image.fits")
     }
-    bandpass = galsim.roman.getBandpasses(AB_zeropoint=True)[BAND]
+    bandpass = galsim.roman.getBandpasses(AB_zeropoint=True)[given.band]
     wavelengths = np.linspace(bandpass.blue_limit, bandpass.red_limit, 9)
     pool = Pool(given.processes)
-    write_samples(path["samples.fits"], wavelengths, pool)
+    write_samples(path["samples.fits"], given.band, wavelengths, pool)
     fit = ["fit", path["samples.fits"], "-o", path["psf.fits"], "--overwrite", "-q"]
     subprocess.run([given.psfield, *fit, "--rank", "error=1e-6", "--normalise", "keep"], check=True)
     band = [(w, bandpass(w)) for w in bandpass.wave_list]
@@ -161,6 +173,8 @@ def main() -> None:
             subprocess.run([*command, *options], check=True, capture_output=True).stdout
         )
 
+    if given.stars == 0:
+        return
     rng = np.random.default_rng(5)
     seds = {
         t: galsim.SED(lambda w, t=t: photons(w, t) / w, "nm", "flambda").withFlux(1.0, bandpass)
@@ -171,16 +185,19 @@ def main() -> None:
     ]
     errors, of_galsim = [], []
     with pool:
-        for (x, y, kelvin), exact in zip(stars, pool.imap(reference, stars), strict=True):
-            simulated(
-                [x], [y], [kelvin], "--tolerance", "1e-6", "--tolerance-on", "l2", "--precision", "f64"
-            )
+        for (x, y, kelvin), exact in zip(
+            stars, pool.imap(partial(reference, given.band), stars), strict=True
+        ):
+            tight = ["--tolerance", "1e-6", "--tolerance-on", "l2", "--precision", "f64"]
+            simulated([x], [y], [kelvin], *tight)
             image, bounds = fits.getdata(path["image.fits"]), stamp_about(x, y).bounds
             ours = image[bounds.ymin : bounds.ymax + 1, bounds.xmin : bounds.xmax + 1]
             errors.append(np.abs(ours - exact).max() / exact.max())
             print(f"star {len(errors)}: {errors[-1]:.1e}", flush=True)
             if len(of_galsim) < OWN_DRAWINGS:
-                star_of_galsim = galsim.Convolve(galsim.DeltaFunction() * seds[kelvin], psf(x, y))
+                star_of_galsim = galsim.Convolve(
+                    galsim.DeltaFunction() * seds[kelvin], psf(given.band, x, y)
+                )
                 drawn = star_of_galsim.drawImage(
                     bandpass, image=stamp_about(x, y), center=galsim.PositionD(x, y)
                 )
@@ -191,7 +208,7 @@ def main() -> None:
     x, y = rng.uniform(40, SIDE - 40, (2, given.timed))
     kelvin = [KELVIN[star % len(KELVIN)] for star in range(given.timed)]
     seconds = min(sum(simulated(x, y, kelvin)["seconds"].values()) for _ in range(3))
-    interpolated = psf(256, 256).interpolate(wavelengths)
+    interpolated = psf(given.band, 256, 256).interpolate(wavelengths)
     clock, drawn = time.perf_counter(), 12
     for star in range(drawn):
         convolved = galsim.Convolve(galsim.DeltaFunction() * seds[kelvin[star]], interpolated)

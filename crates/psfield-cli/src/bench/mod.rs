@@ -54,7 +54,8 @@ pub(crate) struct BenchArgs {
     /// frames: 1000 frames of 256 x 256 pixels with one plan.
     /// fields: 100 frames of 256 x 256 pixels, each with its own PSF field: plan and image.
     /// colours: frames of --sizes with the light of five black bodies, each with its own image,
-    /// every pixel lit. The column ratio is the run time divided by that of one of the spectra.
+    /// every pixel lit. The column ratio is the run time divided by that of one of the spectra. If this
+    /// is the only group, --psf may name a PSF with wavelengths.
     /// series: 100 exposures of 2048 x 2048 pixels, every pixel lit. The PSF changes with time, and the
     /// telescope drifts: plans and images. The column ratio is the run time divided by that of a series
     /// through the first PSF, without drift.
@@ -71,7 +72,7 @@ pub(crate) struct BenchArgs {
         value_delimiter = ',',
         default_missing_value = "pixels,light,stars,galaxies,frames,fields,colours,series,starseries",
         conflicts_with_all = [
-            "grids", "psf", "scene", "stretch", "preset", "rank", "methods", "tolerances", "patches", "ranks", "anchor",
+            "grids", "scene", "stretch", "preset", "rank", "methods", "tolerances", "patches", "ranks", "anchor",
             "precision", "plot", "device", "gpu_adapter"
         ],
         verbatim_doc_comment

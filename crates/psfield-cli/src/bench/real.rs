@@ -1,8 +1,10 @@
 //! `psfield bench --real`.
 
 use anyhow::Context as _;
+use psfield::Psf;
 use psfield_lab::bench::{self, REAL_TOLERANCE, RealCase, RealGroup, RealPsf, RealRow};
 
+use crate::UsageError;
 use crate::bench::report::{line, mebibytes, or_dash};
 use crate::bench::settings::Settings;
 use crate::bench::{BenchArgs, JsonTo};
@@ -16,11 +18,20 @@ impl BenchArgs {
             .iter()
             .flat_map(|group| group.cases(&settings.sizes, self.quick))
             .collect();
+        let colours_alone = cases.iter().all(|case| case.psf == RealPsf::Spectra);
+        let of_spectra = match &self.psf {
+            Some(path) if colours_alone => Some(bench::of_black_bodies(&Psf::open(path)?.native(None)?)?),
+            Some(_) => {
+                return Err(UsageError("--psf: among --real, only for --real=colours alone".into()).into());
+            }
+            None => None,
+        };
         let needs_grid = cases.iter().any(|case| case.psf != RealPsf::Spectra);
         let grid = needs_grid.then(|| self.records(&settings, context)?.next().context("one grid")?);
         let grid = grid.transpose()?;
         let bar = context.bar("measuring");
-        let rows = bench::run_real_cases(&cases, grid.as_ref(), &options, &bar).map_err(without_option)?;
+        let rows = bench::run_real_cases(&cases, (grid.as_ref(), of_spectra), &options, &bar)
+            .map_err(without_option)?;
         drop(bar);
         let threads = rayon::current_num_threads();
         let report = object! {

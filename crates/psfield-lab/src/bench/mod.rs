@@ -43,5 +43,6 @@ pub use case::{BenchCase, lit_scene, stretched};
 pub use contender::Contender;
 pub use real::{REAL_TOLERANCE, RealRow, run_real_cases};
 pub use real_case::{RealCase, RealGroup, RealPsf};
+pub use real_colours::of_black_bodies;
 pub(crate) use real_colours::{bandpass, psf_of_wavelengths};
 pub use run::{BenchOptions, BenchOutcome, BenchRow, Skipped, run};

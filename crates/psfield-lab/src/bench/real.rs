@@ -73,7 +73,9 @@ pub struct RealRow {
 
 /// Measures cases one after the other, with tolerance [`REAL_TOLERANCE`] and the method auto in
 /// f32. `grid` is a model on a regular grid of samples, interpolated bilinearly. Only the PSFs
-/// [`RealPsf::Spectra`] and [`RealPsf::Times`] do not need it.
+/// [`RealPsf::Spectra`] and [`RealPsf::Times`] do not need it. `of_spectra` is the PSF
+/// [`RealPsf::Spectra`] ([`of_black_bodies`](crate::bench::of_black_bodies)). None: that of the survey
+/// telescope.
 ///
 /// For cases with images, the method auto and the single PSF run in turn, as in
 /// [`run`](crate::bench::run()), and so does simpler work ([`RealRow::seconds_simpler`]).
@@ -85,13 +87,13 @@ pub struct RealRow {
 /// When a case needs `grid`, and it is None.
 pub fn run_real_cases(
     cases: &[RealCase],
-    grid: Option<&PsfModelRecord>,
+    (grid, mut of_spectra): (Option<&PsfModelRecord>, Option<PsfModelRecord>),
     options: &BenchOptions,
     progress: &dyn Progress,
 ) -> Result<Vec<RealRow>, PsfieldError> {
     progress.start(cases.len() as u64);
     let mut rows = Vec::with_capacity(cases.len());
-    let (mut of_spectra, mut of_times) = (None, None);
+    let mut of_times = None;
     // Cases of one PSF and field are neighbours in the list.
     for cases in cases.chunk_by(|a, b| (a.psf, a.field_side()) == (b.psf, b.field_side())) {
         let side = cases[0].field_side();

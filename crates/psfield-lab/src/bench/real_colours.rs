@@ -2,7 +2,7 @@
 
 use psf_optics::Telescope;
 use psf_sample::{UniformSampling, draw_states};
-use psf_types::{NoProgress, PsfModelRecord, PsfSource, StateKind};
+use psf_types::{NoProgress, PsfModelRecord, PsfSource, SampleStates, StateKind};
 use psfield::spectra::{Bandpass, Curve, Spectrum};
 use psfield::{FitOptions, Psf, PsfieldError};
 
@@ -53,7 +53,28 @@ pub(super) fn psf_of_states(
 /// telescope.
 pub(super) fn black_bodies() -> Result<PsfModelRecord, PsfieldError> {
     let psf = psf_of_wavelengths(&Telescope::survey_2m(), &WAVELENGTHS_UM, SAMPLES_ACROSS)?;
+    black_bodies_in(&psf, &bandpass()?)
+}
+
+/// The PSFs of the black bodies of [`RealGroup::Colours`](crate::bench::RealGroup), on one basis, for a
+/// PSF with wavelengths. The throughput is 1 from the first wavelength to the last.
+///
+/// # Errors
+/// The errors of [`Psf::for_spectra`], such as that for a PSF without wavelengths.
+pub fn of_black_bodies(psf: &Psf) -> Result<PsfModelRecord, PsfieldError> {
+    let wavelengths_um = psf.states().map(SampleStates::values);
+    match wavelengths_um {
+        Some([first, .., last]) => {
+            let flat = Curve::new(vec![*first, *last], vec![1.0, 1.0])?;
+            black_bodies_in(psf, &Bandpass::new(flat))
+        }
+        // This is an error.
+        _ => black_bodies_in(psf, &bandpass()?),
+    }
+}
+
+fn black_bodies_in(psf: &Psf, bandpass: &Bandpass) -> Result<PsfModelRecord, PsfieldError> {
     let spectra = KELVINS.map(Spectrum::black_body).into_iter();
     let spectra = spectra.collect::<Result<Vec<_>, _>>()?;
-    Ok(psf.for_spectra(&bandpass()?, &spectra)?.record()?.clone())
+    Ok(psf.for_spectra(bandpass, &spectra)?.record()?.clone())
 }
