@@ -168,7 +168,8 @@ impl<T: ConvReal> LocalTile<'_, T> {
 
 impl<T: ConvReal> TileEngine<'_, T> {
     /// Copies a rectangle of `source` that begins at (`column`, `row`) to `plane`. Pixels outside
-    /// `source`, and the padding of rows, become zeros.
+    /// `source`, and the padding of rows, become zeros. `seen` gets each row with its padding while it is
+    /// in the first-level cache.
     #[inline(always)]
     pub(crate) fn load(
         &self,
@@ -176,6 +177,7 @@ impl<T: ConvReal> TileEngine<'_, T> {
         (column, row): (i64, i64),
         (columns, rows): (usize, usize),
         plane: &mut [T],
+        mut seen: impl FnMut(&[T]),
     ) {
         let (height, width) = source.dim();
         let padded = columns.next_multiple_of(X_STEP);
@@ -191,6 +193,7 @@ impl<T: ConvReal> TileEngine<'_, T> {
                 into[..to.start].fill(T::zero());
                 into[to.clone()].copy_from_slice(&values[from.clone()]);
                 into[to.end..].fill(T::zero());
+                seen(into);
             } else {
                 into.fill(T::zero());
             }

@@ -12,7 +12,7 @@ use crate::working_range::{Rescaling, brightest_allowed, contrast};
 use crate::{ConvError, ConvReal};
 
 /// Statistics of the light of a tile.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 struct Light {
     /// Pixels that are not zero.
     lit: usize,
@@ -22,28 +22,30 @@ struct Light {
     total: f64,
 }
 
-impl Light {
-    /// Adds the light of another layer.
-    fn add(&mut self, other: Self) {
-        self.lit += other.lit;
-        self.largest = self.largest.max(other.largest);
-        self.total += other.total;
-    }
-}
-
 /// The number of independent sums, enough to fill a vector of any instruction set.
 const LANES: usize = 16;
 
-/// Inspects `rows` rows of `columns` pixels with `pitch` values from row to row.
-#[inline(always)]
-fn look<T: ConvReal>(plane: &[T], pitch: usize, (rows, columns): (usize, usize)) -> Light {
-    let mut lit = [0_u32; LANES];
-    let mut largest = [T::zero(); LANES];
-    let mut total = 0.0;
-    for row in plane.chunks(pitch).take(rows) {
-        let mut sums = [T::zero(); LANES];
-        // Rows are padded with zeros to whole vectors.
-        for chunk in row[..columns.next_multiple_of(LANES).min(row.len())].chunks_exact(LANES) {
+/// Collects the statistics of light, row by row.
+struct Look<T> {
+    lit: [u32; LANES],
+    largest: [T; LANES],
+    total: f64,
+}
+
+impl<T: ConvReal> Look<T> {
+    fn new() -> Self {
+        Self {
+            lit: [0; LANES],
+            largest: [T::zero(); LANES],
+            total: 0.0,
+        }
+    }
+
+    /// Inspects a row that is padded with zeros to whole vectors.
+    #[inline(always)]
+    fn add_row(&mut self, row: &[T]) {
+        let (mut lit, mut largest, mut sums) = (self.lit, self.largest, [T::zero(); LANES]);
+        for chunk in row.chunks_exact(LANES) {
             for i in 0..LANES {
                 let value = chunk[i].abs();
                 lit[i] += u32::from(value != T::zero());
@@ -51,12 +53,16 @@ fn look<T: ConvReal>(plane: &[T], pitch: usize, (rows, columns): (usize, usize))
                 sums[i] += value;
             }
         }
-        total += sums.iter().map(|v| v.as_f64()).sum::<f64>();
+        (self.lit, self.largest) = (lit, largest);
+        self.total += sums.iter().map(|v| v.as_f64()).sum::<f64>();
     }
-    Light {
-        lit: lit.iter().map(|&n| n as usize).sum(),
-        largest: largest.iter().map(|v| v.as_f64()).fold(0.0, f64::max),
-        total,
+
+    fn light(&self) -> Light {
+        Light {
+            lit: self.lit.iter().map(|&n| n as usize).sum(),
+            largest: self.largest.iter().map(|v| v.as_f64()).fold(0.0, f64::max),
+            total: self.total,
+        }
     }
 }
 
@@ -246,13 +252,18 @@ pub(crate) fn treated<T: ConvReal>(
     let mut seen = vectorized!({
         let corner = (corner.0, corner.1 - pass.first_light as i64);
         let layers = workspace.light.get_mut().chunks_mut(layer_len);
-        let (mut seen, of_layer) = (Light::default(), (size.0, layer_len / pitch));
-        // Looks at each layer while it is in the second-level cache.
+        let (mut seen, of_layer) = (Look::new(), (size.0, layer_len / pitch));
         for (light, into) in pass.light.iter().zip(layers) {
-            engine.load(light.view(), corner, of_layer, into);
-            seen.add(look(into, pitch, (of_layer.1, of_layer.0)));
+            engine.load(
+                light.view(),
+                corner,
+                of_layer,
+                into,
+                #[inline(always)]
+                |row| seen.add_row(row),
+            );
         }
-        seen
+        seen.light()
     });
     if seen.lit == 0 {
         return Ok(None);
@@ -377,6 +388,14 @@ pub(crate) fn each_tile<T: ConvReal, S: Lanes<T>>(
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    fn look(plane: &[f32], pitch: usize, (rows, columns): (usize, usize)) -> Light {
+        let mut look = Look::new();
+        for row in plane.chunks(pitch).take(rows) {
+            look.add_row(&row[..columns.next_multiple_of(LANES).min(pitch)]);
+        }
+        look.light()
+    }
 
     #[test]
     fn bright_pixels_are_taken_until_the_rest_is_even() {

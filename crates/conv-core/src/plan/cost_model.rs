@@ -27,6 +27,10 @@ const MULTIPLY: f64 = 0.09e-9;
 const READ_SPECTRUM: f64 = 0.08e-9;
 /// Multiplication of a pixel's light by the coefficient of one mode.
 const MULTIPLY_LIGHT: f64 = 0.10e-9;
+/// Like [`MULTIPLY_LIGHT`], for a tile with several layers of light that do not stay in the L2 cache.
+const MULTIPLY_LAYERS_LARGE: f64 = 0.30e-9;
+/// About as many values of layers stay in the L2 cache, beside a plane and its spectra.
+const LAYERS_IN_CACHE: f64 = 260_000.0;
 /// Reading a pixel's light, or adding a pixel to the image, per pixel of the tile.
 const READ_OR_ADD_PIXEL: f64 = 0.15e-9;
 /// Adding a tile's plane to the image, per value of the plane.
@@ -103,7 +107,12 @@ impl CostModel {
         let pixels = (tile.0 * tile.1 * layers) as f64;
         let plane = (size.0 * size.1) as f64;
         let r = kernels;
-        r * (self.transform(size) + self.multiply(size) + self.width * MULTIPLY_LIGHT * pixels)
+        let multiply_light = if layers > 1 && self.width * pixels > LAYERS_IN_CACHE {
+            MULTIPLY_LAYERS_LARGE
+        } else {
+            MULTIPLY_LIGHT
+        };
+        r * (self.transform(size) + self.multiply(size) + self.width * multiply_light * pixels)
             + self.transform(size)
             + self.width * (READ_OR_ADD_PIXEL * pixels + ADD * plane)
     }
