@@ -11,7 +11,7 @@ use psf_io::{
     detect_hdu, read_cube, read_header, read_stamp_cube, read_stamp_header, read_stdpsf, read_stdpsf_hdu,
     read_stpsf, read_stpsf_hdu, write_gridded,
 };
-use psf_types::{Position, PsfSamples, SamplePositions, StampGrid, StampInterpolation};
+use psf_types::{Position, PsfSamples, SamplePositions, StampGrid, StampInterpolation, StateKind};
 use support::libraries::{stdpsf, stpsf};
 use support::mutations::{assert_refused, cut, huge_sizes, not_finite, wrong_types};
 use support::{IMAGE, SIMPLE, Scratch, assert_error, chain, f32s, image};
@@ -249,6 +249,34 @@ fn several_plain_stamps_need_positions() {
     }
     let wrong = StampCubeOptions::default().with_oversampling(0.0);
     assert!(chain(&read_stamp_cube(&one, &wrong).unwrap_err()).contains("oversampling"));
+}
+
+#[test]
+fn planes_may_be_wavelengths() {
+    let scratch = Scratch::new();
+    let values: Vec<f32> = (1..=32).map(|v| v as f32).collect();
+    let read = |cards: &[&str]| {
+        let cards = [&["OVERSAMP= 4"], cards].concat();
+        let bytes = image(SIMPLE, -32, &[4, 4, 2], &cards, &f32s(&values));
+        read_stamp_cube(scratch.put("cube.fits", &bytes), &StampCubeOptions::default())
+    };
+    let samples = read(&["WAVELN00= 2.5E-06", "WAVELN01= 2.0E-06"]).unwrap();
+    let states = samples.positions().states().unwrap();
+    assert_eq!(
+        (states.kind(), states.values()),
+        (StateKind::Wavelength, &[2.0, 2.5][..])
+    );
+    assert_eq!(states.per_sample().collect::<Vec<_>>(), [2.5, 2.0]);
+    assert_eq!(samples.positions().as_slice(), [Position::of_pixel(0, 0); 2]);
+    for (cards, expected) in [
+        (&["WAVELN00= 2.5E-06"][..], "WAVELN01"),
+        (&["WAVELN00= 2.5E-06", "WAVELN01= -1.0"], "WAVELN01"),
+        (&["WAVELN00= 2.5E-06", "WAVELN01= 2.5E-06"], "2.5"),
+        (&["WAVELN01= 2.5E-06"], "without positions"),
+    ] {
+        let error = chain(&read(cards).unwrap_err());
+        assert!(error.contains(expected), "{expected}: {error}");
+    }
 }
 
 #[test]

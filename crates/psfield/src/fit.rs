@@ -66,8 +66,8 @@ impl FitOptions {
         }
     }
 
-    /// Options for one stamp that is the PSF of the whole field. There are no other stamps for an
-    /// interpolation.
+    /// Options for one stamp that is the PSF of the whole field, or for one in each state. There are no
+    /// others for an interpolation over the field.
     pub fn of_single_stamp() -> Self {
         Self {
             interpolation: Interpolation::Nearest,

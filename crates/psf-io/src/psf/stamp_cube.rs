@@ -2,14 +2,14 @@
 
 use std::path::Path;
 
-use psf_types::{DataError, Position, PsfSamples, SamplePositions};
+use psf_types::{DataError, Position, PsfSamples, SamplePositions, SampleStates, StateKind};
 
 use crate::error::{IoError, IoErrorKind, invalid};
-use crate::fits::hdu::HduChoice;
+use crate::fits::hdu::{Hdu, HduChoice};
 use crate::fits::header_cards::HeaderCards;
 use crate::fits::image::read_stack;
 use crate::fits::structure::FitsStructure;
-use crate::psf::gridded::cube_shape;
+use crate::psf::gridded::{LibraryCards, cube_shape};
 use crate::psf::samples::{field, stamp_grid};
 
 /// Settings for a [plain cube of stamps](read_stamp_cube) whose file lacks them or states them
@@ -79,7 +79,9 @@ impl StampCubeOptions {
 ///
 /// Keywords of the [`psf-samples` layout](crate::samples) are used if present, otherwise the
 /// defaults of that layout. `options` override both. A single stamp needs no position: it is the
-/// PSF everywhere, and its sample gets the position (0, 0).
+/// PSF everywhere, and its sample gets the position (0, 0). So does each plane of a cube over
+/// wavelength, as STPSF's `calc_datacube` writes them: the cards `WAVELN00`, `WAVELN01` ... (from 100
+/// planes on `WVLN0000` ...) give the wavelength of each plane in metres.
 ///
 /// ```
 /// # let directory = tempfile::tempdir()?;
@@ -106,6 +108,7 @@ pub fn read_stamp_cube(path: impl AsRef<Path>, options: &StampCubeOptions) -> Re
     let structure = FitsStructure::scan(path)?;
     let hdu = structure.stamps(options.extension.as_ref())?;
     let shape = cube_shape(hdu)?;
+    let mut wavelengths_um = None;
     let positions = match &options.positions {
         Some(positions) => {
             let what = "positions, one per plane of the cube";
@@ -114,14 +117,20 @@ pub fn read_stamp_cube(path: impl AsRef<Path>, options: &StampCubeOptions) -> Re
         }
         None if shape.0 == 1 => vec![Position::of_pixel(0, 0)],
         None => {
-            let problem = format!(
-                "there are {} stamps without positions: give one position per stamp",
-                shape.0
-            );
-            return Err(hdu.error(IoErrorKind::Setting, problem).with_setting("positions"));
+            wavelengths_um = of_planes(hdu, shape.0)?;
+            if wavelengths_um.is_none() {
+                let problem = format!(
+                    "there are {} stamps without positions: give one position per stamp",
+                    shape.0
+                );
+                return Err(hdu.error(IoErrorKind::Setting, problem).with_setting("positions"));
+            }
+            vec![Position::of_pixel(0, 0); shape.0]
         }
     };
-    let positions = SamplePositions::new(positions, field(hdu)?).map_err(invalid(path))?;
+    let states = wavelengths_um.map(|um| SampleStates::new(StateKind::Wavelength, &um));
+    let states = states.transpose().map_err(invalid(path))?;
+    let positions = SamplePositions::with_states(positions, field(hdu)?, states).map_err(invalid(path))?;
     let mut grid = stamp_grid(hdu, shape.2, shape.1)?;
     if let Some(oversampling) = options.oversampling {
         grid = grid.with_oversampling(oversampling).map_err(invalid(path))?;
@@ -133,6 +142,29 @@ pub fn read_stamp_cube(path: impl AsRef<Path>, options: &StampCubeOptions) -> Re
         grid = grid.with_pixel_response_included(included);
     }
     PsfSamples::new(read_stack(hdu, shape)?, positions, grid).map_err(invalid(path))
+}
+
+/// The wavelength of each plane in micrometres, if there is a card for the first plane.
+fn of_planes(hdu: &Hdu, planes: usize) -> Result<Option<Vec<f64>>, IoError> {
+    const EXPECTED: &str = "the wavelength of a plane in metres, a number above 0";
+    // STPSF: `label_wavelength` in stpsf/utils.py.
+    let keyword = |plane: usize| match planes {
+        ..100 => format!("WAVELN{plane:02}"),
+        _ => format!("WVLN{plane:04}"),
+    };
+    let cards = LibraryCards::new(hdu);
+    if !cards.has(&keyword(0)) {
+        return Ok(None);
+    }
+    let wavelength_um = |plane| {
+        let metres = cards.required_number(&keyword(plane), EXPECTED)?;
+        if metres > 0.0 {
+            Ok(metres * 1e6)
+        } else {
+            Err(cards.bad_value(&keyword(plane), EXPECTED, metres))
+        }
+    };
+    (0..planes).map(wavelength_um).collect::<Result<_, _>>().map(Some)
 }
 
 /// Reads the header cards of the image that [`read_stamp_cube`] reads.

@@ -384,3 +384,43 @@ fn the_planes_of_a_cube_have_spectra() {
     let run = desk.run(&format!("simulate cube.fits {to} -o no.fits --stream"));
     assert!(run.code == Some(1) && run.stderr.contains("--layer"), "{run:?}");
 }
+
+#[test]
+fn the_planes_of_a_psf_cube_have_wavelengths() {
+    let desk = Desk::new();
+    let all = coloured();
+    let planes = all.stamps().select(ndarray::Axis(0), &[0, 9]);
+    let one = SamplePositions::in_every_state(
+        &all.positions().as_slice()[..1],
+        None,
+        StateKind::Wavelength,
+        &[0.9, 0.5],
+    );
+    let samples = PsfSamples::new(planes.clone(), one.unwrap(), all.grid()).unwrap();
+    desk.write_samples("one.fits", &samples);
+    let card = |keyword, value: f64| Card::new(keyword, value, "").unwrap();
+    let cards = [
+        card("OVERSAMP", all.grid().oversampling()),
+        card("WAVELN00", 0.9e-6),
+        card("WAVELN01", 0.5e-6),
+    ];
+    psf_io::write_cube(desk.path("cube.fits"), planes.view(), &cards, false).unwrap();
+    desk.write("band.csv", "wavelength_um,throughput\n0.5,0\n0.6,1\n0.9,0\n");
+    desk.write_image("point.fits", points(&[(20, 20, 1000.0)]));
+    for options in ["--psf-wavelength 0.7", "--bandpass band.csv --sed blackbody:4000"] {
+        let image = |psf: &str, name: &str| {
+            desk.done(&format!(
+                "simulate point.fits --psf {psf} {options} -o {name} --overwrite -q"
+            ));
+            desk.image(name)
+        };
+        let from_cube = image("cube.fits", "a.fits");
+        let from_samples = image("one.fits --interpolation nearest", "b.fits");
+        assert!(difference(&from_cube, &from_samples) < SINGLE, "{options}");
+    }
+    let run = desk.run("simulate point.fits --psf cube.fits -o no.fits");
+    assert!(
+        run.code == Some(1) && run.stderr.contains("--psf-wavelength"),
+        "{run:?}"
+    );
+}

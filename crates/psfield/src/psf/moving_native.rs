@@ -227,6 +227,8 @@ impl OwnStamps {
 
 #[cfg(test)]
 mod tests {
+    use std::slice::from_ref;
+
     use ndarray::array;
     use psf_types::{SampleStates, StateKind};
 
@@ -281,7 +283,7 @@ mod tests {
                 Some(weights) => psf.mixed(weights.view(), None).unwrap(),
                 None => psf.clone(),
             };
-            for motions in [&motions[..], &[along_x.clone()], &[none.clone()]] {
+            for motions in [&motions[..], from_ref(&along_x), from_ref(&none)] {
                 let moving = MovingNative::new(&psf, motions).unwrap().unwrap();
                 let has_own = moving.own.as_ref().map(OwnStamps::stamp_count);
                 assert_eq!(has_own, (states > 1).then_some(positions * states), "{states}");

@@ -98,9 +98,9 @@ impl PsfFileOptions {
             ),
             (
                 self.wavelength_um.is_some(),
-                &[Scopesim, PsfSamples, PsfModel],
+                &[Scopesim, Cube, PsfSamples, PsfModel],
                 "wavelength_um",
-                "PSF samples, PSF models and field-varying PSFs of ScopeSim",
+                "PSF samples, PSF models, cubes over wavelength and field-varying PSFs of ScopeSim",
             ),
             (
                 self.time_s.is_some(),
@@ -311,9 +311,14 @@ impl Psf {
 fn defaults(kind: FileKind, positions: &SamplePositions) -> FitOptions {
     match kind {
         FileKind::Stpsf | FileKind::Stdpsf => FitOptions::of_gridded_library(positions),
-        FileKind::Image => FitOptions::of_single_stamp(),
+        FileKind::Cube | FileKind::Image if is_everywhere(positions) => FitOptions::of_single_stamp(),
         _ => FitOptions::default(),
     }
+}
+
+/// Returns whether all samples are at one position: there are no others for an interpolation.
+fn is_everywhere(positions: &SamplePositions) -> bool {
+    positions.as_slice().windows(2).all(|pair| pair[0] == pair[1])
 }
 
 fn read(path: &Path, file: &PsfFileOptions) -> Result<(Origin, FileKind, SourceFile), PsfieldError> {
@@ -441,8 +446,11 @@ fn plain(path: &Path, kind: FileKind, file: &PsfFileOptions) -> Result<(Origin, 
         let setting = Some("centre");
         notes.push(Note { text, setting });
     }
-    if samples.len() == 1 {
-        notes.push(plain_note("one stamp: it is the PSF of the whole field"));
+    if is_everywhere(samples.positions()) {
+        notes.push(plain_note(match samples.len() {
+            1 => "one stamp: it is the PSF of the whole field",
+            _ => "one stamp for each wavelength: it is the PSF of the whole field",
+        }));
     }
     Ok((unfitted(samples), notes))
 }
