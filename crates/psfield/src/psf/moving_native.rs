@@ -38,7 +38,7 @@ pub(crate) struct MovingNative {
 const MOST_ROOM: f64 = 8.0;
 
 impl MovingNative {
-    /// Prepares a PSF for these motions. `None` if its native pixels are not some of the pixels of its
+    /// Prepares a PSF for these motions, one for each exposure. `None` if its native pixels are not some of the pixels of its
     /// stamps, if the caller implements its coefficient field, or if the transforms are too large for the
     /// memory.
     pub(crate) fn new(psf: &Psf, motions: &[Motion]) -> Result<Option<Self>, PsfieldError> {
@@ -61,7 +61,9 @@ impl MovingNative {
         let record = psf.record()?;
         let basis = record.basis();
         let fits = |stamps: usize| check_stack(2 * (stamps + 1), moving.target).is_ok();
-        let own = OwnStamps::new(record).filter(|own| fits(own.stamp_count()));
+        // For fewer exposures than states, to make the stamps of all states would take longer.
+        let is_worthwhile = record.coefficients().positions().state_count() <= motions.len();
+        let own = OwnStamps::new(record).filter(|own| is_worthwhile && fits(own.stamp_count()));
         if own.is_none() && !fits(basis.rank()) {
             return Ok(None);
         }
@@ -284,7 +286,8 @@ mod tests {
                 None => psf.clone(),
             };
             for motions in [&motions[..], from_ref(&along_x), from_ref(&none)] {
-                let moving = MovingNative::new(&psf, motions).unwrap().unwrap();
+                let exposures: Vec<_> = motions.iter().cycle().take(3).cloned().collect();
+                let moving = MovingNative::new(&psf, &exposures).unwrap().unwrap();
                 let has_own = moving.own.as_ref().map(OwnStamps::stamp_count);
                 assert_eq!(has_own, (states > 1).then_some(positions * states), "{states}");
                 for motion in motions {
@@ -308,6 +311,8 @@ mod tests {
                         }
                     }
                 }
+                let few = MovingNative::new(&psf, &exposures[..1]).unwrap().unwrap();
+                assert!(few.own.is_none());
                 let long = Motion::along_line([0.0, 0.0], [9.0, 0.0]).unwrap();
                 assert!(moving.psf(&long, weights.as_ref()).unwrap().is_none());
             }
