@@ -108,24 +108,22 @@ pub fn read_stamp_cube(path: impl AsRef<Path>, options: &StampCubeOptions) -> Re
     let structure = FitsStructure::scan(path)?;
     let hdu = structure.stamps(options.extension.as_ref())?;
     let shape = cube_shape(hdu)?;
-    let mut wavelengths_um = None;
-    let positions = match &options.positions {
+    let (positions, wavelengths_um) = match &options.positions {
         Some(positions) => {
             let what = "positions, one per plane of the cube";
             DataError::check_count(what, shape.0, positions.len()).map_err(invalid(path))?;
-            positions.clone()
+            (positions.clone(), None)
         }
-        None if shape.0 == 1 => vec![Position::of_pixel(0, 0)],
+        None if shape.0 == 1 => (vec![Position::of_pixel(0, 0)], None),
         None => {
-            wavelengths_um = of_planes(hdu, shape.0)?;
-            if wavelengths_um.is_none() {
+            let Some(wavelengths_um) = of_planes(hdu, shape.0)? else {
                 let problem = format!(
                     "there are {} stamps without positions: give one position per stamp",
                     shape.0
                 );
                 return Err(hdu.error(IoErrorKind::Setting, problem).with_setting("positions"));
-            }
-            vec![Position::of_pixel(0, 0); shape.0]
+            };
+            (vec![Position::of_pixel(0, 0); shape.0], Some(wavelengths_um))
         }
     };
     let states = wavelengths_um.map(|um| SampleStates::new(StateKind::Wavelength, &um));

@@ -68,7 +68,7 @@ pub fn of_black_bodies(psf: &Psf) -> Result<PsfModelRecord, PsfieldError> {
             let flat = Curve::new(vec![*first, *last], vec![1.0, 1.0])?;
             black_bodies_in(psf, &Bandpass::new(flat))
         }
-        // This is an error.
+        // Not a PSF with wavelengths: the error says so.
         _ => black_bodies_in(psf, &bandpass()?),
     }
 }

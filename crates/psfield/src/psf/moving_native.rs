@@ -38,9 +38,9 @@ pub(crate) struct MovingNative {
 const MOST_ROOM: f64 = 8.0;
 
 impl MovingNative {
-    /// Prepares a PSF for these motions, one for each exposure. `None` if its native pixels are not some of the pixels of its
-    /// stamps, if the caller implements its coefficient field, or if the transforms are too large for the
-    /// memory.
+    /// Prepares a PSF for these motions, one for each exposure. `None` if its native pixels are not some
+    /// of the pixels of its stamps, if the caller implements its coefficient field, or if the transforms
+    /// are too large for the memory.
     pub(crate) fn new(psf: &Psf, motions: &[Motion]) -> Result<Option<Self>, PsfieldError> {
         if matches!(psf.0.origin, Origin::Model(..)) {
             return Ok(None);
@@ -62,8 +62,9 @@ impl MovingNative {
         let basis = record.basis();
         let fits = |stamps: usize| check_stack(2 * (stamps + 1), moving.target).is_ok();
         // For fewer exposures than states, to make the stamps of all states would take longer.
-        let is_worthwhile = record.coefficients().positions().state_count() <= motions.len();
-        let own = OwnStamps::new(record).filter(|own| is_worthwhile && fits(own.stamp_count()));
+        let pays = record.coefficients().positions().state_count() <= motions.len();
+        let own = pays.then(|| OwnStamps::new(record)).flatten();
+        let own = own.filter(|own| fits(own.stamp_count()));
         if own.is_none() && !fits(basis.rank()) {
             return Ok(None);
         }

@@ -290,9 +290,8 @@ impl<T: ConvReal> SeriesSimulator<T> {
             true if is_still => Some(Arc::clone(&at_rest)),
             true => Some(self.simulator(MOVING, number, jitter, progress)?),
         };
-        self.move_image(origin)?;
-        let image = self.image_moved_by(origin);
         let mut drawn = self.sources_of(times, (origin, shift_px))?;
+        let image = self.image_moved_by(origin)?;
         let [stars, trails] = drawn.stars;
         let [galaxies, galaxy_trails] = drawn.galaxies;
         let mut layers = vec![(at_rest, image.with_stars(stars).with_galaxies(galaxies))];
@@ -468,27 +467,22 @@ impl<T: ConvReal> SeriesSimulator<T> {
     }
 
     /// The image of the scene, moved by whole frame pixels. What comes in from outside is dark.
-    fn image_moved_by(&self, by: [f64; 2]) -> Scene<'_, T> {
-        match (&self.image, &self.moved_image) {
-            (Some(_), Some((origin, moved))) if *origin == by => Scene::from(moved),
-            (Some(image), _) => Scene::from(image),
-            (None, _) => Scene::dark(),
+    fn image_moved_by(&mut self, by: [f64; 2]) -> Result<Scene<'_, T>, PsfieldError> {
+        let Some(image) = &self.image else {
+            return Ok(Scene::dark());
+        };
+        if by == [0.0, 0.0] {
+            return Ok(Scene::from(image));
         }
-    }
-
-    /// Makes the image that [`image_moved_by`](Self::image_moved_by) needs.
-    fn move_image(&mut self, by: [f64; 2]) -> Result<(), PsfieldError> {
-        let is_made = self.moved_image.as_ref().is_some_and(|(origin, _)| *origin == by);
-        if let Some(image) = &self.image
-            && !is_made
-            && by != [0.0, 0.0]
-        {
-            // Frees the memory first.
-            self.moved_image = None;
+        // The memory of an image that was moved otherwise is freed first.
+        let kept = self.moved_image.take().filter(|(origin, _)| *origin == by);
+        let moved = if let Some(kept) = kept {
+            kept
+        } else {
             let pixels = by.map(|shift| (shift * self.options.oversample as f64) as i64);
-            self.moved_image = Some((by, Image::new(translated(image.pixels(), pixels))?));
-        }
-        Ok(())
+            (by, Image::new(translated(image.pixels(), pixels))?)
+        };
+        Ok(Scene::from(&self.moved_image.insert(moved).1))
     }
 
     /// The sources of an exposure. Those at rest on the sky have moved by `origin`. The list has moved by
