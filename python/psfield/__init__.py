@@ -31,6 +31,7 @@ from psfield._errors import PsfieldWarning
 from psfield._model import PsfModel
 from psfield._native import __version__
 from psfield._plan import Plan, SpotCheck
+from psfield._simulate import example, simulate
 from psfield._threads import set_threads, threads
 
 __all__ = [
@@ -40,8 +41,10 @@ __all__ = [
     "SpotCheck",
     "__version__",
     "detector",
+    "example",
     "metrics",
     "read_catalog",
     "set_threads",
+    "simulate",
     "threads",
 ]

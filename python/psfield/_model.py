@@ -54,9 +54,10 @@ PathLike = str | os.PathLike[str]
 class PsfModel:
     """A PSF that varies over the field.
 
-    Make a model with `from_samples`, `from_basis`, `from_gridded_psf_model`, `from_function` or
-    `read`. Models are immutable, can be pickled, and may be used from many threads. The fit of the
-    samples and the interpolator are computed when they are first needed, and kept.
+    Make a model with `read`, `from_samples`, `from_function`, `from_telescope`,
+    `from_gridded_psf_model` or `from_basis`. Models are immutable, can be pickled, and may be used
+    from many threads. The fit of the samples and the interpolator are computed when they are first
+    needed, and kept.
 
     Notes
     -----
@@ -92,8 +93,8 @@ class PsfModel:
 
     def __init__(self) -> None:
         raise TypeError(
-            "make a PsfModel with from_samples, read, from_function, from_gridded_psf_model or"
-            " from_basis"
+            "make a PsfModel with from_samples, read, from_function, from_telescope,"
+            " from_gridded_psf_model or from_basis"
         )
 
     @classmethod
@@ -446,6 +447,88 @@ class PsfModel:
             as_callback(progress),
         )
         return cls._of(native, sampling)
+
+    @classmethod
+    @american
+    def from_telescope(
+        cls,
+        telescope: PathLike = "survey-2m",
+        *,
+        field_shape: tuple[int, int] | None = None,
+        samples: tuple[int, int] = (7, 7),
+        stamp_size: int | None = None,
+        oversampling: int | None = None,
+        wavelengths_um: ArrayLike | None = None,
+        rank: str | int | None = None,
+        centring: Literal["mean", "none"] | None = None,
+        interpolation: str | None = None,
+        outside: Literal["nearest", "extend", "error"] | None = None,
+        normalise: Literal["unit", "keep"] | None = None,
+        **american: Unpack[American],
+    ) -> PsfModel:
+        """Make a model from the optics of a telescope.
+
+        The PSF is computed from the pupil, the wavefront over the field, the seeing, the pixel and
+        the blur of the detector, on a regular grid of positions.
+
+        Parameters
+        ----------
+        telescope : str or path
+            A built-in telescope, or a file (TOML) that describes one. ``'survey-2m'``: an off-axis
+            telescope of 2 m in space, at 633 nm, with 0.074 arcsec per pixel.
+            ``'wide-field-lens'``: a lens of 180 mm on the ground, undersampled, with 11.7 arcsec
+            per pixel. The aberrations of both are invented. ``psfield demo`` writes an example of a
+            file.
+        field_shape : (int, int), optional
+            Rows and columns of the frame. The PSF at the edge of this frame is that at the edge of
+            the telescope's field. Default: as the telescope.
+        samples : (int, int)
+            Rows and columns of the grid of positions.
+        stamp_size : int, optional
+            Rows and columns of the stamps in frame pixels. Default: as the telescope.
+        oversampling : int, optional
+            Stamp pixels per frame pixel, along each axis. Stars between pixels need 2 or more.
+            Default: as the telescope.
+        wavelengths_um : array_like, optional
+            Wavelengths in micrometres at which the PSF is computed. Diffraction, the phase of the
+            wavefront and the seeing depend on them. Default: the telescope's own wavelength, and
+            the PSF does not depend on the wavelength.
+        rank, centring, interpolation, outside, normalise
+            Fit of the samples, as for `from_samples`. The samples have no noise.
+
+        Returns
+        -------
+        PsfModel
+
+        Raises
+        ------
+        ValueError
+            There is no such telescope, the file cannot be read, or a value is impossible.
+
+        Examples
+        --------
+        >>> import psfield
+        >>> model = psfield.PsfModel.from_telescope(
+        ...     "survey-2m", field_shape=(300, 400), samples=(3, 3), stamp_size=24, oversampling=2
+        ... )
+        >>> model
+        <PsfModel: 9 samples, stamps 48 x 48, oversampling 2, field 300 x 400>
+        """
+        at = None
+        if wavelengths_um is not None:
+            at = column(wavelengths_um, "wavelengths_um").tolist()
+            if not at:
+                raise ValueError("wavelengths_um is empty: give at least one wavelength")
+        settings = {
+            "telescope": os.fspath(telescope),
+            "field": shape_or_none(field_shape, "field_shape"),
+            "samples": shape_of(samples, "samples"),
+            "stamp_size": integer_or_none(stamp_size, "stamp_size", 1),
+            "oversampling": integer_or_none(oversampling, "oversampling", 1),
+            "wavelengths_um": at,
+        }
+        fit = _fit(rank, centring, 0.0, interpolation, outside, normalise, None)
+        return cls._of(_native.sample_telescope(settings, fit))
 
     @classmethod
     @american

@@ -18,6 +18,7 @@ __all__ = [
     "quadrupole_moments",
     "read_catalog",
     "sample_function",
+    "sample_telescope",
     "set_threads",
     "threads",
 ]
@@ -53,6 +54,7 @@ def sample_function(
     fit: dict[str, Any],
     progress: _Callback,
 ) -> tuple[PsfModel, dict[str, Any]]: ...
+def sample_telescope(settings: dict[str, Any], fit: dict[str, Any]) -> PsfModel: ...
 
 @final
 class PsfModel:

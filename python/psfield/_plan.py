@@ -376,7 +376,7 @@ class Plan:
         """
         if scene is None and catalog is None:
             raise ValueError("there is nothing to simulate: give a scene, a catalog, or both")
-        if _is_stack(scene):
+        if is_stack(scene):
             return self._simulate_stack(scene, catalog, out, progress)
         light, unit = None if scene is None else self._scene(scene), unit_of(scene)
         columns = columns_of(catalog, unit)
@@ -629,7 +629,7 @@ class Plan:
         return _again, (self._model, self._settings)
 
 
-def _is_stack(scene: Any) -> bool:
+def is_stack(scene: Any) -> bool:
     """Return whether a scene is an array ``[n, y, x]`` or a list of arrays ``[y, x]``."""
     if isinstance(scene, (list, tuple)):
         return len(scene) > 0 and np.ndim(scene[0]) == 2

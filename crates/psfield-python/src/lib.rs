@@ -38,7 +38,7 @@ mod _native {
     #[pymodule_export]
     use crate::psf_model::PsfModel;
     #[pymodule_export]
-    use crate::sampling::sample_function;
+    use crate::sampling::{sample_function, sample_telescope};
     #[pymodule_export]
     use crate::threads::{set_threads, threads};
 
