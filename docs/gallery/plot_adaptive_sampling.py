@@ -2,9 +2,9 @@
 Adaptive sampling of a PSF
 ==========================
 
-A program that draws PSFs is often slow. ``PsfModel.from_function`` calls it at few positions: it
-refines a coarse grid only where the interpolated PSF would be wrong by more than ``threshold``. This
-made-up camera is out of focus near a point of the field, and the samples gather around it.
+A program that draws PSFs is often slow. ``PsfModel.from_function`` calls it at few positions. It
+refines a coarse grid only where the interpolated PSF would be wrong by more than ``threshold``.
+This made-up camera is out of focus near a point of the field, and the samples gather around it.
 """
 
 import matplotlib.pyplot as plt

@@ -16,7 +16,7 @@ from psfield.metrics import measure
 
 model = psfield.PsfModel.from_telescope(
     "survey-2m",
-    shape=(512, 768),
+    field_shape=(512, 768),
     samples=(3, 3),
     stamp_size=32,
     oversampling=4,

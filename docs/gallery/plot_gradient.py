@@ -14,7 +14,7 @@ import numpy as np
 import psfield
 
 shape = (32, 48)
-model = psfield.PsfModel.from_telescope("survey-2m", shape=shape, stamp_size=32)
+model = psfield.PsfModel.from_telescope("survey-2m", field_shape=shape, stamp_size=32)
 plan = model.plan(shape, tolerance=1e-6, precision="f64")
 
 truth, guess = np.ones(shape), np.ones(shape)

@@ -13,7 +13,7 @@ import numpy as np
 import psfield
 
 shape = (512, 768)
-truth = psfield.PsfModel.from_telescope("survey-2m", shape=shape)
+truth = psfield.PsfModel.from_telescope("survey-2m", field_shape=shape, samples=(13, 17))
 rng = np.random.default_rng(4)
 corners = [(0, 0), (767, 0), (0, 511), (767, 511)]
 positions = np.concatenate([corners, rng.uniform(0, 1, (96, 2)) * (767, 511)])

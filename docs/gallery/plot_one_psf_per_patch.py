@@ -15,7 +15,7 @@ import psfield
 from psfield.metrics import compare
 
 shape, sides = (512, 768), [256, 128, 64, 32]
-model = psfield.PsfModel.from_telescope("survey-2m", shape=shape)
+model = psfield.PsfModel.from_telescope("survey-2m", field_shape=shape)
 rng = np.random.default_rng(3)
 scene = rng.uniform(0, 1, shape) ** 8  # fine structure everywhere
 exact = psfield.simulate(scene, model, tolerance=1e-6, precision="f64")

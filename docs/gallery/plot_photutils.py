@@ -17,9 +17,11 @@ from photutils.psf import PSFPhotometry
 import psfield
 
 shape = (512, 768)
-model = psfield.PsfModel.from_telescope("survey-2m", shape=shape, stamp_size=32, oversampling=4)
+model = psfield.PsfModel.from_telescope(
+    "survey-2m", field_shape=shape, stamp_size=32, oversampling=4
+)
 y, x = (axis.ravel() + 0.3 for axis in np.mgrid[31:512:50, 34:768:50])
-image = psfield.simulate({"x": x, "y": y, "flux": 1000.0}, model, shape=shape, tolerance=1e-5)
+image = psfield.simulate({"x": x, "y": y, "flux": 1000.0}, model, tolerance=1e-5)
 
 everywhere = model.to_gridded_psf_model((17, 25))
 middle = psfield.PsfModel.from_samples(

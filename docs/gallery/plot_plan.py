@@ -13,7 +13,7 @@ import psfield
 from psfield.plot import plot_plan
 
 shape = (1024, 1536)
-model = psfield.PsfModel.from_telescope("survey-2m", shape=shape)
+model = psfield.PsfModel.from_telescope("survey-2m", field_shape=shape)
 
 figure, axes = plt.subplots(1, 2, figsize=(11, 3.8), layout="constrained")
 for ax, tolerance in zip(axes, [1e-2, 1e-4], strict=True):

@@ -15,7 +15,7 @@ from psfield.plot import plot_psf_field
 figure, axes = plt.subplots(2, 1, figsize=(7, 9), layout="constrained")
 for ax, name, size in [(axes[0], "survey-2m", 20), (axes[1], "wide-field-lens", 12)]:
     model = psfield.PsfModel.from_telescope(
-        name, shape=(512, 768), stamp_size=size, oversampling=4
+        name, field_shape=(512, 768), stamp_size=size, oversampling=4
     )
     plot_psf_field(model, ax=ax)
     ax.set_title(f"{name}: {ax.get_title()}")

@@ -16,7 +16,9 @@ import numpy as np
 import psfield
 
 shape, degrees = (512, 768), [0, 1, 2, 3, 4, 5, 6]
-model = psfield.PsfModel.from_telescope("survey-2m", shape=shape, stamp_size=32, oversampling=2)
+model = psfield.PsfModel.from_telescope(
+    "survey-2m", field_shape=shape, stamp_size=32, oversampling=2
+)
 rng = np.random.default_rng(2)
 x, y = rng.uniform(0, 767, 300), rng.uniform(0, 511, 300)
 exact = model.evaluate(x, y, size=61)

@@ -3,8 +3,8 @@ A raw frame
 ===========
 
 From light to the counts of a CCD. The detector adds sky, photon noise, read noise and bias, fills
-its pixels up to the full well, and converts to integers. The first panel is the image without noise,
-the second the raw frame. The third marks the pixels that are saturated, dead or in a bad column.
+its pixels up to the full well, and converts to integers. The first panel is the image without
+noise, the second the raw frame. The third marks pixels that are saturated, dead or in a bad column.
 """
 
 import matplotlib.pyplot as plt
@@ -16,7 +16,7 @@ from psfield.detector import BAD_COLUMN, DEAD, SATURATED, Detector
 from psfield.plot import plot_image
 
 scene, model = psfield.example()
-image = psfield.simulate(scene, model, shape=(512, 768))[200:400, 300:600]
+image = psfield.simulate(scene, model)[200:400, 300:600]
 ccd = Detector(
     electrons_per_flux=20.0,
     photon_noise=True,

@@ -13,7 +13,7 @@ import numpy as np
 import psfield
 from psfield.metrics import measure
 
-model = psfield.PsfModel.from_telescope("survey-2m", shape=(512, 768), oversampling=2)
+model = psfield.PsfModel.from_telescope("survey-2m", field_shape=(512, 768), oversampling=2)
 x, y = np.meshgrid(np.linspace(0, 767, 25), np.linspace(0, 511, 17))
 stamps = model.evaluate(x, y, pixels="frame", size=63)
 

@@ -12,7 +12,7 @@ import matplotlib.pyplot as plt
 import psfield
 
 model = psfield.PsfModel.from_telescope(
-    "survey-2m", shape=(512, 768), stamp_size=32, oversampling=4
+    "survey-2m", field_shape=(512, 768), stamp_size=32, oversampling=4
 )
 figure, axes = plt.subplots(1, 4, figsize=(11, 3.2), layout="constrained")
 for ax, x, y in zip(axes, [400, 400.25, 400.5, 400.5], [250, 250, 250, 250.5], strict=True):

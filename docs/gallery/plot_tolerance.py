@@ -13,7 +13,7 @@ import numpy as np
 import psfield
 
 shape, step = (420, 700), 70
-model = psfield.PsfModel.from_telescope("survey-2m", shape=shape, stamp_size=32)
+model = psfield.PsfModel.from_telescope("survey-2m", field_shape=shape, stamp_size=32)
 scene = np.zeros(shape)
 scene[step // 2 :: step, step // 2 :: step] = 1.0
 exact = model.plan(shape, tolerance=0, precision="f64").simulate(scene)

@@ -12,7 +12,9 @@ import matplotlib.pyplot as plt
 import psfield
 from psfield.plot import plot_shapes
 
-model = psfield.PsfModel.from_telescope("survey-2m", shape=(512, 768), stamp_size=32, oversampling=2)
+model = psfield.PsfModel.from_telescope(
+    "survey-2m", field_shape=(512, 768), stamp_size=32, oversampling=2
+)
 figure, ax = plt.subplots(figsize=(8, 4.6), layout="constrained")
 plot_shapes(model, ax=ax)
 plt.show()

@@ -47,7 +47,7 @@ assert report["leave_one_out"]["median"] < 0.02
 #
 # One call makes the image. Every source has the PSF of its own position.
 
-image = psfield.simulate(scene, model, shape=(512, 768))
+image = psfield.simulate(scene, model)
 ax = plot_image(image)
 ax.set_title("Stars and galaxies through the survey telescope")
 
@@ -93,7 +93,7 @@ assert check.passed
 middle = psfield.PsfModel.from_samples(
     model.evaluate(383.5, 255.5), (383.5, 255.5), oversampling=model.oversampling
 )
-simple = psfield.simulate(scene, middle, shape=(512, 768))
+simple = psfield.simulate(scene, middle, shape=model.field_shape)
 plot_residuals(simple, image)
 
 error = psfield.metrics.compare(simple, image).relative_l2

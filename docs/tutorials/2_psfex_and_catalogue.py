@@ -34,7 +34,7 @@ from psfield.plot import plot_shapes
 folder = Path(tempfile.mkdtemp())
 shape = (500, 700)
 telescope = psfield.PsfModel.from_telescope(
-    "survey-2m", shape=shape, stamp_size=32, oversampling=2
+    "survey-2m", field_shape=shape, stamp_size=32, oversampling=2
 )
 for note in telescope.write(folder / "survey.psf", format="psfex", degree=4):
     print(note)
@@ -82,7 +82,7 @@ model = psfield.PsfModel.read(folder / "survey.psf")
 for note in model.notes:
     print(note)
 figure, ax = plt.subplots(figsize=(8, 5), layout="constrained")
-plot_shapes(model, shape=shape, ax=ax)
+plot_shapes(model, ax=ax)
 
 # %%
 # ``columns`` gives the role of each column. Positions become 0-based pixels by the world
