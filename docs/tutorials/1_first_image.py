@@ -9,6 +9,7 @@ cost of using one PSF for the whole frame.
 It needs NumPy and matplotlib.
 """
 
+import matplotlib.pyplot as plt
 import numpy as np
 
 import psfield
@@ -31,6 +32,7 @@ print(model)
 # Look at the PSF first. Each stamp is drawn at its own position.
 
 plot_psf_field(model)
+plt.show()
 
 # %%
 # A model holds samples of the PSF and interpolates between them. It reports its own error: each
@@ -51,6 +53,7 @@ assert report["leave_one_out"]["median"] < 0.03
 image = psfield.simulate(scene, model)
 ax = plot_image(image)
 ax.set_title("Stars and galaxies through the survey telescope")
+plt.show()
 
 # %%
 # A PSF has unit flux, so the image keeps the light of the scene, except for the light that falls
@@ -88,14 +91,15 @@ assert check.passed
 # One PSF for the whole frame
 # ---------------------------
 #
-# How wrong would the image be with the PSF of the middle everywhere? The panels show a corner of the
-# frame. The title of the third gives the relative error.
+# How wrong would the image be with the PSF of the middle everywhere? The panels show a corner of
+# the frame. The title of the third gives the relative error there.
 
 middle = psfield.PsfModel.from_samples(
     model.evaluate(383.5, 255.5), (383.5, 255.5), oversampling=model.oversampling
 )
 simple = psfield.simulate(scene, middle, shape=model.field_shape)
 plot_residuals(simple[380:, :200], image[380:, :200])
+plt.show()
 
 error = psfield.metrics.compare(simple, image).relative_l2
 print(f"relative L2 error with one PSF: {error:.2f}")

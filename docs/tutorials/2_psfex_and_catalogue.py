@@ -10,6 +10,7 @@ It needs astropy and matplotlib. The files are made in the first step. If you ha
 at the second.
 """
 
+import shutil
 import tempfile
 from pathlib import Path
 
@@ -83,6 +84,7 @@ for note in model.notes:
     print(note)
 figure, ax = plt.subplots(figsize=(8, 5), layout="constrained")
 plot_shapes(model, ax=ax)
+plt.show()
 
 # %%
 # ``columns`` gives the role of each column. Positions become 0-based pixels by the world
@@ -131,6 +133,7 @@ ax = figure.add_subplot(projection=light.wcs)
 shown = ax.imshow(exposure.counts, origin="lower", cmap="gray", vmin=380, vmax=600)
 figure.colorbar(shown, ax=ax, label="counts (ADU)", shrink=0.8)
 ax.set(xlabel="right ascension", ylabel="declination")
+plt.show()
 
 # %%
 # 4. Photometry
@@ -160,3 +163,4 @@ plt.show()
 
 print(f"{len(deviations)} sources: mean {np.mean(deviations):.2f}, rms {np.std(deviations):.2f}")
 assert abs(np.mean(deviations)) < 0.25 and abs(np.std(deviations) - 1) < 0.15
+shutil.rmtree(folder)

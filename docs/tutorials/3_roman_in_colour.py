@@ -97,6 +97,7 @@ for ax, (name, band) in zip(axes, bands.items(), strict=True):
     ax.set(title=name, xlabel="x from the star (pixels)")
 axes[0].set_ylabel("y from the star (pixels)")
 figure.colorbar(shown, ax=axes, label="fraction of the flux per pixel")
+plt.show()
 
 # %%
 # Is that right? Compare with GalSim at a new position: the sum of the PSFs at 20 wavelengths, with
@@ -119,56 +120,51 @@ assert error < 0.01
 # ---------------------
 #
 # Stars of four temperatures, and galaxies with the spectrum of an elliptical or an irregular one
-# at redshift 0.3. The picture shows 500 x 700 pixels in a corner of the detector.
+# at redshift 0.3. A spectrum is a table of wavelengths and flux densities per wavelength. The
+# picture shows 500 x 700 pixels in a corner of the detector.
 
-folder = Path(galsim.meta_data.share_dir) / "SEDs"
-spectra = {f"{kelvin} K": f"blackbody:{kelvin}" for kelvin in (3000, 4500, 6000, 12000)}
-for name in ["CWW_E_ext", "CWW_Im_ext"]:
-    angstrom, flux_density = np.loadtxt(folder / f"{name}.sed").T
+spectra = {}
+waves = np.linspace(0.8, 2.0, 500)
+for kelvin in (3000, 4500, 6000, 12000):
+    spectra[f"{kelvin} K"] = (waves, waves**-5 / np.expm1(14387.77 / (waves * kelvin)))
+for name in ("CWW_E_ext", "CWW_Im_ext"):
+    path = Path(galsim.meta_data.share_dir) / "SEDs" / f"{name}.sed"
+    angstrom, flux_density = np.loadtxt(path).T
     spectra[name] = (1.3 * angstrom / 1e4, flux_density)
 
 rng = np.random.default_rng(6)
 catalogs = {}
 for name in spectra:
-    count = 60 if "K" in name else 25
+    count = 60 if name.endswith("K") else 25
     catalogs[name] = {
         "x": rng.uniform(0, 700, count),
         "y": rng.uniform(0, 500, count),
         "flux": np.minimum(500 * (1 - rng.uniform(0, 1, count)) ** -1.2, 5e4),  # in J129
-        "re": np.zeros(count) if "K" in name else rng.uniform(2, 9, count),
+        "re": np.zeros(count) if name.endswith("K") else rng.uniform(2, 9, count),
         "n": np.full(count, 4.0 if name == "CWW_E_ext" else 1.0),
         "q": rng.uniform(0.3, 1, count),
         "angle": rng.uniform(0, 180, count),
     }
 
 # %%
-# The flux of a source in another filter follows from its spectrum: detected photons are the
-# integral of flux density, wavelength and throughput.
+# The flux of a source in another filter follows from its spectrum. There is one plan for each
+# filter and spectrum, and their images add up.
 
 
 def detected(band, spectrum):
     """Return the photons of a spectrum in a filter, up to a factor."""
     waves, throughput = band
-    if isinstance(spectrum, str):
-        kelvin = float(spectrum.split(":")[1])
-        flux_density = waves**-5 / np.expm1(14387.77 / (waves * kelvin))
-    else:
-        flux_density = np.interp(waves, *spectrum)
-    return np.sum(flux_density * waves * throughput) * (waves[1] - waves[0])
+    return np.sum(np.interp(waves, *spectrum) * waves * throughput) * (waves[1] - waves[0])
 
-
-# %%
-# One plan for each filter and spectrum. Images add up.
 
 images = {}
 for name, band in bands.items():
-    total = np.zeros((500, 700), np.float32)
+    images[name] = np.zeros((500, 700), np.float32)
     for key, spectrum in spectra.items():
         ratio = detected(band, spectrum) / detected(bands["J129"], spectrum)
         catalog = {**catalogs[key], "flux": ratio * catalogs[key]["flux"]}
         plan = model.for_spectrum(band, spectrum).plan(shape, region=(0, 0, 700, 500))
-        total += plan.simulate(catalog=catalog)
-    images[name] = total
+        images[name] += plan.simulate(catalog=catalog)
 
 # %%
 # 4. The picture

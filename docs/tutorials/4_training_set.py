@@ -10,6 +10,7 @@ It needs NumPy and matplotlib.
 """
 
 import os
+import shutil
 import tempfile
 import time
 from concurrent.futures import ThreadPoolExecutor
@@ -154,13 +155,14 @@ print(f"light that stays in the frames: {100 * kept:.1f} %")
 assert 0.9 < kept < 1
 
 # %%
-# The width of the PSF in the worst corner for each factor:
+# The width of the PSF in the worst corner changes from frame to frame:
 
 widths = [
     measure(some.model.evaluate(0, 63))["fwhm_px"][0] / some.model.oversampling for some in plans
 ]
 print(f"FWHM from {min(widths):.1f} to {max(widths):.1f} pixels")
 assert max(widths) > 1.2 * min(widths)
+shutil.rmtree(folder)
 
 # %%
 # For ``torch.utils.data.DataLoader``, put ``make`` into the ``__getitem__`` of a data set: pairs

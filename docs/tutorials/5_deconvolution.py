@@ -101,6 +101,7 @@ for ax, (title, image) in zip(axes, panels.items(), strict=True):
     ax.set(title=title, xlim=(-0.5, 95.5), ylim=(95.5, 191.5), xlabel="x (pixels)")
 axes[0].set_ylabel("y (pixels)")
 figure.colorbar(shown, ax=axes, label="electrons per pixel", shrink=0.75)
+plt.show()
 
 # %%
 # The pictures show the quarter of the frame where the PSF is widest. With one PSF, stars keep the
