@@ -12,7 +12,7 @@ import matplotlib.pyplot as plt
 import psfield
 from psfield.plot import plot_plan
 
-shape = (1024, 1536)
+shape = (2048, 3072)
 model = psfield.PsfModel.from_telescope("survey-2m", field_shape=shape)
 
 figure, axes = plt.subplots(1, 2, figsize=(11, 3.8), layout="constrained")
