@@ -39,6 +39,7 @@ from psfield._defaults import DEFAULTS
 from psfield._errors import PsfieldWarning
 from psfield._plan import Plan
 from psfield._progress import Progress, as_callback
+from psfield._reports import FitReport, LeaveOneOutReport, SamplingReport
 from psfield._spelling import american, british
 
 if TYPE_CHECKING:
@@ -89,7 +90,7 @@ class PsfModel:
     __slots__ = ("_handle", "_sampling")
 
     _handle: _native.PsfModel
-    _sampling: dict[str, Any] | None
+    _sampling: SamplingReport | None
 
     def __init__(self) -> None:
         raise TypeError(
@@ -98,7 +99,7 @@ class PsfModel:
         )
 
     @classmethod
-    def _of(cls, native: _native.PsfModel, sampling: dict[str, Any] | None = None) -> PsfModel:
+    def _of(cls, native: _native.PsfModel, sampling: SamplingReport | None = None) -> PsfModel:
         model = cls.__new__(cls)
         model._handle = native
         model._sampling = sampling
@@ -419,7 +420,7 @@ class PsfModel:
         >>> def draw(px, py):
         ...     return np.exp(-(x**2 + y**2) / (2 * (1 + px / 100) ** 2))
         >>> model = psfield.PsfModel.from_function(draw, (40, 60), threshold=0.05, noise=0)
-        >>> model.sampling["outcome"], model.field_shape
+        >>> model.sampling.outcome, model.field_shape
         ('met', (40, 60))
         """
         rows, columns = shape_of(shape, "shape")
@@ -446,7 +447,7 @@ class PsfModel:
             _fit(rank, centring, noise, interpolation, outside, normalise, shift_copies),
             as_callback(progress),
         )
-        return cls._of(native, sampling)
+        return cls._of(native, SamplingReport(**sampling))
 
     @classmethod
     @american
@@ -650,20 +651,17 @@ class PsfModel:
         return tuple(self._handle.notes())
 
     @property
-    def sampling(self) -> dict[str, Any] | None:
+    def sampling(self) -> SamplingReport | None:
         """Report of the sampling by `from_function`. None for other models.
-
-        Its keys are samples, draws, cells, unmet_cells, worst, threshold and outcome ('met' or
-        'cell-size-reached').
 
         Examples
         --------
         >>> import psfield
         >>> model = psfield.PsfModel.from_function(lambda x, y: [[0, 1, 0], [1, 4, 1]], (5, 8))
-        >>> model.sampling["outcome"], model.sampling["samples"] == len(model.positions)
+        >>> model.sampling.outcome, model.sampling.samples == len(model.positions)
         ('met', True)
         """
-        return None if self._sampling is None else dict(self._sampling)
+        return self._sampling
 
     @property
     def field_shape(self) -> tuple[int, int] | None:
@@ -973,16 +971,12 @@ class PsfModel:
         """
         return self._handle.choices()[2]
 
-    def fit_report(self) -> dict[str, Any] | None:
+    def fit_report(self) -> FitReport | None:
         """Return the errors and choices of the fit, or None for a model without samples.
 
         Returns
         -------
-        dict or None
-            ``rank``, ``elbow``, ``noise_sigma``, ``max_error``, ``rms_error`` and ``errors``
-            (relative L2 errors of the samples), ``leave_one_out`` (errors of predicting each sample
-            from the others: ``median``, ``max``, ``errors``), ``singular_values`` (those that
-            were computed, from the largest on) and their ``cumulative_weights``.
+        FitReport or None
 
         Examples
         --------
@@ -990,11 +984,15 @@ class PsfModel:
         >>> stamps = [[[1, 2, 1]], [[2, 3, 2]]]
         >>> model = psfield.PsfModel.from_samples(stamps, [(0, 0), (9, 0)], noise=0)
         >>> report = model.fit_report()
-        >>> report["rank"], report["max_error"] < 1e-12
+        >>> report.rank, report.max_error < 1e-12
         (1, True)
         """
         report = self._handle.fit_report()
-        return None if report is None else json.loads(report)
+        if report is None:
+            return None
+        found = json.loads(report)
+        found["leave_one_out"] = LeaveOneOutReport(**found["leave_one_out"])
+        return FitReport(**found)
 
     def evaluate(
         self,
@@ -1261,7 +1259,7 @@ class PsfModel:
 
 
 def _again(
-    constructor: str, arguments: tuple[Any, ...], sampling: dict[str, Any] | None
+    constructor: str, arguments: tuple[Any, ...], sampling: SamplingReport | None
 ) -> PsfModel:
     """Make a pickled model again."""
     return PsfModel._of(getattr(_native.PsfModel, constructor)(*arguments), sampling)

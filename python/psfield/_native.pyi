@@ -13,6 +13,7 @@ __all__ = [
     "adaptive_moments",
     "compare",
     "fit_gaussian",
+    "image_cards",
     "measure_image",
     "measure_stamps",
     "quadrupole_moments",
@@ -35,6 +36,7 @@ _Sources = dict[str, _Column | None] | None
 
 def set_threads(count: int) -> None: ...
 def threads() -> int: ...
+def image_cards(cards: str, first: tuple[float, float], oversample: int) -> str: ...
 def read_catalog(
     path: str,
     columns: str | None,
@@ -44,6 +46,7 @@ def read_catalog(
     table: str | None,
     wcs: str | None,
     wcs_extension: str | None,
+    wcs_cards: str | None,
 ) -> tuple[list[_Column], list[_Column], int, int]: ...
 def sample_function(
     function: Callable[[float, float], NDArray[np.float64]],
