@@ -25,7 +25,7 @@ Arrays are ``[y, x]``. Positions are 0-based pixels ``(x, y)``, where an integer
 pixel.
 """
 
-from psfield import detector, metrics
+from psfield import detector, metrics, plot
 from psfield._catalog import read_catalog
 from psfield._errors import PsfieldWarning
 from psfield._model import PsfModel
@@ -41,6 +41,7 @@ __all__ = [
     "__version__",
     "detector",
     "metrics",
+    "plot",
     "read_catalog",
     "set_threads",
     "threads",
