@@ -173,8 +173,9 @@ def plot_shapes(
 
     A whisker has the direction of the major axis. Its length is the ellipticity ``(a**2 - b**2) /
     (a**2 + b**2)`` of an ellipse with axes ``a >= b``, from the adaptive moments. A key shows the
-    scale. The colour is the FWHM of a fitted Gaussian. PSFs are measured on pixels of the frame, by
-    `psfield.metrics.measure`. A grey cross marks a PSF that could not be measured.
+    scale. A round PSF is a dot. The colour is the FWHM of a fitted Gaussian. PSFs are measured on
+    pixels of the frame, by `psfield.metrics.measure`. A grey cross marks a PSF that could not be
+    measured.
 
     Parameters
     ----------
@@ -235,6 +236,7 @@ def plot_shapes(
         headlength=0,
         headaxislength=0,
         width=0.005,
+        minlength=1.5,
         cmap="viridis",
     )
     ax.plot(x[~measured], y[~measured], "x", color="grey")
@@ -349,19 +351,19 @@ def plot_plan(plan: Plan, *, ax: Axes | None = None) -> Axes:
     from matplotlib.collections import PolyCollection
     from matplotlib.colors import BoundaryNorm
     from matplotlib.patches import Rectangle
-    from matplotlib.ticker import MaxNLocator
 
-    edges = np.arange(modes.min() - 0.5, modes.max() + 1)
+    fewest, most = int(modes.min()), int(modes.max())
     shown = PolyCollection(
         list(corners.reshape(-1, 4, 2)),
         array=modes,
-        norm=BoundaryNorm(edges, 256),
+        norm=BoundaryNorm(np.arange(fewest, most + 2) - 0.5, 256),
         cmap="viridis",
         edgecolor="white",
         linewidth=0.5,
     )
     ax.add_collection(shown)
-    ax.figure.colorbar(shown, ax=ax, label="modes", ticks=MaxNLocator(integer=True))
+    bar = ax.figure.colorbar(shown, ax=ax, label="modes")
+    _set_ticks(bar, np.arange(fewest, most + 1, 1 + (most - fewest) // 10))
     finer = plan._settings["oversample"]
     x0, y0, ny, nx = (finer * n for n in (*plan._shown(None), *plan.image_shape))
     if (x0, y0, ny, nx) != (0, 0, *plan.shape):
@@ -455,7 +457,7 @@ def _rounded(ticks: NDArray[np.float64]) -> NDArray[np.float64]:
     return values
 
 
-def _set_ticks(bar: Any, ticks: NDArray[np.float64]) -> None:
+def _set_ticks(bar: Any, ticks: NDArray[Any]) -> None:
     bar.set_ticks(ticks, labels=[f"{tick:.10g}" for tick in ticks], minor=False)
     bar.minorticks_off()
 

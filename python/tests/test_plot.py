@@ -18,8 +18,9 @@ FIELD = (96, 128)
 
 @pytest.fixture
 def plt():
-    """Return matplotlib's pyplot, and close the figures afterwards."""
+    """Return matplotlib's pyplot without open figures, and close those of the test."""
     pyplot = pytest.importorskip("matplotlib.pyplot")
+    pyplot.close("all")
     yield pyplot
     pyplot.close("all")
 
@@ -286,13 +287,15 @@ def test_blocks_cover_the_pixels_exactly_once(plt, model, settings, covered):
     drawn(ax)
 
 
-def test_a_plan_with_many_numbers_of_modes_can_be_drawn(plt):
-    model = widening_model((400, 600), noise=0)
-    ax = plot.plot_plan(model.plan((400, 600), 1e-6))
+@pytest.mark.parametrize(("tolerance", "numbers"), [(0.3, 1), (1e-6, 2)])
+def test_numbers_of_modes_have_whole_ticks(plt, tolerance, numbers):
+    plan = widening_model((400, 600), noise=0).plan((400, 600), tolerance)
+    assert len(np.unique(plan.blocks["modes"])) >= numbers
+    ax = plot.plot_plan(plan)
     drawn(ax)
-    bar = ax.collections[0].colorbar
-    ticks = bar.get_ticks()
-    assert np.array_equal(ticks, np.rint(ticks)) and 1 <= len(ticks) <= 12
+    ticks = ax.collections[0].colorbar.get_ticks()
+    assert ticks[0] == plan.blocks["modes"].min() and 1 <= len(ticks) <= 11
+    assert np.array_equal(ticks, np.rint(ticks))
 
 
 def test_models_say_what_they_are(model):
