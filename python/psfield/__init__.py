@@ -25,24 +25,30 @@ Arrays are ``[y, x]``. Positions are 0-based pixels ``(x, y)``, where an integer
 pixel.
 """
 
-from psfield import detector, metrics
+from psfield import detector, metrics, plot
 from psfield._catalog import read_catalog
 from psfield._errors import PsfieldWarning
 from psfield._model import PsfModel
 from psfield._native import __version__
 from psfield._plan import Plan, SpotCheck
+from psfield._reports import FitReport, LeaveOneOutReport, PlanSummary, SamplingReport
 from psfield._simulate import example, simulate
 from psfield._threads import set_threads, threads
 
 __all__ = [
+    "FitReport",
+    "LeaveOneOutReport",
     "Plan",
+    "PlanSummary",
     "PsfModel",
     "PsfieldWarning",
+    "SamplingReport",
     "SpotCheck",
     "__version__",
     "detector",
     "example",
     "metrics",
+    "plot",
     "read_catalog",
     "set_threads",
     "simulate",

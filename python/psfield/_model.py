@@ -37,8 +37,10 @@ from psfield._choices import (
 )
 from psfield._defaults import DEFAULTS
 from psfield._errors import PsfieldWarning
+from psfield._html import size, table
 from psfield._plan import Plan
 from psfield._progress import Progress, as_callback
+from psfield._reports import FitReport, LeaveOneOutReport, SamplingReport
 from psfield._spelling import american, british
 
 if TYPE_CHECKING:
@@ -89,7 +91,7 @@ class PsfModel:
     __slots__ = ("_handle", "_sampling")
 
     _handle: _native.PsfModel
-    _sampling: dict[str, Any] | None
+    _sampling: SamplingReport | None
 
     def __init__(self) -> None:
         raise TypeError(
@@ -98,7 +100,7 @@ class PsfModel:
         )
 
     @classmethod
-    def _of(cls, native: _native.PsfModel, sampling: dict[str, Any] | None = None) -> PsfModel:
+    def _of(cls, native: _native.PsfModel, sampling: SamplingReport | None = None) -> PsfModel:
         model = cls.__new__(cls)
         model._handle = native
         model._sampling = sampling
@@ -197,7 +199,7 @@ class PsfModel:
         A PSF that is constant over the field:
 
         >>> psfield.PsfModel.from_samples(narrow, (0, 0), center=(1, 1), normalize="unit")
-        <PsfModel: 1 samples, stamps 3 x 3, oversampling 1>
+        <PsfModel: 1 sample, stamps 3 x 3, oversampling 1>
 
         A PSF that widens with the wavelength:
 
@@ -419,7 +421,7 @@ class PsfModel:
         >>> def draw(px, py):
         ...     return np.exp(-(x**2 + y**2) / (2 * (1 + px / 100) ** 2))
         >>> model = psfield.PsfModel.from_function(draw, (40, 60), threshold=0.05, noise=0)
-        >>> model.sampling["outcome"], model.field_shape
+        >>> model.sampling.outcome, model.field_shape
         ('met', (40, 60))
         """
         rows, columns = shape_of(shape, "shape")
@@ -446,7 +448,7 @@ class PsfModel:
             _fit(rank, centring, noise, interpolation, outside, normalise, shift_copies),
             as_callback(progress),
         )
-        return cls._of(native, sampling)
+        return cls._of(native, SamplingReport(**sampling))
 
     @classmethod
     @american
@@ -611,7 +613,7 @@ class PsfModel:
         >>> model = psfield.PsfModel.from_samples([[0, 1, 0], [1, 4, 1], [0, 1, 0]], (0, 0))
         >>> _ = model.write("psf.fits", overwrite=True)
         >>> psfield.PsfModel.read("psf.fits")
-        <PsfModel: 1 positions, stamps 3 x 3, oversampling 1>
+        <PsfModel: 1 position, stamps 3 x 3, oversampling 1>
         """
         at = None if positions is None else tuple(axis.tolist() for axis in points(positions))
         file = {
@@ -650,20 +652,17 @@ class PsfModel:
         return tuple(self._handle.notes())
 
     @property
-    def sampling(self) -> dict[str, Any] | None:
+    def sampling(self) -> SamplingReport | None:
         """Report of the sampling by `from_function`. None for other models.
-
-        Its keys are samples, draws, cells, unmet_cells, worst, threshold and outcome ('met' or
-        'cell-size-reached').
 
         Examples
         --------
         >>> import psfield
         >>> model = psfield.PsfModel.from_function(lambda x, y: [[0, 1, 0], [1, 4, 1]], (5, 8))
-        >>> model.sampling["outcome"], model.sampling["samples"] == len(model.positions)
+        >>> model.sampling.outcome, model.sampling.samples == len(model.positions)
         ('met', True)
         """
-        return None if self._sampling is None else dict(self._sampling)
+        return self._sampling
 
     @property
     def field_shape(self) -> tuple[int, int] | None:
@@ -973,16 +972,12 @@ class PsfModel:
         """
         return self._handle.choices()[2]
 
-    def fit_report(self) -> dict[str, Any] | None:
+    def fit_report(self) -> FitReport | None:
         """Return the errors and choices of the fit, or None for a model without samples.
 
         Returns
         -------
-        dict or None
-            ``rank``, ``elbow``, ``noise_sigma``, ``max_error``, ``rms_error`` and ``errors``
-            (relative L2 errors of the samples), ``leave_one_out`` (errors of predicting each sample
-            from the others: ``median``, ``max``, ``errors``), ``singular_values`` (those that
-            were computed, from the largest on) and their ``cumulative_weights``.
+        FitReport or None
 
         Examples
         --------
@@ -990,11 +985,15 @@ class PsfModel:
         >>> stamps = [[[1, 2, 1]], [[2, 3, 2]]]
         >>> model = psfield.PsfModel.from_samples(stamps, [(0, 0), (9, 0)], noise=0)
         >>> report = model.fit_report()
-        >>> report["rank"], report["max_error"] < 1e-12
+        >>> report.rank, report.max_error < 1e-12
         (1, True)
         """
         report = self._handle.fit_report()
-        return None if report is None else json.loads(report)
+        if report is None:
+            return None
+        found = json.loads(report)
+        found["leave_one_out"] = LeaveOneOutReport(**found["leave_one_out"])
+        return FitReport(**found)
 
     def evaluate(
         self,
@@ -1248,20 +1247,54 @@ class PsfModel:
         )
 
     def __repr__(self) -> str:
-        kind = "samples" if self._handle.has_samples() else "positions"
+        kind = "sample" if self._handle.has_samples() else "position"
         (ny, nx), count = self.stamp_shape, len(self._handle.positions()[0])
+        plural = "" if count == 1 else "s"
+        states = self._states_in_words()
+        at = "" if states is None else f", at {states}"
         field = "" if self.field_shape is None else ", field {} x {}".format(*self.field_shape)
         return (
-            f"<PsfModel: {count} {kind}, stamps {ny} x {nx}, oversampling {self.oversampling:g}"
-            f"{field}>"
+            f"<PsfModel: {count} {kind}{plural}{at}, stamps {ny} x {nx},"
+            f" oversampling {self.oversampling:g}{field}>"
         )
+
+    def _states_in_words(self) -> str | None:
+        """Return the number and the range of the wavelengths, times or frames, if there are any."""
+        states = self._handle.states()
+        if states is None:
+            return None
+        kind, values = states
+        least, most, count = min(values), max(values), len(set(values))
+        unit = {"wavelength": " um", "time": " s"}.get(kind, "")
+        to = "" if count == 1 else f" to {most:g}"
+        return f"{count} {kind}{'' if count == 1 else 's'} ({least:g}{to}{unit})"
+
+    def _repr_html_(self) -> str:
+        rank = self._handle.rank_if_fitted()
+        rows = {
+            "Samples" if self._handle.has_samples() else "Positions": len(self.positions),
+            "Depends on": self._states_in_words(),
+            "Field": "not stated" if self.field_shape is None else size(self.field_shape),
+            "Stamps": size(self.stamp_shape),
+            "Oversampling": self.oversampling,
+            "Centre (x, y)": "({:g}, {:g})".format(*self.centre),
+            "Pixel response included": self.pixel_response_included,
+            "Components": "not fitted yet" if rank is None else rank,
+        }
+        if rank is not None:
+            rows |= {
+                "Interpolation": self.interpolation,
+                "Outside the samples": self.outside,
+                "Scaling of PSFs": self.normalise,
+            }
+        return table("PsfModel", rows)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _again, (*self._handle.state(), self._sampling)
 
 
 def _again(
-    constructor: str, arguments: tuple[Any, ...], sampling: dict[str, Any] | None
+    constructor: str, arguments: tuple[Any, ...], sampling: SamplingReport | None
 ) -> PsfModel:
     """Make a pickled model again."""
     return PsfModel._of(getattr(_native.PsfModel, constructor)(*arguments), sampling)

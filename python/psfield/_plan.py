@@ -7,18 +7,21 @@ import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar, overload
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from psfield import _native
 from psfield._arrays import DTYPES, numbers, precision_of, shape_of
 from psfield._astropy import like, unit_of
-from psfield._catalog import columns_of, is_path
+from psfield._catalog import Columns, columns_of, is_path
 from psfield._choices import choice, integer, integer_or_none, real, text_or_none
 from psfield._errors import PsfieldWarning
+from psfield._html import FieldsAsTable, size, table
 from psfield._progress import Progress, as_callback
+from psfield._reports import PlanSummary
+from psfield._sky import sky_of
 from psfield._tables import column_names
 
 if TYPE_CHECKING:
@@ -27,8 +30,30 @@ if TYPE_CHECKING:
     from psfield._model import PsfModel
 
 
+class _WithAttributes(Protocol):
+    """An array with attributes that its image shares: CCDData, Quantity or DataArray."""
+
+    @property
+    def wcs(self) -> Any: ...
+
+
+class _WithLabels(Protocol):
+    @property
+    def coords(self) -> Any: ...
+
+
+class _WithUnit(Protocol):
+    @property
+    def unit(self) -> Any: ...
+
+
+Out = TypeVar("Out", bound=NDArray[Any])
+#: Types of scenes whose images have the same type.
+Labelled = TypeVar("Labelled", bound=_WithAttributes | _WithLabels | _WithUnit)
+
+
 @dataclass(frozen=True)
-class SpotCheck:
+class SpotCheck(FieldsAsTable):
     """A comparison of an image with the direct sum in double precision at random pixels.
 
     `Plan.spot_check` returns it.
@@ -267,21 +292,38 @@ class Plan:
         return float(self._settings["tolerance"])
 
     @property
-    def summary(self) -> dict[str, Any]:
+    def summary(self) -> PlanSummary:
         """Properties of the plan: tiles, modes, memory, device and predicted seconds.
-
-        The prediction is for one thread and a scene with light in every pixel.
 
         Examples
         --------
         >>> import psfield
         >>> plan = psfield.PsfModel.from_samples([[1, 2, 1]], (0, 0)).plan((4, 6), device="cpu")
-        >>> plan.summary["shape"], plan.summary["precision"], plan.summary["gpu"]
-        ((4, 6), 'f32', None)
+        >>> plan.summary.shape, plan.summary.tiles
+        ((4, 6), 1)
         """
         properties = self._handle.summary()
         del properties["text"]
-        return properties
+        return PlanSummary(**properties)
+
+    @property
+    def blocks(self) -> NDArray[Any]:
+        """Blocks of the plan, row by row: a structured array of x0, y0, nx, ny and modes.
+
+        Each block has its own modes: the stamps that represent all its PSFs. ``modes`` is their
+        number. First column and row, columns and rows are in pixels of the scene. The blocks cover
+        the `light_region` or, with ``anchor="output"``, the part of the scene that the image shows.
+
+        Examples
+        --------
+        >>> import psfield
+        >>> model = psfield.PsfModel.from_samples([[0, 1, 0], [1, 4, 1], [0, 1, 0]], (0, 0))
+        >>> plan = model.plan((40, 60), tolerance=1e-3)
+        >>> plan.blocks["modes"].tolist(), int((plan.blocks["nx"] * plan.blocks["ny"]).sum())
+        ([1], 2400)
+        """
+        names = ("x0", "y0", "nx", "ny", "modes")
+        return np.array(self._handle.blocks(), dtype=[(name, np.int64) for name in names])
 
     def describe(self) -> str:
         """Return a description of the plan in a few lines of text.
@@ -301,12 +343,53 @@ class Plan:
         properties = self._handle.summary()
         return f"{properties['text']}\n{properties['device']}"
 
+    @overload
+    def simulate(
+        self,
+        scene: Any,
+        catalog: Any,
+        out: Out,
+        *,
+        wcs: Any = None,
+        progress: Progress | None = None,
+    ) -> Out: ...
+    @overload
+    def simulate(
+        self,
+        scene: Any = None,
+        catalog: Any = None,
+        *,
+        out: Out,
+        wcs: Any = None,
+        progress: Progress | None = None,
+    ) -> Out: ...
+    @overload
+    def simulate(
+        self,
+        scene: Labelled,
+        catalog: Any = None,
+        out: None = None,
+        *,
+        wcs: Any = None,
+        progress: Progress | None = None,
+    ) -> Labelled: ...
+    @overload
+    def simulate(
+        self,
+        scene: ArrayLike | None = None,
+        catalog: Any = None,
+        out: None = None,
+        *,
+        wcs: Any = None,
+        progress: Progress | None = None,
+    ) -> NDArray[Any]: ...
     def simulate(
         self,
         scene: Any = None,
         catalog: Any = None,
         out: NDArray[Any] | None = None,
         *,
+        wcs: Any = None,
         progress: Progress | None = None,
     ) -> Any:
         """Return the image of a scene, of a catalogue of sources, or of both.
@@ -317,7 +400,7 @@ class Plan:
 
         Parameters
         ----------
-        scene : array_like, astropy CCDData or Quantity, optional
+        scene : array_like, Quantity, CCDData or xarray.DataArray, optional
             Flux in each pixel, ``[y, x]`` with the `shape` of the plan, finite. A plan for a region
             also accepts only its `light_region`. An array ``[n, y, x]`` (or a list of arrays) is a
             stack of scenes, without a catalogue. For many small scenes this is faster than a loop.
@@ -325,22 +408,26 @@ class Plan:
             Stars and galaxies, as a table (astropy Table, dict of arrays, structured array, data
             frame) or as a CSV or FITS file that `read_catalog` can read. The columns are ``x``,
             ``y`` (or ``x_0``, ``y_0``) and ``flux``. Positions are in pixels of the image, counted
-            from the first pixel of the scene (0-based). They may lie outside the scene. Galaxies
-            have a Sersic profile with the columns ``re`` (half-light radius along the major axis in
-            pixels, 0 for a star), ``n``, ``q`` and ``angle`` (degrees from +x towards +y), and the
-            reduced shear ``g1`` and ``g2`` that is applied to this profile (as GalSim's
-            ``shear(g1=, g2=)``, without it ``q`` and ``angle`` are those of the image). A number in
-            place of a column holds for all rows. Fluxes may be negative, but not 0. Stars and
-            galaxies do not depend on the scene's pixels (``oversample``).
+            from the first pixel of the scene (0-based). They may lie outside the scene. In place of
+            ``x`` and ``y``, a table may have ``ra`` and ``dec`` (degrees) or a ``SkyCoord``.
+            Galaxies have a Sersic profile with the columns ``re`` (half-light radius along the
+            major axis in pixels, 0 for a star), ``n``, ``q`` and ``angle`` (degrees from +x towards
+            +y), and the reduced shear ``g1`` and ``g2`` that is applied to this profile (as
+            GalSim's ``shear(g1=, g2=)``, without it ``q`` and ``angle`` are those of the image). A
+            number in place of a column holds for all rows. Fluxes may be negative, but not 0. Stars
+            and galaxies do not depend on the scene's pixels (``oversample``).
         out : numpy.ndarray, optional
             Array to which the image is written, with `image_shape` and `dtype`, or ``[n, y, x]``
             for a stack of scenes. Its content is undefined after an interruption.
+        wcs : astropy.wcs.WCS or gwcs.WCS, optional
+            World coordinates of the pixels in which ``x`` and ``y`` count, for positions on the
+            sky. Default: those of the scene.
         progress : callable or tqdm bar, optional
             ``progress(done, total)``, called a few times per second.
 
         Returns
         -------
-        numpy.ndarray, Quantity or CCDData
+        numpy.ndarray, Quantity, CCDData or xarray.DataArray
             The image ``[y, x]``, or ``[n, y, x]`` for a stack of scenes, or ``out`` if that is
             given. It has the unit of the scene. For a single CCDData it also has the header and the
             world coordinates of the scene.
@@ -379,7 +466,7 @@ class Plan:
         if is_stack(scene):
             return self._simulate_stack(scene, catalog, out, progress)
         light, unit = None if scene is None else self._scene(scene), unit_of(scene)
-        columns = columns_of(catalog, unit)
+        columns = self._sources(catalog, scene, light, wcs)
         if columns and (x := columns["x"]) is not None and not x.size:
             warnings.warn("catalog: there are no sources", PsfieldWarning, stacklevel=2)
         target, copied = self._target(out, light, unit)
@@ -487,6 +574,7 @@ class Plan:
         scene: Any = None,
         catalog: Any = None,
         *,
+        wcs: Any = None,
         image: Any = None,
         pixels: int = 500,
         seed: int = 0,
@@ -498,7 +586,7 @@ class Plan:
 
         Parameters
         ----------
-        scene, catalog
+        scene, catalog, wcs
             As for `simulate`.
         image : array_like, optional
             The result of `simulate` for this scene and catalogue. By default it is computed here.
@@ -530,7 +618,7 @@ class Plan:
         pixels = integer(pixels, "pixels", 1, most)
         seed = integer(seed, "seed", 0, 2**64 - 1)
         light = None if scene is None else self._scene(scene)
-        columns = columns_of(catalog, unit_of(scene))
+        columns = self._sources(catalog, scene, light, wcs)
         if image is None:
             image, _ = self._handle.simulate(light, columns, None, None)
         found = self._handle.spot_check(self._image(image), light, columns, pixels, seed)
@@ -544,6 +632,15 @@ class Plan:
         light = numbers(scene, "scene", self.dtype, "[y, x]")
         self._check_scene_shape(light.shape)
         return light
+
+    def _sources(
+        self, catalog: Any, scene: Any, light: NDArray[Any] | None, wcs: Any
+    ) -> Columns | None:
+        """Return the columns of a catalogue, in pixels of the image from the scene's first one."""
+        is_part = light is not None and light.shape != self.shape
+        first = self.light_region[:2] if is_part else (0, 0)
+        sky = sky_of(scene, wcs, self._settings["oversample"], first)
+        return columns_of(catalog, unit_of(scene), sky)
 
     def _check_scene_shape(self, shape: tuple[int, ...]) -> None:
         """Refuse a scene that is neither the whole scene nor the part that reaches the region."""
@@ -618,12 +715,35 @@ class Plan:
 
     def __repr__(self) -> str:
         (ny, nx), settings = self.shape, self._settings
+        finer = "" if settings["oversample"] == 1 else f", oversample {settings['oversample']}"
+        frame = "" if settings["frame"] is None else f", frame {settings['frame']}"
         part = "" if self.region is None else f", region {self.region}"
-        device = self.summary["gpu"] or "the CPU"
+        device = self.summary.gpu or "the CPU"
         return (
-            f"<Plan: scenes {ny} x {nx}{part}, tolerance {settings['tolerance']:g},"
+            f"<Plan: scenes {ny} x {nx}{finer}{frame}{part}, tolerance {settings['tolerance']:g},"
             f" {settings['precision']}, on {device}>"
         )
+
+    def _repr_html_(self) -> str:
+        found, settings = self.summary, self._settings
+        tile_rows, tile_columns = found["tile_shape"]
+        rows = {
+            "Scenes": size(self.shape),
+            "Oversampling": None if settings["oversample"] == 1 else settings["oversample"],
+            "Frame (x0, y0, nx, ny)": settings["frame"],
+            "Region (x0, y0, nx, ny)": self.region,
+            "Images": size(self.image_shape),
+            "Tolerance": f"{self.tolerance:g} ({found['tolerance_on']})",
+            "Precision": found["precision"],
+            "Anchor": found["anchor"],
+            "Device": found["device"],
+            "Tiles": f"{found['tiles']}, of at most {tile_rows} x {tile_columns}",
+            "Blocks": found["blocks"],
+            "Modes per block": f"mean {found['mean_modes']:.2f}, most {found['most_modes']}",
+            "Memory kept": f"{found['kept_bytes'] / 2**20:.1f} MiB",
+            "Predicted time": f"{found['predicted_seconds']:.2g} s (one thread, every pixel lit)",
+        }
+        return table("Plan", rows)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _again, (self._model, self._settings)

@@ -2,22 +2,44 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, overload
 
 import numpy as np
+from numpy.typing import NDArray
 
 from psfield._arrays import plain, shape_of
 from psfield._catalog import is_path
 from psfield._model import PsfModel
-from psfield._plan import is_stack
+from psfield._plan import Labelled, is_stack
 from psfield._tables import column_names
 
 
+@overload
+def simulate(
+    scene: Labelled,
+    model: PsfModel,
+    catalog: Any = None,
+    *,
+    wcs: Any = None,
+    shape: tuple[int, int] | None = None,
+    **settings: Any,
+) -> Labelled: ...
+@overload
 def simulate(
     scene: Any,
     model: PsfModel,
     catalog: Any = None,
     *,
+    wcs: Any = None,
+    shape: tuple[int, int] | None = None,
+    **settings: Any,
+) -> NDArray[Any]: ...
+def simulate(
+    scene: Any,
+    model: PsfModel,
+    catalog: Any = None,
+    *,
+    wcs: Any = None,
     shape: tuple[int, int] | None = None,
     **settings: Any,
 ) -> Any:
@@ -34,6 +56,8 @@ def simulate(
         The PSF.
     catalog : table or path, optional
         Stars and galaxies, if ``scene`` is an image.
+    wcs : astropy.wcs.WCS, optional
+        World coordinates of the image, for positions on the sky, as for `Plan.simulate`.
     shape : (int, int), optional
         Rows and columns of the image, if ``scene`` is a catalogue. Default: ``model.field_shape``.
     **settings
@@ -69,7 +93,7 @@ def simulate(
             raise ValueError("shape: give rows and columns, because the model has no field_shape")
         finer = settings.get("oversample", 1)
         scene_shape = tuple(n * finer for n in shape_of(shape, "shape"))
-    return model.plan(scene_shape, **settings).simulate(scene, catalog)
+    return model.plan(scene_shape, **settings).simulate(scene, catalog, wcs=wcs)
 
 
 def example(shape: tuple[int, int] = (512, 768)) -> tuple[dict[str, Any], PsfModel]:

@@ -151,7 +151,7 @@ def test_interpolators(tmp_path):
 
 
 #: A block that imports one of these, and the blocks after it, are skipped if it is not installed.
-OPTIONAL = ("astropy", "galsim", "photutils", "regularizepsf", "scipy", "tqdm")
+OPTIONAL = ("astropy", "galsim", "matplotlib", "photutils", "regularizepsf", "scipy", "tqdm")
 
 
 def sections(document: str) -> list[tuple[str, list[tuple[int, str]]]]:

@@ -26,7 +26,7 @@ use pyo3::prelude::*;
 #[pymodule]
 mod _native {
     #[pymodule_export]
-    use crate::catalog::read_catalog;
+    use crate::catalog::{image_cards, read_catalog};
     #[pymodule_export]
     use crate::detector::Detector;
     #[pymodule_export]
