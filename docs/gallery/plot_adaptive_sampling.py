@@ -25,7 +25,7 @@ def draw(x, y):
 
 model = psfield.PsfModel.from_function(draw, shape, threshold=0.02, noise=0)
 report = model.sampling
-print(f"{report['samples']} samples, worst error {report['worst']:.4f}: {report['outcome']}")
+print(f"{report.samples} samples, worst error {report.worst:.4f}: {report.outcome}")
 
 x, y = np.meshgrid(np.linspace(0, 767, 60), np.linspace(0, 511, 40))
 width = measure(model.evaluate(x.ravel(), y.ravel()))["fwhm_px"].reshape(x.shape)
@@ -35,5 +35,5 @@ shown = ax.pcolormesh(x, y, width, shading="gouraud", cmap="viridis")
 figure.colorbar(shown, ax=ax, label="FWHM of the PSF (pixels)")
 ax.plot(*model.positions.T, "o", color="white", markeredgecolor="black", markersize=4)
 ax.set(xlabel="x (pixels)", ylabel="y (pixels)", aspect="equal")
-ax.set_title(f"{report['samples']} samples for an error of at most 2 %")
+ax.set_title(f"{report.samples} samples for an error of at most 2 %")
 plt.show()

@@ -27,7 +27,7 @@ for name in names:
     model = psfield.PsfModel.from_samples(
         samples, positions, field_shape=shape, interpolation=name, noise=0
     )
-    predicted.append(model.fit_report()["leave_one_out"]["median"])
+    predicted.append(model.fit_report().leave_one_out.median)
     error = np.linalg.norm(model.evaluate(x, y) - exact, axis=(1, 2))
     real.append(np.median(error / np.linalg.norm(exact, axis=(1, 2))))
 

@@ -19,6 +19,6 @@ figure, axes = plt.subplots(1, 2, figsize=(11, 3.8), layout="constrained")
 for ax, tolerance in zip(axes, [1e-2, 1e-4], strict=True):
     plan = model.plan(shape, tolerance, device="cpu")
     plot_plan(plan, ax=ax)
-    modes = plan.summary["mean_modes"]
+    modes = plan.summary.mean_modes
     ax.set_title(f"tolerance {tolerance:g}: {modes:.1f} modes on average")
 plt.show()

@@ -42,4 +42,4 @@ bar.set_ticklabels(["good", "saturated", "dead", "bad column"])
 axes[2].set(title="flags", xlabel="x (pixels)", ylabel="y (pixels)")
 plt.show()
 
-print(f"{exposure.report['saturated_pixels']} saturated pixels")
+print(f"{exposure.report.saturated_pixels} saturated pixels")

@@ -25,8 +25,7 @@ wcs.wcs.cd = scale * np.array([[-np.cos(angle), np.sin(angle)], [np.sin(angle), 
 
 rng = np.random.default_rng(8)
 ra, dec = 83.82 + rng.uniform(-0.006, 0.006, 400), -5.39 + rng.uniform(-0.005, 0.005, 400)
-x, y = wcs.world_to_pixel_values(ra, dec)
-stars = {"x": x, "y": y, "flux": 100 * (1 - rng.uniform(0, 1, 400)) ** -1.2}
+stars = {"ra": ra, "dec": dec, "flux": 100 * (1 - rng.uniform(0, 1, 400)) ** -1.2}
 
 v, u = np.indices(shape)
 nebula = 3 * np.exp(-((u - 260) ** 2 + 2 * (v - 170) ** 2) / 20000)

@@ -41,8 +41,8 @@ plt.show()
 
 report = model.fit_report()
 print(f"{len(model.positions)} samples, {model.rank} components")
-print(f"error of predicting a sample from the others: {report['leave_one_out']['median']:.1e}")
-assert report["leave_one_out"]["median"] < 0.03
+print(f"error of predicting a sample from the others: {report.leave_one_out.median:.1e}")
+assert report.leave_one_out.median < 0.03
 
 # %%
 # The image

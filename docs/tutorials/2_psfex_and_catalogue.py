@@ -26,8 +26,8 @@ from psfield.detector import Detector
 from psfield.plot import plot_shapes
 
 # %%
-# 1. Three files
-# --------------
+# 1. Two files
+# ------------
 #
 # The PSF: polynomials of degree 4 over a frame of 500 x 700 pixels. ``write`` returns notes on the
 # properties that a PSFEx file cannot hold.
@@ -41,14 +41,14 @@ for note in telescope.write(folder / "survey.psf", format="psfex", degree=4):
     print(note)
 
 # %%
-# The frame: a FITS header with world coordinates, 0.074 arcsec per pixel, north at the top.
+# The world coordinates of the frame: 0.074 arcsec per pixel, north at the top. Those of a real
+# frame come from its header, by ``WCS(header)``.
 
 wcs = WCS(naxis=2)
 wcs.wcs.ctype = ["RA---TAN", "DEC--TAN"]
 wcs.wcs.crpix = [350.5, 250.5]
 wcs.wcs.crval = [150.1, 2.2]  # degrees
 wcs.wcs.cdelt = [-0.074 / 3600, 0.074 / 3600]
-fits.writeto(folder / "frame.fits", np.zeros(shape, np.float32), wcs.to_header())
 
 # %%
 # The catalogue: 250 stars, and 60 galaxies with a half-light radius. The number of stars grows
@@ -68,7 +68,7 @@ table = Table(
         "RE": np.where(is_star, 0, rng.uniform(2, 8, count)),
         "N": np.where(is_star, 1, rng.uniform(0.8, 3, count)),
         "Q": np.where(is_star, 1, rng.uniform(0.4, 1, count)),
-        "PA": rng.uniform(0, 180, count),
+        "ANGLE": rng.uniform(0, 180, count),
     }
 )
 table.write(folder / "sources.fits")
@@ -93,9 +93,9 @@ plt.show()
 
 sources = psfield.read_catalog(
     folder / "sources.fits",
-    columns="ra=RA,dec=DEC,mag=MAG,re=RE,n=N,q=Q,angle=PA",
+    columns="ra=RA,dec=DEC,mag=MAG,re=RE,n=N,q=Q,angle=ANGLE",
     zero_point=30.0,
-    wcs=folder / "frame.fits",
+    wcs=wcs,
 )
 print(f"{len(sources['x'])} sources, fluxes from {sources['flux'].min():.0f} electrons")
 assert len(sources["x"]) == count
