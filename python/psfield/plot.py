@@ -174,8 +174,9 @@ def plot_shapes(
     A whisker has the direction of the major axis. Its length is the ellipticity ``(a**2 - b**2) /
     (a**2 + b**2)`` of an ellipse with axes ``a >= b``, from the adaptive moments. A key shows the
     scale. A round PSF is a dot. The colour is the FWHM of a fitted Gaussian. PSFs are measured on
-    pixels of the frame, by `psfield.metrics.measure`. A grey cross marks a PSF that could not be
-    measured.
+    the pixels of their stamps, by `psfield.metrics.measure`. A grey cross marks a PSF that could
+    not be measured. Oversampled stamps avoid that, because pixels as wide as the PSF hide its
+    shape.
 
     Parameters
     ----------
@@ -213,8 +214,8 @@ def plot_shapes(
     """
     first, length = _extent(model, shape)
     x, y, cell = _positions(first, length, grid, WHISKERS)
-    found = measure(model.evaluate(x, y, pixels="frame"))
-    size, fwhm = found["ellipticity"], found["fwhm_px"]
+    found = measure(model.evaluate(x, y))
+    size, fwhm = found["ellipticity"], found["fwhm_px"] / model.oversampling
     angle = np.arctan2(found["e2"], found["e1"]) / 2
     measured = np.isfinite(size) & np.isfinite(angle) & np.isfinite(fwhm)
     if not measured.any():

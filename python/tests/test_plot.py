@@ -178,15 +178,27 @@ def test_whiskers_lie_along_the_major_axis(plt, degrees):
 def test_whiskers_are_as_long_as_the_ellipticity_and_have_the_colour_of_the_fwhm(plt, model):
     ax = plot.plot_shapes(model, grid=(4, 5))
     middles, vectors = whisker_vectors(ax)
-    found = metrics.measure(model.evaluate(*np.transpose(middles), pixels="frame"))
+    found = metrics.measure(model.evaluate(*np.transpose(middles)))
     lengths = np.hypot(*vectors.T)
     assert lengths / lengths.max() == pytest.approx(
         found["ellipticity"] / max(found["ellipticity"])
     )
-    assert np.allclose(ax.collections[0].get_array(), found["fwhm_px"])
+    assert np.allclose(ax.collections[0].get_array(), found["fwhm_px"] / model.oversampling)
     key = next(artist for artist in ax.get_children() if hasattr(artist, "label"))
     assert found["ellipticity"].max() / 2.5 <= key.U <= found["ellipticity"].max()
     assert key.label == f"ellipticity {key.U:g}" and key in ax.get_children()
+
+
+def test_oversampled_stamps_of_a_narrow_psf_can_be_measured(plt):
+    y, x = np.mgrid[-16:17, -16:17] / 4
+    stamp = np.exp(-0.5 * ((x / 0.6) ** 2 + (y / 0.4) ** 2))
+    narrow = psfield.PsfModel.from_samples(stamp, (0, 0), field_shape=FIELD, oversampling=4)
+    on_frame = metrics.measure(narrow.evaluate(50, 50, pixels="frame"))
+    assert on_frame["note"][0] != ""  # the PSF is narrower than a pixel of the frame
+    ax = plot.plot_shapes(narrow, grid=(3, 4))
+    assert len(ax.collections[0].get_offsets()) == 12
+    fwhm = 2 * np.sqrt(2 * np.log(2) * 0.6 * 0.4)
+    assert np.allclose(ax.collections[0].get_array(), fwhm, rtol=1e-3)
 
 
 def test_round_psfs_get_no_long_whiskers(plt):
@@ -202,7 +214,7 @@ def test_psfs_that_cannot_be_measured_are_marked(plt):
     both = psfield.PsfModel.from_samples(
         [gaussian_stamp(2.0), hollow], [(0, 50), (99, 50)], interpolation="nearest", noise=0
     )
-    notes = metrics.measure(both.evaluate([0, 99], [50, 50], pixels="frame"))["note"]
+    notes = metrics.measure(both.evaluate([0, 99], [50, 50]))["note"]
     assert (notes[0], notes[1] != "") == ("", True)
     ax = plot.plot_shapes(both, shape=(100, 100), grid=(1, 2))
     assert len(ax.collections[0].get_offsets()) == 1
