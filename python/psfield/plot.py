@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 __all__ = ["plot_image", "plot_plan", "plot_psf_field", "plot_residuals", "plot_shapes"]
 
 #: The asinh scale of images is linear up to this part of their range, or up to their noise.
-FAINTEST_OF_IMAGE = 1e-3
+FAINTEST_OF_IMAGE = 1e-4
 #: The asinh scale of PSFs is linear up to this part of the highest peak.
 FAINTEST_OF_PSF = 1e-3
 #: Positions of a default grid.
@@ -56,7 +56,7 @@ def plot_image(
         Axes to draw into. By default those of a new figure.
     stretch : {'asinh', 'linear'}
         Scale of the grey values. ``asinh`` is linear up to twice the noise above the sky, or up to
-        a thousandth of the range if that is more, and logarithmic for brighter pixels.
+        1e-4 of the range if that is more, and logarithmic for brighter pixels.
     colorbar : bool
         Add a colour bar, with the unit of the image if it has one.
 

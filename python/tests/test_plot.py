@@ -84,7 +84,7 @@ def test_an_image_keeps_its_orientation_and_its_brightest_pixel_is_white(plt):
     assert shown.origin == "lower" and np.array_equal(shown.get_array(), image)
     levels = shown.norm(np.array([image.min(), 1000.0, 1015.0, 2000.0, 50_000.0]))
     # The sky is dark, a pixel 3 sigma above it is darker than a faint star.
-    assert levels[0] <= 0 < levels[1] < 0.05
+    assert levels[0] <= 0 < levels[1] < 0.06
     assert levels[1] < levels[2] < levels[3] < levels[4] == pytest.approx(1)
     assert levels[3] > 0.4, "a star of 2 % of the brightest is visible"
     linear = plot.plot_image(image, stretch="linear").images[0]
