@@ -98,7 +98,7 @@ middle = psfield.PsfModel.from_samples(
     model.evaluate(383.5, 255.5), (383.5, 255.5), oversampling=model.oversampling
 )
 simple = psfield.simulate(scene, middle, shape=model.field_shape)
-plot_residuals(simple[380:, :200], image[380:, :200])
+plot_residuals(simple[452:, :110], image[452:, :110])
 plt.show()
 
 error = psfield.metrics.compare(simple, image).relative_l2
