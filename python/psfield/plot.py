@@ -395,7 +395,7 @@ def _new_axes(length: Any, count: int) -> Any:
     """Return axes in a row, in a new figure of a height that suits their columns and rows."""
     columns, rows = length
     # In inches, with room for labels, title and colour bar.
-    width, beside, above = (6.4, 1.9, 0.9) if count == 1 else (4.6, 1.7, 1.3)
+    width, beside, above = (6.4, 1.9, 0.9) if count == 1 else (4.6, 1.7, 1.5)
     height = min(max((width - beside) * rows / columns + above, 2.4), 9.0)
     size = (width * count, height)
     return _pyplot().subplots(1, count, figsize=size, layout="constrained")[1]
