@@ -51,6 +51,7 @@ assert report.leave_one_out.median < 0.03
 # One call makes the image. Every source has the PSF of its own position.
 
 image = psfield.simulate(scene, model)
+# sphinx_gallery_thumbnail_number = 2
 ax = plot_image(image)
 ax.set_title("Stars and galaxies through the survey telescope")
 plt.show()

@@ -82,8 +82,7 @@ table.write(folder / "sources.fits")
 model = psfield.PsfModel.read(folder / "survey.psf")
 for note in model.notes:
     print(note)
-figure, ax = plt.subplots(figsize=(8, 5), layout="constrained")
-plot_shapes(model, ax=ax)
+plot_shapes(model)
 plt.show()
 
 # %%
@@ -128,6 +127,7 @@ ccd = Detector(
 exposure = ccd.expose(light.data, seed=1)
 fits.writeto(folder / "raw.fits", exposure.counts.astype(np.uint16), wcs.to_header())
 
+# sphinx_gallery_thumbnail_number = 2
 figure = plt.figure(figsize=(9, 6), layout="constrained")
 ax = figure.add_subplot(projection=light.wcs)
 shown = ax.imshow(exposure.counts, origin="lower", cmap="gray", vmin=380, vmax=600)

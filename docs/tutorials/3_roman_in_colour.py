@@ -177,6 +177,7 @@ white = [detected(bands[name], spectra["6000 K"]) for name in bands]
 blue, green, red = (image * white[1] / w for image, w in zip(images.values(), white, strict=True))
 picture = make_lupton_rgb(red, green, blue, stretch=15, Q=8)
 
+# sphinx_gallery_thumbnail_number = 2
 figure, ax = plt.subplots(figsize=(9, 6.6), layout="constrained")
 ax.imshow(picture, origin="lower", interpolation="nearest")
 ax.set(xlabel="x (pixels)", ylabel="y (pixels)", title="Red: H158, green: J129, blue: Y106")
