@@ -92,8 +92,8 @@ assert check.passed
 # One PSF for the whole frame
 # ---------------------------
 #
-# How wrong would the image be with the PSF of the middle everywhere? The panels show a corner of
-# the frame. The title of the third gives the relative error there.
+# With the PSF of the middle everywhere, the image is wrong. The panels show a corner of the frame.
+# The title of the third gives the relative error there.
 
 middle = psfield.PsfModel.from_samples(
     model.evaluate(383.5, 255.5), (383.5, 255.5), oversampling=model.oversampling
