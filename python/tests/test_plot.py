@@ -276,9 +276,9 @@ def test_blocks_cover_the_pixels_exactly_once(plt, model, settings, covered):
     expected[y0 : y0 + ny, x0 : x0 + nx] = 1
     assert np.array_equal(counts, expected)
     summary = plan.summary
-    assert len(plan.blocks) == summary["blocks"]
-    assert plan.blocks["modes"].mean() == pytest.approx(summary["mean_modes"])
-    assert plan.blocks["modes"].max() == summary["most_modes"]
+    assert len(plan.blocks) == summary.blocks
+    assert plan.blocks["modes"].mean() == pytest.approx(summary.mean_modes)
+    assert plan.blocks["modes"].max() == summary.most_modes
     # The plot shows these blocks in the scene, and where the image is.
     ax = plot.plot_plan(plan)
     assert ax.get_xlim() == (-0.5, 127.5) and ax.get_ylim() == (-0.5, 95.5)
@@ -343,7 +343,7 @@ def test_tables_of_plans_and_results(model):
         "<Plan: scenes 96 x 128, frame (0, 0, 100, 90), tolerance 0.001, f32, on the CPU>"
     )
     html = plan._repr_html_()
-    assert "<th>Tolerance</th><td>0.001 (" in html and f"<td>{plan.summary['blocks']}</td>" in html
+    assert "<th>Tolerance</th><td>0.001 (" in html and f"<td>{plan.summary.blocks}</td>" in html
     assert "<th>Frame (x0, y0, nx, ny)</th><td>(0, 0, 100, 90)</td>" in html
     assert "Region" not in html and "Oversampling" not in html
     check = psfield.SpotCheck(1, 2, 1e-9, 3.0, None, 4.0, 5.0, 6.0, 7, None, True)
