@@ -47,9 +47,10 @@ sphinx_gallery_conf = {
 html_theme = "pydata_sphinx_theme"
 html_title = "psfield"
 html_show_sourcelink = False
-html_sidebars = {"index": [], "generated/gallery/index": []}
+html_sidebars = {page: [] for page in ("index", "start", "generated/gallery/index")}
 html_theme_options = {
     "header_links_before_dropdown": 7,
+    "navbar_persistent": ["search-button"],
     "navigation_with_keys": False,
     "show_prev_next": False,
 }
