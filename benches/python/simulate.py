@@ -64,7 +64,7 @@ def main() -> None:
     print(f"Python over Rust without the check: {statistics.median(execution):.3f}")
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     arrays = 2 * scene.nbytes / 2**20
-    kept = plan.summary["kept_bytes"] / 2**20
+    kept = plan.summary.kept_bytes / 2**20
     print(f"peak memory {peak:.0f} MiB, scene and image {arrays:.0f} MiB, plan {kept:.0f} MiB")
 
 

@@ -62,7 +62,7 @@ def errors(
     drawn = model.evaluate(tests[:, 0], tests[:, 1])
     truth = np.array([stamp(x, y) for x, y in tests])
     wrong = np.linalg.norm(drawn - truth, axis=(1, 2)) / np.linalg.norm(truth, axis=(1, 2))
-    return wrong, report["leave_one_out"]["median"]
+    return wrong, report.leave_one_out.median
 
 
 def main(folder: Path) -> None:

@@ -105,7 +105,7 @@ def main(folder: Path) -> None:
     exposure = ccd.expose(image, seed=SEED)
     counts = exposure.counts.astype(np.uint16)
     fits.writeto(folder / "image.fits", counts, header, overwrite=True)
-    saturated = exposure.report["saturated_pixels"]
+    saturated = exposure.report.saturated_pixels
     print(f"counts from {counts.min()} to {counts.max()}, {saturated} pixels saturated")
 
     # Photometry: the light within 10 pixels of isolated stars, compared with their magnitudes.

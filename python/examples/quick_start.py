@@ -52,9 +52,9 @@ def main(folder: Path) -> None:
     )
     report = model.fit_report()
     print(model)
-    predicted = report["leave_one_out"]["median"]
+    predicted = report.leave_one_out.median
     print(
-        f"{model.rank} components, error of the samples {report['max_error']:.1e}, error of their"
+        f"{model.rank} components, error of the samples {report.max_error:.1e}, error of their"
         f" prediction from the others {predicted:.1e}"
     )
     model.write(folder / "psf.fits", overwrite=True)

@@ -97,8 +97,8 @@ def main(folder: Path) -> None:
     )
     seconds, how = time.perf_counter() - began, model.sampling
     print(
-        f"{how['samples']} samples, {how['draws']} PSFs drawn by GalSim in {seconds:.1f} s:"
-        f" threshold {how['outcome']}"
+        f"{how.samples} samples, {how.draws} PSFs drawn by GalSim in {seconds:.1f} s:"
+        f" threshold {how.outcome}"
     )
     model.write(folder / "roman_psf.fits", overwrite=True)
 

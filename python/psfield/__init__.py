@@ -31,17 +31,25 @@ from psfield._errors import PsfieldWarning
 from psfield._model import PsfModel
 from psfield._native import __version__
 from psfield._plan import Plan, SpotCheck
+from psfield._reports import FitReport, LeaveOneOutReport, PlanSummary, SamplingReport
+from psfield._simulate import example, simulate
 from psfield._threads import set_threads, threads
 
 __all__ = [
+    "FitReport",
+    "LeaveOneOutReport",
     "Plan",
+    "PlanSummary",
     "PsfModel",
     "PsfieldWarning",
+    "SamplingReport",
     "SpotCheck",
     "__version__",
     "detector",
+    "example",
     "metrics",
     "read_catalog",
     "set_threads",
+    "simulate",
     "threads",
 ]

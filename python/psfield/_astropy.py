@@ -1,4 +1,4 @@
-"""Handles units and headers of astropy objects, without an import of astropy."""
+"""Handles units and headers of astropy, and labels of xarray, without an import of either."""
 
 from __future__ import annotations
 
@@ -37,11 +37,13 @@ def in_unit(values: Any, unit: Any, name: str) -> Any:
 
 
 def like(scene: Any, image: Any, first: tuple[int, int], oversample: int) -> Any:
-    """Return an image with the unit, the header and the world coordinates of its scene.
+    """Return an image with the unit, header, world coordinates or labels of its scene.
 
     ``first`` is the column and the row of the first pixel of the image, in pixels of the image
     counted from the first pixel of the scene.
     """
+    if hasattr(scene, "dims") and hasattr(scene, "coords"):
+        return _labelled(scene, image, first, oversample)
     unit = unit_of(scene)
     if isinstance(scene, np.ndarray) or scene is None or not hasattr(scene, "meta"):
         return image if unit is None else image << unit
@@ -55,3 +57,24 @@ def like(scene: Any, image: Any, first: tuple[int, int], oversample: int) -> Any
         )
         wcs = wcs.slice(tuple(shown))
     return type(scene)(image, unit=unit, meta=scene.meta.copy(), wcs=wcs)
+
+
+def _labelled(scene: Any, image: Any, first: tuple[int, int], oversample: int) -> Any:
+    """Return an image as a DataArray of xarray, with the labels of its pixels.
+
+    The coordinate of a pixel is the mean of those of the scene's pixels inside it. Coordinates that
+    are not numbers or not along one axis are left out, unless they belong to the whole scene.
+    """
+    coords: dict[Any, Any] = {}
+    for name, labels in scene.coords.items():
+        if labels.ndim == 0:
+            coords[name] = labels
+        elif labels.ndim == 1 and labels.dtype.kind in "fiu":
+            axis = scene.dims.index(labels.dims[0])
+            start, n = first[1 - axis] * oversample, image.shape[axis] * oversample
+            inside = np.asarray(labels)[start : start + n]
+            if len(inside) == n:
+                of_pixels = inside.reshape(-1, oversample)
+                means = inside if oversample == 1 else of_pixels.mean(axis=1)
+                coords[name] = (labels.dims, means, labels.attrs)
+    return type(scene)(image, coords=coords, dims=scene.dims, name=scene.name, attrs=scene.attrs)

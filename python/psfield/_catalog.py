@@ -14,6 +14,7 @@ from psfield import _native
 from psfield._arrays import reals
 from psfield._astropy import check_linear, in_unit
 from psfield._errors import PsfieldWarning
+from psfield._sky import Sky, is_sky, sky_of
 from psfield._tables import OTHER_NAMES, column_names, find_columns
 
 Column = NDArray[np.float64]
@@ -33,7 +34,7 @@ def read_catalog(
     zero_point: float | None = None,
     skip_invalid: bool = False,
     table: str | int | None = None,
-    wcs: str | os.PathLike[str] | None = None,
+    wcs: Any = None,
     wcs_extension: str | int | None = None,
 ) -> dict[str, NDArray[np.float64]]:
     r"""Read stars and galaxies from a text table or a FITS table.
@@ -56,9 +57,9 @@ def read_catalog(
         without ``re`` in a table of galaxies, or with flux 0, is not valid.
     table : str or int, optional
         The table of a FITS file: its number from 0, or its name.
-    wcs : path, optional
-        A FITS file with the world coordinates of the frame, for positions ``ra`` and ``dec`` in
-        degrees.
+    wcs : astropy.wcs.WCS or path, optional
+        World coordinates of the frame, or a FITS file with them, for positions ``ra`` and ``dec``
+        in degrees.
     wcs_extension : str or int, optional
         The extension of the file ``wcs``: its number or its name.
 
@@ -94,6 +95,9 @@ def read_catalog(
     ([2.0], [1.0], [100.0])
     """
     path = os.fspath(path)
+    wcs_path = os.fspath(wcs) if is_path(wcs) else None
+    sky = None if is_path(wcs) else sky_of(None, wcs, 1, (0, 0))
+    cards = None if sky is None else sky.cards()
 
     def read(columns: str | None) -> tuple[list[Column], list[Column], int, int]:
         return _native.read_catalog(
@@ -103,8 +107,9 @@ def read_catalog(
             zero_point,
             skip_invalid,
             None if table is None else str(table),
-            None if wcs is None else os.fspath(wcs),
+            wcs_path,
             None if wcs_extension is None else str(wcs_extension),
+            cards,
         )
 
     found = None
@@ -140,16 +145,18 @@ def is_path(value: Any) -> bool:
     return isinstance(value, (str, os.PathLike))
 
 
-def columns_of(catalog: Any, unit: Any = None) -> Columns | None:
+def columns_of(catalog: Any, unit: Any = None, sky: Sky | None = None) -> Columns | None:
     """Return the columns of a catalogue: a table of any kind, or the path of a file.
 
     Fluxes that have a unit are converted to ``unit``. A single number in place of a column holds
-    for every row.
+    for every row. ``sky`` gives positions on the sky their pixels.
     """
     if catalog is None:
         return None
     if is_path(catalog):
-        catalog = read_catalog(catalog)
+        # A file of pixel positions needs no world coordinates, and gwcs has none for files.
+        has_cards = sky is not None and hasattr(sky.wcs, "to_header")
+        catalog = read_catalog(catalog, wcs=sky if has_cards else None)
     names = column_names(catalog)
     if names is None:
         raise TypeError(
@@ -159,10 +166,17 @@ def columns_of(catalog: Any, unit: Any = None) -> Columns | None:
         )
     roles = (*_NEEDED, *_SHAPE, *_SHEAR)
     found = find_columns(names, roles, "catalog")
+    place = None if "x" in found or "y" in found else _place_on_sky(catalog, names)
+    if place is not None:
+        # The loops below find the pixels like columns of the table.
+        catalog = {name: catalog[name] for name in names}
+        catalog["x"], catalog["y"] = _pixels_of(place, sky)
+        found |= {"x": "x", "y": "y"}
     if missing := [role for role in _NEEDED if role not in found]:
         raise ValueError(
-            f"catalog: there is no column {missing[0]}. A catalogue needs x, y and flux, and for"
-            f" galaxies re and n. The columns are {', '.join(map(str, names)) or 'none'}"
+            f"catalog: there is no column {missing[0]}. A catalogue needs x and y (or ra and dec,"
+            " or a SkyCoord) and flux, and for galaxies re and n. The columns are"
+            f" {', '.join(map(str, names)) or 'none'}"
         )
     if "re" in found and "n" not in found:
         raise ValueError("catalog: galaxies (column re) need their Sersic index (column n)")
@@ -178,7 +192,44 @@ def columns_of(catalog: Any, unit: Any = None) -> Columns | None:
     columns |= {
         role: array if array.ndim else np.full(rows, array) for role, array in arrays.items()
     }
-    return columns
+    return columns if place is None else _on_projection(columns)
+
+
+def _place_on_sky(catalog: Any, names: list[Any]) -> Any:
+    """Return the SkyCoord of a table, or its columns ra and dec in degrees, or None."""
+    found = find_columns(names, ("ra", "dec"), "catalog")
+    if len(found) == 2:
+        return tuple(
+            reals(in_unit(catalog[name], "deg", f"catalog: {role}"), f"catalog: {role}")
+            for role, name in found.items()
+        )
+    places = [name for name in names if is_sky(catalog[name])]
+    if len(places) > 1:
+        raise ValueError(
+            f"catalog: {places[0]} and {places[1]} are both positions on the sky: remove one"
+        )
+    return catalog[places[0]] if places else None
+
+
+def _pixels_of(place: Any, sky: Sky | None) -> tuple[Column, Column]:
+    if sky is None:
+        raise ValueError(
+            "catalog: its positions are on the sky: give the world coordinates of the image, wcs=,"
+            " or a scene that has them (CCDData)"
+        )
+    return sky.pixels(place)
+
+
+def _on_projection(columns: Columns) -> Columns:
+    """Leave out the sources for which the projection has no pixel, with a warning."""
+    known = np.isfinite(columns["x"]) & np.isfinite(columns["y"])  # type: ignore[arg-type]
+    count = np.count_nonzero(~known)
+    if not count:
+        return columns
+    rows = "row" if count == 1 else "rows"
+    text = f"catalog: {count} {rows} skipped: outside the projection of the world coordinates"
+    warnings.warn(text, PsfieldWarning, stacklevel=4)
+    return {role: None if column is None else column[known] for role, column in columns.items()}
 
 
 def _column(values: Any, role: str, unit: Any) -> Column:

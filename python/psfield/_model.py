@@ -39,6 +39,7 @@ from psfield._defaults import DEFAULTS
 from psfield._errors import PsfieldWarning
 from psfield._plan import Plan
 from psfield._progress import Progress, as_callback
+from psfield._reports import FitReport, LeaveOneOutReport, SamplingReport
 from psfield._spelling import american, british
 
 if TYPE_CHECKING:
@@ -54,9 +55,10 @@ PathLike = str | os.PathLike[str]
 class PsfModel:
     """A PSF that varies over the field.
 
-    Make a model with `from_samples`, `from_basis`, `from_gridded_psf_model`, `from_function` or
-    `read`. Models are immutable, can be pickled, and may be used from many threads. The fit of the
-    samples and the interpolator are computed when they are first needed, and kept.
+    Make a model with `read`, `from_samples`, `from_function`, `from_telescope`,
+    `from_gridded_psf_model` or `from_basis`. Models are immutable, can be pickled, and may be used
+    from many threads. The fit of the samples and the interpolator are computed when they are first
+    needed, and kept.
 
     Notes
     -----
@@ -88,16 +90,16 @@ class PsfModel:
     __slots__ = ("_handle", "_sampling")
 
     _handle: _native.PsfModel
-    _sampling: dict[str, Any] | None
+    _sampling: SamplingReport | None
 
     def __init__(self) -> None:
         raise TypeError(
-            "make a PsfModel with from_samples, read, from_function, from_gridded_psf_model or"
-            " from_basis"
+            "make a PsfModel with from_samples, read, from_function, from_telescope,"
+            " from_gridded_psf_model or from_basis"
         )
 
     @classmethod
-    def _of(cls, native: _native.PsfModel, sampling: dict[str, Any] | None = None) -> PsfModel:
+    def _of(cls, native: _native.PsfModel, sampling: SamplingReport | None = None) -> PsfModel:
         model = cls.__new__(cls)
         model._handle = native
         model._sampling = sampling
@@ -418,7 +420,7 @@ class PsfModel:
         >>> def draw(px, py):
         ...     return np.exp(-(x**2 + y**2) / (2 * (1 + px / 100) ** 2))
         >>> model = psfield.PsfModel.from_function(draw, (40, 60), threshold=0.05, noise=0)
-        >>> model.sampling["outcome"], model.field_shape
+        >>> model.sampling.outcome, model.field_shape
         ('met', (40, 60))
         """
         rows, columns = shape_of(shape, "shape")
@@ -445,7 +447,89 @@ class PsfModel:
             _fit(rank, centring, noise, interpolation, outside, normalise, shift_copies),
             as_callback(progress),
         )
-        return cls._of(native, sampling)
+        return cls._of(native, SamplingReport(**sampling))
+
+    @classmethod
+    @american
+    def from_telescope(
+        cls,
+        telescope: PathLike = "survey-2m",
+        *,
+        field_shape: tuple[int, int] | None = None,
+        samples: tuple[int, int] = (7, 7),
+        stamp_size: int | None = None,
+        oversampling: int | None = None,
+        wavelengths_um: ArrayLike | None = None,
+        rank: str | int | None = None,
+        centring: Literal["mean", "none"] | None = None,
+        interpolation: str | None = None,
+        outside: Literal["nearest", "extend", "error"] | None = None,
+        normalise: Literal["unit", "keep"] | None = None,
+        **american: Unpack[American],
+    ) -> PsfModel:
+        """Make a model from the optics of a telescope.
+
+        The PSF is computed from the pupil, the wavefront over the field, the seeing, the pixel and
+        the blur of the detector, on a regular grid of positions.
+
+        Parameters
+        ----------
+        telescope : str or path
+            A built-in telescope, or a file (TOML) that describes one. ``'survey-2m'``: an off-axis
+            telescope of 2 m in space, at 633 nm, with 0.074 arcsec per pixel.
+            ``'wide-field-lens'``: a lens of 180 mm on the ground, undersampled, with 11.7 arcsec
+            per pixel. The aberrations of both are invented. ``psfield demo`` writes an example of a
+            file.
+        field_shape : (int, int), optional
+            Rows and columns of the frame. The PSF at the edge of this frame is that at the edge of
+            the telescope's field. Default: as the telescope.
+        samples : (int, int)
+            Rows and columns of the grid of positions.
+        stamp_size : int, optional
+            Rows and columns of the stamps in frame pixels. Default: as the telescope.
+        oversampling : int, optional
+            Stamp pixels per frame pixel, along each axis. Stars between pixels need 2 or more.
+            Default: as the telescope.
+        wavelengths_um : array_like, optional
+            Wavelengths in micrometres at which the PSF is computed. Diffraction, the phase of the
+            wavefront and the seeing depend on them. Default: the telescope's own wavelength, and
+            the PSF does not depend on the wavelength.
+        rank, centring, interpolation, outside, normalise
+            Fit of the samples, as for `from_samples`. The samples have no noise.
+
+        Returns
+        -------
+        PsfModel
+
+        Raises
+        ------
+        ValueError
+            There is no such telescope, the file cannot be read, or a value is impossible.
+
+        Examples
+        --------
+        >>> import psfield
+        >>> model = psfield.PsfModel.from_telescope(
+        ...     "survey-2m", field_shape=(300, 400), samples=(3, 3), stamp_size=24, oversampling=2
+        ... )
+        >>> model
+        <PsfModel: 9 samples, stamps 48 x 48, oversampling 2, field 300 x 400>
+        """
+        at = None
+        if wavelengths_um is not None:
+            at = column(wavelengths_um, "wavelengths_um").tolist()
+            if not at:
+                raise ValueError("wavelengths_um is empty: give at least one wavelength")
+        settings = {
+            "telescope": os.fspath(telescope),
+            "field": shape_or_none(field_shape, "field_shape"),
+            "samples": shape_of(samples, "samples"),
+            "stamp_size": integer_or_none(stamp_size, "stamp_size", 1),
+            "oversampling": integer_or_none(oversampling, "oversampling", 1),
+            "wavelengths_um": at,
+        }
+        fit = _fit(rank, centring, 0.0, interpolation, outside, normalise, None)
+        return cls._of(_native.sample_telescope(settings, fit))
 
     @classmethod
     @american
@@ -567,20 +651,17 @@ class PsfModel:
         return tuple(self._handle.notes())
 
     @property
-    def sampling(self) -> dict[str, Any] | None:
+    def sampling(self) -> SamplingReport | None:
         """Report of the sampling by `from_function`. None for other models.
-
-        Its keys are samples, draws, cells, unmet_cells, worst, threshold and outcome ('met' or
-        'cell-size-reached').
 
         Examples
         --------
         >>> import psfield
         >>> model = psfield.PsfModel.from_function(lambda x, y: [[0, 1, 0], [1, 4, 1]], (5, 8))
-        >>> model.sampling["outcome"], model.sampling["samples"] == len(model.positions)
+        >>> model.sampling.outcome, model.sampling.samples == len(model.positions)
         ('met', True)
         """
-        return None if self._sampling is None else dict(self._sampling)
+        return self._sampling
 
     @property
     def field_shape(self) -> tuple[int, int] | None:
@@ -890,16 +971,12 @@ class PsfModel:
         """
         return self._handle.choices()[2]
 
-    def fit_report(self) -> dict[str, Any] | None:
+    def fit_report(self) -> FitReport | None:
         """Return the errors and choices of the fit, or None for a model without samples.
 
         Returns
         -------
-        dict or None
-            ``rank``, ``elbow``, ``noise_sigma``, ``max_error``, ``rms_error`` and ``errors``
-            (relative L2 errors of the samples), ``leave_one_out`` (errors of predicting each sample
-            from the others: ``median``, ``max``, ``errors``), ``singular_values`` (those that
-            were computed, from the largest on) and their ``cumulative_weights``.
+        FitReport or None
 
         Examples
         --------
@@ -907,11 +984,15 @@ class PsfModel:
         >>> stamps = [[[1, 2, 1]], [[2, 3, 2]]]
         >>> model = psfield.PsfModel.from_samples(stamps, [(0, 0), (9, 0)], noise=0)
         >>> report = model.fit_report()
-        >>> report["rank"], report["max_error"] < 1e-12
+        >>> report.rank, report.max_error < 1e-12
         (1, True)
         """
         report = self._handle.fit_report()
-        return None if report is None else json.loads(report)
+        if report is None:
+            return None
+        found = json.loads(report)
+        found["leave_one_out"] = LeaveOneOutReport(**found["leave_one_out"])
+        return FitReport(**found)
 
     def evaluate(
         self,
@@ -1178,7 +1259,7 @@ class PsfModel:
 
 
 def _again(
-    constructor: str, arguments: tuple[Any, ...], sampling: dict[str, Any] | None
+    constructor: str, arguments: tuple[Any, ...], sampling: SamplingReport | None
 ) -> PsfModel:
     """Make a pickled model again."""
     return PsfModel._of(getattr(_native.PsfModel, constructor)(*arguments), sampling)

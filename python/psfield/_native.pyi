@@ -13,11 +13,13 @@ __all__ = [
     "adaptive_moments",
     "compare",
     "fit_gaussian",
+    "image_cards",
     "measure_image",
     "measure_stamps",
     "quadrupole_moments",
     "read_catalog",
     "sample_function",
+    "sample_telescope",
     "set_threads",
     "threads",
 ]
@@ -34,6 +36,7 @@ _Sources = dict[str, _Column | None] | None
 
 def set_threads(count: int) -> None: ...
 def threads() -> int: ...
+def image_cards(cards: str, first: tuple[float, float], oversample: int) -> str: ...
 def read_catalog(
     path: str,
     columns: str | None,
@@ -43,6 +46,7 @@ def read_catalog(
     table: str | None,
     wcs: str | None,
     wcs_extension: str | None,
+    wcs_cards: str | None,
 ) -> tuple[list[_Column], list[_Column], int, int]: ...
 def sample_function(
     function: Callable[[float, float], NDArray[np.float64]],
@@ -53,6 +57,7 @@ def sample_function(
     fit: dict[str, Any],
     progress: _Callback,
 ) -> tuple[PsfModel, dict[str, Any]]: ...
+def sample_telescope(settings: dict[str, Any], fit: dict[str, Any]) -> PsfModel: ...
 
 @final
 class PsfModel:

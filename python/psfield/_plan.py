@@ -7,24 +7,48 @@ import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar, overload
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from psfield import _native
 from psfield._arrays import DTYPES, numbers, precision_of, shape_of
 from psfield._astropy import like, unit_of
-from psfield._catalog import columns_of, is_path
+from psfield._catalog import Columns, columns_of, is_path
 from psfield._choices import choice, integer, integer_or_none, real, text_or_none
 from psfield._errors import PsfieldWarning
 from psfield._progress import Progress, as_callback
+from psfield._reports import PlanSummary
+from psfield._sky import sky_of
 from psfield._tables import column_names
 
 if TYPE_CHECKING:
     from scipy.sparse.linalg import LinearOperator
 
     from psfield._model import PsfModel
+
+
+class _WithAttributes(Protocol):
+    """An array with attributes that its image shares: CCDData, Quantity or DataArray."""
+
+    @property
+    def wcs(self) -> Any: ...
+
+
+class _WithLabels(Protocol):
+    @property
+    def coords(self) -> Any: ...
+
+
+class _WithUnit(Protocol):
+    @property
+    def unit(self) -> Any: ...
+
+
+Out = TypeVar("Out", bound=NDArray[Any])
+#: Types of scenes whose images have the same type.
+Labelled = TypeVar("Labelled", bound=_WithAttributes | _WithLabels | _WithUnit)
 
 
 @dataclass(frozen=True)
@@ -267,21 +291,19 @@ class Plan:
         return float(self._settings["tolerance"])
 
     @property
-    def summary(self) -> dict[str, Any]:
+    def summary(self) -> PlanSummary:
         """Properties of the plan: tiles, modes, memory, device and predicted seconds.
-
-        The prediction is for one thread and a scene with light in every pixel.
 
         Examples
         --------
         >>> import psfield
         >>> plan = psfield.PsfModel.from_samples([[1, 2, 1]], (0, 0)).plan((4, 6), device="cpu")
-        >>> plan.summary["shape"], plan.summary["precision"], plan.summary["gpu"]
-        ((4, 6), 'f32', None)
+        >>> plan.summary.shape, plan.summary.tiles
+        ((4, 6), 1)
         """
         properties = self._handle.summary()
         del properties["text"]
-        return properties
+        return PlanSummary(**properties)
 
     def describe(self) -> str:
         """Return a description of the plan in a few lines of text.
@@ -301,12 +323,53 @@ class Plan:
         properties = self._handle.summary()
         return f"{properties['text']}\n{properties['device']}"
 
+    @overload
+    def simulate(
+        self,
+        scene: Any,
+        catalog: Any,
+        out: Out,
+        *,
+        wcs: Any = None,
+        progress: Progress | None = None,
+    ) -> Out: ...
+    @overload
+    def simulate(
+        self,
+        scene: Any = None,
+        catalog: Any = None,
+        *,
+        out: Out,
+        wcs: Any = None,
+        progress: Progress | None = None,
+    ) -> Out: ...
+    @overload
+    def simulate(
+        self,
+        scene: Labelled,
+        catalog: Any = None,
+        out: None = None,
+        *,
+        wcs: Any = None,
+        progress: Progress | None = None,
+    ) -> Labelled: ...
+    @overload
+    def simulate(
+        self,
+        scene: ArrayLike | None = None,
+        catalog: Any = None,
+        out: None = None,
+        *,
+        wcs: Any = None,
+        progress: Progress | None = None,
+    ) -> NDArray[Any]: ...
     def simulate(
         self,
         scene: Any = None,
         catalog: Any = None,
         out: NDArray[Any] | None = None,
         *,
+        wcs: Any = None,
         progress: Progress | None = None,
     ) -> Any:
         """Return the image of a scene, of a catalogue of sources, or of both.
@@ -317,7 +380,7 @@ class Plan:
 
         Parameters
         ----------
-        scene : array_like, astropy CCDData or Quantity, optional
+        scene : array_like, Quantity, CCDData or xarray.DataArray, optional
             Flux in each pixel, ``[y, x]`` with the `shape` of the plan, finite. A plan for a region
             also accepts only its `light_region`. An array ``[n, y, x]`` (or a list of arrays) is a
             stack of scenes, without a catalogue. For many small scenes this is faster than a loop.
@@ -325,22 +388,26 @@ class Plan:
             Stars and galaxies, as a table (astropy Table, dict of arrays, structured array, data
             frame) or as a CSV or FITS file that `read_catalog` can read. The columns are ``x``,
             ``y`` (or ``x_0``, ``y_0``) and ``flux``. Positions are in pixels of the image, counted
-            from the first pixel of the scene (0-based). They may lie outside the scene. Galaxies
-            have a Sersic profile with the columns ``re`` (half-light radius along the major axis in
-            pixels, 0 for a star), ``n``, ``q`` and ``angle`` (degrees from +x towards +y), and the
-            reduced shear ``g1`` and ``g2`` that is applied to this profile (as GalSim's
-            ``shear(g1=, g2=)``, without it ``q`` and ``angle`` are those of the image). A number in
-            place of a column holds for all rows. Fluxes may be negative, but not 0. Stars and
-            galaxies do not depend on the scene's pixels (``oversample``).
+            from the first pixel of the scene (0-based). They may lie outside the scene. In place of
+            ``x`` and ``y``, a table may have ``ra`` and ``dec`` (degrees) or a ``SkyCoord``.
+            Galaxies have a Sersic profile with the columns ``re`` (half-light radius along the
+            major axis in pixels, 0 for a star), ``n``, ``q`` and ``angle`` (degrees from +x towards
+            +y), and the reduced shear ``g1`` and ``g2`` that is applied to this profile (as
+            GalSim's ``shear(g1=, g2=)``, without it ``q`` and ``angle`` are those of the image). A
+            number in place of a column holds for all rows. Fluxes may be negative, but not 0. Stars
+            and galaxies do not depend on the scene's pixels (``oversample``).
         out : numpy.ndarray, optional
             Array to which the image is written, with `image_shape` and `dtype`, or ``[n, y, x]``
             for a stack of scenes. Its content is undefined after an interruption.
+        wcs : astropy.wcs.WCS or gwcs.WCS, optional
+            World coordinates of the pixels in which ``x`` and ``y`` count, for positions on the
+            sky. Default: those of the scene.
         progress : callable or tqdm bar, optional
             ``progress(done, total)``, called a few times per second.
 
         Returns
         -------
-        numpy.ndarray, Quantity or CCDData
+        numpy.ndarray, Quantity, CCDData or xarray.DataArray
             The image ``[y, x]``, or ``[n, y, x]`` for a stack of scenes, or ``out`` if that is
             given. It has the unit of the scene. For a single CCDData it also has the header and the
             world coordinates of the scene.
@@ -376,10 +443,10 @@ class Plan:
         """
         if scene is None and catalog is None:
             raise ValueError("there is nothing to simulate: give a scene, a catalog, or both")
-        if _is_stack(scene):
+        if is_stack(scene):
             return self._simulate_stack(scene, catalog, out, progress)
         light, unit = None if scene is None else self._scene(scene), unit_of(scene)
-        columns = columns_of(catalog, unit)
+        columns = self._sources(catalog, scene, light, wcs)
         if columns and (x := columns["x"]) is not None and not x.size:
             warnings.warn("catalog: there are no sources", PsfieldWarning, stacklevel=2)
         target, copied = self._target(out, light, unit)
@@ -487,6 +554,7 @@ class Plan:
         scene: Any = None,
         catalog: Any = None,
         *,
+        wcs: Any = None,
         image: Any = None,
         pixels: int = 500,
         seed: int = 0,
@@ -498,7 +566,7 @@ class Plan:
 
         Parameters
         ----------
-        scene, catalog
+        scene, catalog, wcs
             As for `simulate`.
         image : array_like, optional
             The result of `simulate` for this scene and catalogue. By default it is computed here.
@@ -530,7 +598,7 @@ class Plan:
         pixels = integer(pixels, "pixels", 1, most)
         seed = integer(seed, "seed", 0, 2**64 - 1)
         light = None if scene is None else self._scene(scene)
-        columns = columns_of(catalog, unit_of(scene))
+        columns = self._sources(catalog, scene, light, wcs)
         if image is None:
             image, _ = self._handle.simulate(light, columns, None, None)
         found = self._handle.spot_check(self._image(image), light, columns, pixels, seed)
@@ -544,6 +612,15 @@ class Plan:
         light = numbers(scene, "scene", self.dtype, "[y, x]")
         self._check_scene_shape(light.shape)
         return light
+
+    def _sources(
+        self, catalog: Any, scene: Any, light: NDArray[Any] | None, wcs: Any
+    ) -> Columns | None:
+        """Return the columns of a catalogue, in pixels of the image from the scene's first one."""
+        is_part = light is not None and light.shape != self.shape
+        first = self.light_region[:2] if is_part else (0, 0)
+        sky = sky_of(scene, wcs, self._settings["oversample"], first)
+        return columns_of(catalog, unit_of(scene), sky)
 
     def _check_scene_shape(self, shape: tuple[int, ...]) -> None:
         """Refuse a scene that is neither the whole scene nor the part that reaches the region."""
@@ -619,7 +696,7 @@ class Plan:
     def __repr__(self) -> str:
         (ny, nx), settings = self.shape, self._settings
         part = "" if self.region is None else f", region {self.region}"
-        device = self.summary["gpu"] or "the CPU"
+        device = self.summary.gpu or "the CPU"
         return (
             f"<Plan: scenes {ny} x {nx}{part}, tolerance {settings['tolerance']:g},"
             f" {settings['precision']}, on {device}>"
@@ -629,7 +706,7 @@ class Plan:
         return _again, (self._model, self._settings)
 
 
-def _is_stack(scene: Any) -> bool:
+def is_stack(scene: Any) -> bool:
     """Return whether a scene is an array ``[n, y, x]`` or a list of arrays ``[y, x]``."""
     if isinstance(scene, (list, tuple)):
         return len(scene) > 0 and np.ndim(scene[0]) == 2

@@ -26,8 +26,9 @@ from psfield import _native
 from psfield._arrays import DTYPES, doubles, numbers, plain
 from psfield._choices import integer
 from psfield._defaults import DETECTOR
+from psfield._reports import ExposureReport
 
-__all__ = ["BAD_COLUMN", "DEAD", "HOT", "SATURATED", "Detector", "Exposure"]
+__all__ = ["BAD_COLUMN", "DEAD", "HOT", "SATURATED", "Detector", "Exposure", "ExposureReport"]
 
 #: Flag of a pixel that never holds charge.
 DEAD = 1
@@ -49,9 +50,8 @@ class Exposure:
         ``[y, x]``, in ADU if the detector has a gain, a bias or bits, else in electrons.
     flags : numpy.ndarray
         ``[y, x]``, sums of `DEAD`, `HOT`, `BAD_COLUMN` and `SATURATED`.
-    report : dict
-        Numbers of pixels: ``saturated_pixels``, ``below_zero_pixels``, ``negative_pixels``,
-        ``bad_pixels`` and others.
+    report : ExposureReport
+        Numbers of pixels: saturated, below zero, bad and others.
 
     Examples
     --------
@@ -59,13 +59,13 @@ class Exposure:
     >>> exposure = Detector(full_well_e=50.0).expose([[1.0, 60.0]], seed=1)
     >>> exposure.counts.tolist(), (exposure.flags == SATURATED).tolist()
     ([[1.0, 50.0]], [[False, True]])
-    >>> exposure.report["saturated_pixels"]
+    >>> exposure.report.saturated_pixels
     1
     """
 
     counts: NDArray[Any]
     flags: NDArray[np.uint8]
-    report: dict[str, Any]
+    report: ExposureReport
 
 
 class Detector:
@@ -267,7 +267,7 @@ class Detector:
         counts, flags, report = self._handle.expose(
             numbers(image, "image", dtype, "[y, x]"), seed, mask
         )
-        return Exposure(counts, flags, json.loads(report))
+        return Exposure(counts, flags, ExposureReport(**json.loads(report)))
 
     def __repr__(self) -> str:
         defaults = DETECTOR._asdict()

@@ -47,7 +47,7 @@ class TestPrecision:
     def test_plans(self, plan, precision, dtype):
         made = plan.model.plan((6, 8), precision=precision)
         assert made.dtype == dtype
-        assert made.summary["precision"] == ("f32" if dtype == np.float32 else "f64")
+        assert made.summary.precision == ("f32" if dtype == np.float32 else "f64")
         assert repr(made) == repr(plan.model.plan((6, 8), precision=made.dtype))
 
     def test_samples(self, plan, tmp_path):

@@ -116,9 +116,7 @@ class TestDetector:
         exposure = ccd.expose(light, 42)
         assert exposure.counts.dtype == np.float32 and exposure.counts.shape == light.shape
         assert exposure.counts[5, 7] == ccd.saturation == 4095
-        assert (
-            exposure.flags[5, 7] == detector.SATURATED and exposure.report["saturated_pixels"] == 1
-        )
+        assert exposure.flags[5, 7] == detector.SATURATED and exposure.report.saturated_pixels == 1
         good = exposure.counts[exposure.flags == 0]
         assert good.mean() == pytest.approx(350, abs=0.1)
         assert good.std() == pytest.approx(np.sqrt(125) / 2, rel=0.02)

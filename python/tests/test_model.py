@@ -92,9 +92,7 @@ def test_a_model_tells_of_itself(model):
     flat = model.components.reshape(model.rank, -1)
     assert np.allclose(flat @ flat.T, np.eye(model.rank), atol=1e-10)
     report = model.fit_report()
-    assert (
-        report["rank"] == model.rank and report["max_error"] <= RANK and len(report["errors"]) == 16
-    )
+    assert report.rank == model.rank and report.max_error <= RANK and len(report.errors) == 16
     assert repr(model) == "<PsfModel: 16 samples, stamps 17 x 17, oversampling 1, field 96 x 128>"
     assert model.notes == () and model.sampling is None
 
@@ -239,8 +237,8 @@ class TestFunctions:
         model = psfield.PsfModel.from_function(
             draw, (300, 400), threshold=0.005, progress=lambda *step: steps.append(step)
         )
-        assert model.sampling["outcome"] == "met" and model.sampling["worst"] <= 0.005
-        assert model.sampling["samples"] == len(model.positions)
+        assert model.sampling.outcome == "met" and model.sampling.worst <= 0.005
+        assert model.sampling.samples == len(model.positions)
         right = np.mean(model.positions[:, 0] > 300)
         assert right > 0.5
         for x, y in [(10.3, 20.4), (350.1, 33.0), (398.0, 299.0), (200.0, 150.0)]:

@@ -67,7 +67,7 @@ def test_light_integrated_over_pixels_of_the_scene(model):
     assert integrated.sum() == pytest.approx(point.sum(), rel=1e-6)
     assert integrated.max() > 1.01 * point.max()
     plan = model.plan(scene.shape, scene_pixels="integrated")
-    assert plan.summary["scene_pixels"] == "integrated"
+    assert plan.summary.scene_pixels == "integrated"
 
 
 def test_the_same_scene_gives_the_same_bytes_on_any_number_of_threads(model, scene):
@@ -267,7 +267,7 @@ def test_a_plan_tells_of_itself(model):
     plan = model.plan((96, 128), 1e-2, "f64")
     assert plan.shape == plan.image_shape == (96, 128)
     assert (plan.tolerance, plan.dtype, plan.model) == (1e-2, np.float64, model)
-    assert plan.summary["tiles"] >= 1 and plan.summary["anchor"] == "source"
+    assert plan.summary.tiles >= 1 and plan.summary.anchor == "source"
     assert "128 x 96 pixels in f64, tolerance 1e-2" in plan.describe()
     assert repr(plan) == "<Plan: scenes 96 x 128, tolerance 0.01, f64, on the CPU>"
 
@@ -403,7 +403,7 @@ def test_a_plan_for_another_model_keeps_the_tolerance(model, scene):
     plan = model.plan(scene.shape, tolerance=1e-3, device="cpu")
     kept, new = plan.for_model(other), other.plan(scene.shape, tolerance=1e-3, device="cpu")
     assert kept.model is other and kept.tolerance == 1e-3
-    assert kept.summary["tile_shape"] == plan.summary["tile_shape"]
+    assert kept.summary.tile_shape == plan.summary.tile_shape
     # Each plan may differ by the tolerance.
     assert relative_l2(kept.simulate(scene), new.simulate(scene)) < 2e-3
     assert relative_l2(plan.simulate(scene), new.simulate(scene)) > 5e-3

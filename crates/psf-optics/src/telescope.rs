@@ -58,6 +58,9 @@ pub struct Telescope {
 }
 
 impl Telescope {
+    /// The names of the built-in telescopes.
+    pub const PRESETS: [&str; 2] = ["survey-2m", "wide-field-lens"];
+
     /// The smallest width of the computed focal plane in units of lambda / D. This width is also
     /// the number of pupil cells across the aperture, so the pupil is well resolved.
     const MIN_PUPIL_CELLS: f64 = 64.0;
@@ -210,6 +213,15 @@ impl Telescope {
     /// [`WIDE_FIELD_LENS_TOML`] is its description.
     pub fn wide_field_lens() -> Self {
         Self::from_toml_str(WIDE_FIELD_LENS_TOML).expect("the preset is valid")
+    }
+
+    /// The built-in telescope with a name of [`PRESETS`](Self::PRESETS). `None` for another name.
+    pub fn preset(name: &str) -> Option<Self> {
+        match name {
+            "survey-2m" => Some(Self::survey_2m()),
+            "wide-field-lens" => Some(Self::wide_field_lens()),
+            _ => None,
+        }
     }
 
     /// The parameters that the telescope was made from. To make another telescope, change a copy

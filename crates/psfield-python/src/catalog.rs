@@ -3,7 +3,9 @@
 use std::path::PathBuf;
 
 use numpy::{IntoPyArray, PyArray1, PyReadonlyArray1};
-use psfield::psf_io::{CatalogOptions, HduChoice, SkyCoordinates, read_cards, read_catalog_with};
+use psfield::psf_io::{
+    CatalogOptions, HduChoice, HeaderCards, SkyCoordinates, read_cards, read_catalog_with,
+};
 use psfield::psf_types::{DataError, PointSource, Position, SersicProfile, SersicSource};
 use pyo3::prelude::*;
 
@@ -18,7 +20,16 @@ type Column<'py> = Bound<'py, PyArray1<f64>>;
 /// not reach their position on the sky.
 type Read<'py> = ([Column<'py>; 3], [Column<'py>; 7], usize, usize);
 
-/// Reads a catalogue from a file.
+/// The cards of an image, from those of a scene that is `oversample` times finer. The first pixel of the
+/// image is pixel `first` (x, y) of the whole image. Both are the text of records of 80 characters.
+#[pyfunction]
+pub(crate) fn image_cards(cards: &str, first: (f64, f64), oversample: usize) -> String {
+    let binned = HeaderCards::from_text(cards).binned(oversample);
+    binned.shifted_origin(first.0, first.1).to_text()
+}
+
+/// Reads a catalogue from a file. `wcs` is a file with world coordinates, `wcs_cards` the text of such a
+/// header.
 #[pyfunction]
 pub(crate) fn read_catalog<'py>(
     py: Python<'py>,
@@ -30,6 +41,7 @@ pub(crate) fn read_catalog<'py>(
     table: Option<&str>,
     wcs: Option<PathBuf>,
     wcs_extension: Option<&str>,
+    wcs_cards: Option<&str>,
 ) -> PyResult<Read<'py>> {
     let mut options = CatalogOptions::new()
         .with_one_based(one_based)
@@ -43,9 +55,14 @@ pub(crate) fn read_catalog<'py>(
     if let Some(table) = table {
         options = options.with_table(parsed::<HduChoice>(table)?);
     }
-    if let Some(wcs) = wcs {
-        let extension = wcs_extension.map(parsed::<HduChoice>).transpose()?;
-        let cards = read_cards(wcs, extension.as_ref()).map_err(Failure::from)?;
+    let cards = match (wcs, wcs_cards) {
+        (Some(wcs), _) => {
+            let extension = wcs_extension.map(parsed::<HduChoice>).transpose()?;
+            Some(read_cards(wcs, extension.as_ref()).map_err(Failure::from)?)
+        }
+        (None, cards) => cards.map(HeaderCards::from_text),
+    };
+    if let Some(cards) = cards {
         options = options.with_sky(
             SkyCoordinates::from_header(&cards)
                 .map_err(|e| invalid(format!("wcs: {}", psfield::error_text(&e))))?,

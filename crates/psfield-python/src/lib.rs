@@ -26,7 +26,7 @@ use pyo3::prelude::*;
 #[pymodule]
 mod _native {
     #[pymodule_export]
-    use crate::catalog::read_catalog;
+    use crate::catalog::{image_cards, read_catalog};
     #[pymodule_export]
     use crate::detector::Detector;
     #[pymodule_export]
@@ -38,7 +38,7 @@ mod _native {
     #[pymodule_export]
     use crate::psf_model::PsfModel;
     #[pymodule_export]
-    use crate::sampling::sample_function;
+    use crate::sampling::{sample_function, sample_telescope};
     #[pymodule_export]
     use crate::threads::{set_threads, threads};
 

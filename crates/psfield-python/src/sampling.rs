@@ -1,11 +1,17 @@
-//! Samples a PSF that a Python function draws.
+//! Samples a PSF that a Python function draws, or that of a telescope.
 
+use std::path::Path;
 use std::sync::{Mutex, PoisonError};
 
 use ndarray::ArrayViewMut2;
 use numpy::PyReadonlyArray2;
-use psfield::psf_sample::{SampleError, Sampling, SamplingOptions, SamplingOutcome};
-use psfield::psf_types::{FrameShape, Position, Progress, PsfSource, SourceError, StampGrid};
+use psfield::psf_optics::Telescope;
+use psfield::psf_sample::{
+    SampleError, Sampling, SamplingMethod, SamplingOptions, SamplingOutcome, UniformSampling, draw_states,
+};
+use psfield::psf_types::{
+    FrameShape, Position, Progress, PsfSamples, PsfSource, SourceError, StampGrid, StateKind,
+};
 use psfield::{FitOptions, Psf, PsfieldError};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -101,6 +107,83 @@ pub(crate) fn sample_function(
     };
     found.set_item("outcome", outcome)?;
     Ok((PsfModel(Psf::new(samples, options)), found))
+}
+
+/// The PSF of a telescope, as read from Python arguments by name.
+#[derive(Debug, FromPyObject)]
+#[pyo3(from_item_all)]
+pub(crate) struct TelescopeSettings {
+    /// The name of a built-in telescope, or the path of a TOML file.
+    telescope: String,
+    /// (ny, nx) of the frame.
+    field: Option<(usize, usize)>,
+    /// (ny, nx) of the grid of samples.
+    samples: (usize, usize),
+    /// Frame pixels.
+    stamp_size: Option<usize>,
+    oversampling: Option<usize>,
+    wavelengths_um: Option<Vec<f64>>,
+}
+
+/// Samples the PSF of a telescope on a regular grid of positions.
+#[pyfunction]
+pub(crate) fn sample_telescope(
+    py: Python<'_>,
+    settings: TelescopeSettings,
+    fit: FitSettings,
+) -> PyResult<PsfModel> {
+    let options = fit.choices()?.or(FitOptions::default());
+    let name = &settings.telescope;
+    if Telescope::preset(name).is_none() && !Path::new(name).exists() {
+        return Err(invalid(format!(
+            "telescope must be the name of a built-in telescope ({}) or a TOML file, but there is no file {name}",
+            Telescope::PRESETS.join(", ")
+        )));
+    }
+    let drawn = threads::run_apart(py, move |watch, pool| pool.install(|| settings.draw(watch)))?;
+    Ok(PsfModel(Psf::new(drawn.map_err(Failure::from)?, options)))
+}
+
+impl TelescopeSettings {
+    fn draw(&self, watch: &Watch) -> Result<PsfSamples, PsfieldError> {
+        let mut telescope = match Telescope::preset(&self.telescope) {
+            Some(preset) => preset,
+            None => Telescope::from_toml_file(Path::new(&self.telescope))?,
+        };
+        let mut params = telescope.params().clone();
+        if let Some((ny, nx)) = self.field {
+            (params.frame.nx, params.frame.ny) = (nx, ny);
+        }
+        let frame_pixels = |stamp_pixels: usize| stamp_pixels.div_ceil(params.stamp.oversampling);
+        let size = match self.stamp_size {
+            Some(size) => (size, size),
+            None => (frame_pixels(params.stamp.nx), frame_pixels(params.stamp.ny)),
+        };
+        if let Some(oversampling) = self.oversampling {
+            params.stamp.oversampling = oversampling;
+        }
+        if (self.stamp_size, self.oversampling) != (None, None) {
+            let pixels = |size: usize| size.saturating_mul(params.stamp.oversampling);
+            (params.stamp.nx, params.stamp.ny) = (pixels(size.0), pixels(size.1));
+        }
+        if params != *telescope.params() {
+            telescope = Telescope::new(params)?;
+        }
+        let (ny, nx) = self.samples;
+        let method = UniformSampling::new(nx, ny)?;
+        let states = self.wavelengths_um.as_ref().map_or(1, Vec::len);
+        let count = nx.saturating_mul(ny).saturating_mul(states);
+        psfield::check_stack(count, telescope.grid())?;
+        let Some(wavelengths_um) = &self.wavelengths_um else {
+            return Ok(method.sample(&telescope, watch)?.samples);
+        };
+        let telescopes = wavelengths_um.iter().map(|&um| telescope.at_wavelength_um(um));
+        let telescopes = telescopes.collect::<Result<Vec<_>, _>>()?;
+        let sources: Vec<&dyn PsfSource> = telescopes.iter().map(|t| t as &dyn PsfSource).collect();
+        let positions = method.positions(telescope.field())?;
+        let states = (StateKind::Wavelength, &wavelengths_um[..]);
+        Ok(draw_states(&sources, states, &positions, watch)?)
+    }
 }
 
 /// A PSF that the Python function `f(x, y)` draws. The function returns the stamp `[y, x]` at a

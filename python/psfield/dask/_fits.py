@@ -8,12 +8,11 @@ import socket
 import warnings
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
-from string import ascii_uppercase
 from typing import Any
 
 import numpy as np
 
-from psfield._native import __version__
+from psfield import _native
 
 #: Keywords that are not copied from the scene: those of its storage, and those of this module.
 _OWN = re.compile(
@@ -76,22 +75,23 @@ class FitsFiles:
                     os.remove(os.path.join(folder, name))
 
     def _carry(self, scene: Any, header: Any) -> None:
-        """Copy the cards of the scene, with world coordinates from the first pixel of the frame."""
-        if scene is None or self.settings["oversample"] > 1:
+        """Copy the cards of the scene, with the world coordinates of the image's pixels."""
+        if scene is None:
             return
-        for card in scene.cards:
+        from astropy.io import fits
+
+        first = (0, 0) if self.settings["frame"] is None else self.settings["frame"][:2]
+        text = scene.tostring(sep="", endcard=False, padding=False)
+        moved = fits.Header.fromstring(
+            _native.image_cards(text, first, self.settings["oversample"]), sep=""
+        )
+        for card in moved.cards:
             if card.keyword and not _OWN.fullmatch(card.keyword):
                 header.append(card, end=True)
-        if self.settings["frame"] is not None:
-            for axis, first in enumerate(self.settings["frame"][:2], 1):
-                # The keywords of alternative coordinates end in a letter.
-                for keyword in (f"CRPIX{axis}{letter}" for letter in ("", *ascii_uppercase)):
-                    if keyword in header:
-                        header[keyword] -= first
 
     def _sign(self, header: Any, job: Mapping[str, Any]) -> None:
         """Write how the image was made."""
-        header["PSFIELD"] = (__version__, "version of psfield that made this image")
+        header["PSFIELD"] = (_native.__version__, "version of psfield that made this image")
         header["PSFANCH"] = (self.settings["anchor"], "PSF is that of the source or output pixel")
         header["PSFSCPIX"] = (self.settings["scene_pixels"], "light in the scene's pixels")
         header["PSFPREC"] = (self.settings["precision"], "working precision")

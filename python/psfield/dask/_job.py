@@ -23,9 +23,12 @@ class Job(TypedDict, total=False):
     Attributes
     ----------
     scene : array_like, path or callable
-        Flux in each pixel, ``[y, x]``, or a FITS file (its first image) or an ``.npy`` file, or a
-        function that draws the scene on the worker. The function receives the seed of the job, or
-        no argument if the job has none.
+        Flux in each pixel, ``[y, x]``, or a FITS file or an ``.npy`` file, or a function that draws
+        the scene on the worker. The function receives the seed of the job, or no argument if the
+        job has none.
+    extension : str or int
+        Image of the scene's FITS file: its number or its name. Default: the primary if it has
+        pixels, else the only image. If there are several, the job fails.
     catalog : table, path or callable
         Stars and galaxies, as for `Plan.simulate`, or a function as for the scene.
     psf : PsfModel, path or callable
@@ -53,6 +56,7 @@ class Job(TypedDict, total=False):
     """
 
     scene: Any
+    extension: str | int
     catalog: Any
     psf: Any
     seed: int
@@ -133,7 +137,7 @@ def scene_of(job: Mapping[str, Any]) -> tuple[Any, Any]:
         return None, None
     header = None
     if is_path(scene):
-        scene, header = _read(os.fspath(scene))
+        scene, header = _read(os.fspath(scene), job.get("extension"))
     elif callable(scene):
         scene = _call(scene, job)
     pixels = plain(scene, "scene")
@@ -170,7 +174,7 @@ def shape_without_reading(job: Mapping[str, Any]) -> tuple[int, int] | None:
         from astropy.io import fits
 
         with fits.open(path) as hdus:
-            return tuple(_first_image(hdus, path).shape)
+            return tuple(_image(hdus, path, job.get("extension")).shape)
     shape = np.shape(scene)
     return shape if len(shape) == 2 else None
 
@@ -180,7 +184,7 @@ def _call(function: Callable[..., Any], job: Mapping[str, Any]) -> Any:
     return function() if seed is None else function(seed)
 
 
-def _read(path: str) -> tuple[Any, Any]:
+def _read(path: str, extension: str | int | None) -> tuple[Any, Any]:
     if path.endswith(".npy"):
         return np.load(path), None
     if not path.endswith(_FITS):
@@ -188,12 +192,28 @@ def _read(path: str) -> tuple[Any, Any]:
     from astropy.io import fits
 
     with fits.open(path, memmap=False) as hdus:
-        hdu = _first_image(hdus, path)
+        hdu = _image(hdus, path, extension)
         return hdu.data, hdu.header
 
 
-def _first_image(hdus: Any, path: str) -> Any:
-    for hdu in hdus:
-        if hdu.is_image and len(hdu.shape) == 2:
-            return hdu
-    raise OSError(f"{path}: the file has no image")
+def _image(hdus: Any, path: str, extension: str | int | None) -> Any:
+    """Return the HDU of the image, by the rule of the command line's ``--extension``."""
+    if extension is not None:
+        try:
+            hdu = hdus[extension]
+        except (KeyError, IndexError):
+            raise OSError(f"{path}: there is no extension {extension!r}") from None
+    elif hdus[0].shape:
+        hdu = hdus[0]
+    else:
+        images = [(i, hdu) for i, hdu in enumerate(hdus) if hdu.is_image and hdu.shape]
+        if len(images) != 1:
+            names = ", ".join(f"{i} {hdu.name}".rstrip() for i, hdu in images)
+            raise OSError(
+                f"{path}: the file has {len(images) or 'no'} images"
+                + (f" ({names}): give the job an extension" if images else "")
+            )
+        hdu = images[0][1]
+    if not hdu.is_image or len(hdu.shape) != 2:
+        raise OSError(f"{path}: {hdu.name or 'the image'} is not an image [y, x]")
+    return hdu

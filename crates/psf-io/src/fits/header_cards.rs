@@ -2,7 +2,7 @@
 
 use std::collections::HashSet;
 
-use crate::fits::card::{Card, FromValue, Record};
+use crate::fits::card::{Card, FromValue, RECORD, Record, padded};
 
 /// Keywords about the storage of the data. They are not copied, since a new file has its own.
 const STRUCTURE: &[&str] = &[
@@ -86,6 +86,28 @@ impl HeaderCards {
             cards.pop();
         }
         Self { cards }
+    }
+
+    /// Reads the records of a header, 80 characters each, one after the other and without the END.
+    /// Characters that are not ASCII become `?`.
+    ///
+    /// ```
+    /// let text = format!("{:<80}{:<80}", "CRPIX1  = 3.0", "CRPIX2  = 5.0");
+    /// let header = psf_io::HeaderCards::from_text(&text);
+    /// assert_eq!((header.len(), header.to_text()), (2, text));
+    /// ```
+    pub fn from_text(text: &str) -> Self {
+        let ascii: Vec<u8> = text
+            .chars()
+            .map(|c| u8::try_from(c).ok().filter(u8::is_ascii).unwrap_or(b'?'))
+            .collect();
+        Self::from_records(ascii.chunks(RECORD).map(padded))
+    }
+
+    /// The records of all cards, 80 characters each, one after the other.
+    pub fn to_text(&self) -> String {
+        let records = self.cards.iter().flat_map(Card::records);
+        records.map(|record| String::from_utf8_lossy(record)).collect()
     }
 
     /// Iterates over the cards in order.

@@ -1,0 +1,246 @@
+"""Reports on models, plans and exposures."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass, fields
+from typing import Any
+
+
+class Report:
+    """A report whose values are attributes. They can still be read by their names in brackets."""
+
+    def __getitem__(self, name: str) -> Any:
+        if name not in (field.name for field in fields(self)):  # type: ignore[arg-type]
+            raise KeyError(name)
+        text = f"reports have attributes now: .{name} in place of [{name!r}]"
+        warnings.warn(text, DeprecationWarning, stacklevel=2)
+        return getattr(self, name)
+
+
+@dataclass(frozen=True)
+class LeaveOneOutReport(Report):
+    """The errors of predicting each sample from all others, relative to the norm of the sample.
+
+    `FitReport.leave_one_out` is one. The errors include those of the truncated basis.
+
+    Attributes
+    ----------
+    predicted : int
+        Number of samples inside the area that the other samples cover. They are interpolated.
+    median, max : float or None
+        Median and largest error of these samples. None if there are none.
+    extrapolated : int
+        Number of samples at the border, which the other samples can only extrapolate.
+    unpredictable : int
+        Number of samples that the others cannot predict.
+    errors : list of float or None
+        Error of every sample. None where there is no prediction.
+
+    Examples
+    --------
+    >>> import psfield
+    >>> stamps = [[[1, 2, 1]], [[2, 3, 2]]]
+    >>> model = psfield.PsfModel.from_samples(stamps, [(0, 0), (9, 0)], noise=0)
+    >>> model.fit_report().leave_one_out.extrapolated
+    2
+    """
+
+    predicted: int
+    median: float | None
+    max: float | None
+    extrapolated: int
+    unpredictable: int
+    errors: list[float | None]
+
+
+@dataclass(frozen=True)
+class FitReport(Report):
+    """The errors and choices of the fit of a model. `PsfModel.fit_report` returns it.
+
+    Attributes
+    ----------
+    samples : int
+        Number of samples.
+    depends_on : str or None
+        Quantity on which the PSF depends besides the position, such as 'wavelength'.
+    states : list of float
+        Values of this quantity that the samples have, ascending.
+    rank : int
+        Number of components kept, without the mean.
+    elbow : int or None
+        Number of components at the elbow of the cumulative weights.
+    noise_sigma : float or None
+        Standard deviation of the noise in the pixels of the samples, estimated or given. None if
+        there is none.
+    interpolation, outside, normalise : str
+        Choices that the model uses.
+    max_error, rms_error : float
+        Largest and root mean square error of the truncated basis, relative to each sample.
+    errors : list of float
+        This error for every sample.
+    leave_one_out : LeaveOneOutReport
+        Errors of predicting each sample from the others.
+    singular_values, cumulative_weights : list of float
+        Singular values that were computed, from the largest on, and their cumulative weights.
+
+    Examples
+    --------
+    >>> import psfield
+    >>> stamps = [[[1, 2, 1]], [[2, 3, 2]]]
+    >>> model = psfield.PsfModel.from_samples(stamps, [(0, 0), (9, 0)], noise=0)
+    >>> report = model.fit_report()
+    >>> report.samples, report.rank, report.max_error < 1e-12
+    (2, 1, True)
+    """
+
+    samples: int
+    depends_on: str | None
+    states: list[float]
+    rank: int
+    elbow: int | None
+    noise_sigma: float | None
+    interpolation: str
+    outside: str
+    normalise: str
+    max_error: float
+    rms_error: float
+    errors: list[float]
+    leave_one_out: LeaveOneOutReport
+    singular_values: list[float]
+    cumulative_weights: list[float]
+
+
+@dataclass(frozen=True)
+class SamplingReport(Report):
+    """The sampling of a PSF that a function draws. `PsfModel.sampling` is one.
+
+    Attributes
+    ----------
+    samples, draws : int
+        Number of samples kept, and of PSFs drawn.
+    cells, unmet_cells : int
+        Number of cells between samples, and of those whose error exceeds the threshold.
+    worst : float
+        Largest error of a cell.
+    threshold : float
+        Error at which the refinement stops.
+    outcome : {'met', 'cell-size-reached'}
+        Whether every cell meets the threshold, or some are as small as cells may be.
+
+    Examples
+    --------
+    >>> import psfield
+    >>> model = psfield.PsfModel.from_function(lambda x, y: [[0, 1, 0], [1, 4, 1]], (5, 8))
+    >>> model.sampling.outcome, model.sampling.samples == len(model.positions)
+    ('met', True)
+    """
+
+    samples: int
+    draws: int
+    cells: int
+    unmet_cells: int
+    worst: float
+    threshold: float
+    outcome: str
+
+
+@dataclass(frozen=True)
+class PlanSummary(Report):
+    """The properties of a plan. `Plan.summary` is one.
+
+    Attributes
+    ----------
+    shape, frame_shape : (int, int)
+        Rows and columns of the scenes, and of the images.
+    precision, tolerance, tolerance_on, anchor, method, scene_pixels
+        Arguments of `PsfModel.plan`.
+    device : str
+        The device, and why it was chosen.
+    gpu : str or None
+        Name of the GPU.
+    tile_shape, transform_shape : (int, int)
+        Rows and columns of the largest tile, and of the transforms.
+    tiles, blocks : int
+        Number of tiles, and of blocks: the tiles of a block share their modes.
+    mean_modes : float
+        Mean number of modes of a block, the mean PSF included.
+    most_modes : int
+        Largest number of modes of a block.
+    predicted_seconds : float
+        Predicted time of an image with light in every pixel, on one thread.
+    kept_bytes : int
+        Memory of the plan.
+
+    Examples
+    --------
+    >>> import psfield
+    >>> plan = psfield.PsfModel.from_samples([[1, 2, 1]], (0, 0)).plan((4, 6), device="cpu")
+    >>> plan.summary.shape, plan.summary.precision, plan.summary.gpu
+    ((4, 6), 'f32', None)
+    """
+
+    shape: tuple[int, int]
+    frame_shape: tuple[int, int]
+    precision: str
+    tolerance: float
+    tolerance_on: str
+    anchor: str
+    method: str
+    scene_pixels: str
+    device: str
+    gpu: str | None
+    tile_shape: tuple[int, int]
+    transform_shape: tuple[int, int]
+    tiles: int
+    blocks: int
+    mean_modes: float
+    most_modes: int
+    predicted_seconds: float
+    kept_bytes: int
+
+
+@dataclass(frozen=True)
+class ExposureReport(Report):
+    """Statistics of an exposure. `Exposure.report` is one.
+
+    Attributes
+    ----------
+    seed : int
+        Seed of the noise.
+    pixels : int
+        Number of pixels.
+    saturated_pixels : int
+        Pixels at their full well or at the upper end of the converter.
+    below_zero_pixels : int
+        Pixels that the converter set to 0 because their count was negative.
+    negative_pixels : int
+        Pixels whose expected charge was negative. They get no charge.
+    lowest_expected_e : float
+        Lowest charge expected in a pixel, in electrons.
+    bad_pixels, dead_pixels, hot_pixels, bad_column_pixels : int
+        Pixels with any fault, and with each fault.
+    mean_sky_e : float
+        Mean sky in electrons per pixel.
+    dark_e : float
+        Dark charge of a good pixel in electrons.
+
+    Examples
+    --------
+    >>> from psfield.detector import Detector
+    >>> Detector(full_well_e=50.0).expose([[1.0, 60.0]], seed=1).report.saturated_pixels
+    1
+    """
+
+    seed: int
+    pixels: int
+    saturated_pixels: int
+    below_zero_pixels: int
+    negative_pixels: int
+    lowest_expected_e: float
+    bad_pixels: int
+    dead_pixels: int
+    hot_pixels: int
+    bad_column_pixels: int
+    mean_sky_e: float
+    dark_e: float
