@@ -69,17 +69,26 @@ def in_a_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_every_page_with_python_is_tested():
     tested = set(re.findall(r'run\("([^"]+)"', Path(__file__).read_text(encoding="utf-8")))
-    tested |= {"README.md", "docs/index.md"}
     assert tested == {page for page in PAGES if blocks(page)}
 
 
 @pytest.mark.filterwarnings("ignore::psfield.PsfieldWarning")
-@pytest.mark.parametrize("page", ["README.md", "docs/index.md"])
-def test_first_pages(page):
-    image = run(page)["image"]
+def test_the_readme():
+    image = run("README.md")["image"]
     assert image.shape == (1024, 1024)
     # No star is near an edge.
     assert image.sum(dtype=float) == pytest.approx(1500, rel=1e-3)
+
+
+def test_the_first_page_of_the_site():
+    names = run("docs/index.md")
+    assert names["image"].shape == names["model"].field_shape
+
+
+def test_the_reference_lists_every_public_name():
+    page = (ROOT / "docs" / "api" / "index.md").read_text(encoding="utf-8")
+    listed = set(re.findall(r"^ +psfield\.(\w+)$", page, re.M))
+    assert listed == {*psfield.__all__, "dask"} - {"__version__"}
 
 
 def test_the_package():
