@@ -25,7 +25,7 @@ Arrays are ``[y, x]``. Positions are 0-based pixels ``(x, y)``, where an integer
 pixel.
 """
 
-from psfield import detector, metrics
+from psfield import detector, metrics, plot
 from psfield._catalog import read_catalog
 from psfield._errors import PsfieldWarning
 from psfield._model import PsfModel
@@ -48,6 +48,7 @@ __all__ = [
     "detector",
     "example",
     "metrics",
+    "plot",
     "read_catalog",
     "set_threads",
     "simulate",

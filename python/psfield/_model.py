@@ -37,6 +37,7 @@ from psfield._choices import (
 )
 from psfield._defaults import DEFAULTS
 from psfield._errors import PsfieldWarning
+from psfield._html import size, table
 from psfield._plan import Plan
 from psfield._progress import Progress, as_callback
 from psfield._reports import FitReport, LeaveOneOutReport, SamplingReport
@@ -198,7 +199,7 @@ class PsfModel:
         A PSF that is constant over the field:
 
         >>> psfield.PsfModel.from_samples(narrow, (0, 0), center=(1, 1), normalize="unit")
-        <PsfModel: 1 samples, stamps 3 x 3, oversampling 1>
+        <PsfModel: 1 sample, stamps 3 x 3, oversampling 1>
 
         A PSF that widens with the wavelength:
 
@@ -612,7 +613,7 @@ class PsfModel:
         >>> model = psfield.PsfModel.from_samples([[0, 1, 0], [1, 4, 1], [0, 1, 0]], (0, 0))
         >>> _ = model.write("psf.fits", overwrite=True)
         >>> psfield.PsfModel.read("psf.fits")
-        <PsfModel: 1 positions, stamps 3 x 3, oversampling 1>
+        <PsfModel: 1 position, stamps 3 x 3, oversampling 1>
         """
         at = None if positions is None else tuple(axis.tolist() for axis in points(positions))
         file = {
@@ -1246,13 +1247,47 @@ class PsfModel:
         )
 
     def __repr__(self) -> str:
-        kind = "samples" if self._handle.has_samples() else "positions"
+        kind = "sample" if self._handle.has_samples() else "position"
         (ny, nx), count = self.stamp_shape, len(self._handle.positions()[0])
+        plural = "" if count == 1 else "s"
+        states = self._states_in_words()
+        at = "" if states is None else f", at {states}"
         field = "" if self.field_shape is None else ", field {} x {}".format(*self.field_shape)
         return (
-            f"<PsfModel: {count} {kind}, stamps {ny} x {nx}, oversampling {self.oversampling:g}"
-            f"{field}>"
+            f"<PsfModel: {count} {kind}{plural}{at}, stamps {ny} x {nx},"
+            f" oversampling {self.oversampling:g}{field}>"
         )
+
+    def _states_in_words(self) -> str | None:
+        """Return the number and the range of the wavelengths, times or frames, if there are any."""
+        states = self._handle.states()
+        if states is None:
+            return None
+        kind, values = states
+        least, most, count = min(values), max(values), len(set(values))
+        unit = {"wavelength": " um", "time": " s"}.get(kind, "")
+        to = "" if count == 1 else f" to {most:g}"
+        return f"{count} {kind}{'' if count == 1 else 's'} ({least:g}{to}{unit})"
+
+    def _repr_html_(self) -> str:
+        rank = self._handle.rank_if_fitted()
+        rows = {
+            "Samples" if self._handle.has_samples() else "Positions": len(self.positions),
+            "Depends on": self._states_in_words(),
+            "Field": "not stated" if self.field_shape is None else size(self.field_shape),
+            "Stamps": size(self.stamp_shape),
+            "Oversampling": self.oversampling,
+            "Centre (x, y)": "({:g}, {:g})".format(*self.centre),
+            "Pixel response included": self.pixel_response_included,
+            "Components": "not fitted yet" if rank is None else rank,
+        }
+        if rank is not None:
+            rows |= {
+                "Interpolation": self.interpolation,
+                "Outside the samples": self.outside,
+                "Scaling of PSFs": self.normalise,
+            }
+        return table("PsfModel", rows)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _again, (*self._handle.state(), self._sampling)

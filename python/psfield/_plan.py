@@ -18,6 +18,7 @@ from psfield._astropy import like, unit_of
 from psfield._catalog import Columns, columns_of, is_path
 from psfield._choices import choice, integer, integer_or_none, real, text_or_none
 from psfield._errors import PsfieldWarning
+from psfield._html import FieldsAsTable, size, table
 from psfield._progress import Progress, as_callback
 from psfield._reports import PlanSummary
 from psfield._sky import sky_of
@@ -52,7 +53,7 @@ Labelled = TypeVar("Labelled", bound=_WithAttributes | _WithLabels | _WithUnit)
 
 
 @dataclass(frozen=True)
-class SpotCheck:
+class SpotCheck(FieldsAsTable):
     """A comparison of an image with the direct sum in double precision at random pixels.
 
     `Plan.spot_check` returns it.
@@ -304,6 +305,25 @@ class Plan:
         properties = self._handle.summary()
         del properties["text"]
         return PlanSummary(**properties)
+
+    @property
+    def blocks(self) -> NDArray[Any]:
+        """Blocks of the plan, row by row: a structured array of x0, y0, nx, ny and modes.
+
+        Each block has its own modes: the stamps that represent all its PSFs. ``modes`` is their
+        number. First column and row, columns and rows are in pixels of the scene. The blocks cover
+        the `light_region` or, with ``anchor="output"``, the part of the scene that the image shows.
+
+        Examples
+        --------
+        >>> import psfield
+        >>> model = psfield.PsfModel.from_samples([[0, 1, 0], [1, 4, 1], [0, 1, 0]], (0, 0))
+        >>> plan = model.plan((40, 60), tolerance=1e-3)
+        >>> plan.blocks["modes"].tolist(), int((plan.blocks["nx"] * plan.blocks["ny"]).sum())
+        ([1], 2400)
+        """
+        names = ("x0", "y0", "nx", "ny", "modes")
+        return np.array(self._handle.blocks(), dtype=[(name, np.int64) for name in names])
 
     def describe(self) -> str:
         """Return a description of the plan in a few lines of text.
@@ -695,12 +715,35 @@ class Plan:
 
     def __repr__(self) -> str:
         (ny, nx), settings = self.shape, self._settings
+        finer = "" if settings["oversample"] == 1 else f", oversample {settings['oversample']}"
+        frame = "" if settings["frame"] is None else f", frame {settings['frame']}"
         part = "" if self.region is None else f", region {self.region}"
         device = self.summary.gpu or "the CPU"
         return (
-            f"<Plan: scenes {ny} x {nx}{part}, tolerance {settings['tolerance']:g},"
+            f"<Plan: scenes {ny} x {nx}{finer}{frame}{part}, tolerance {settings['tolerance']:g},"
             f" {settings['precision']}, on {device}>"
         )
+
+    def _repr_html_(self) -> str:
+        found, settings = self.summary, self._settings
+        tile_rows, tile_columns = found["tile_shape"]
+        rows = {
+            "Scenes": size(self.shape),
+            "Oversampling": None if settings["oversample"] == 1 else settings["oversample"],
+            "Frame (x0, y0, nx, ny)": settings["frame"],
+            "Region (x0, y0, nx, ny)": self.region,
+            "Images": size(self.image_shape),
+            "Tolerance": f"{self.tolerance:g} ({found['tolerance_on']})",
+            "Precision": found["precision"],
+            "Anchor": found["anchor"],
+            "Device": found["device"],
+            "Tiles": f"{found['tiles']}, of at most {tile_rows} x {tile_columns}",
+            "Blocks": found["blocks"],
+            "Modes per block": f"mean {found['mean_modes']:.2f}, most {found['most_modes']}",
+            "Memory kept": f"{found['kept_bytes'] / 2**20:.1f} MiB",
+            "Predicted time": f"{found['predicted_seconds']:.2g} s (one thread, every pixel lit)",
+        }
+        return table("Plan", rows)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _again, (self._model, self._settings)

@@ -35,6 +35,7 @@ from numpy.typing import NDArray
 from psfield import _native
 from psfield._arrays import doubles, points, reals, stack
 from psfield._choices import boolean, integer, integer_or_none, real
+from psfield._html import FieldsAsTable
 
 __all__ = [
     "AdaptiveMoments",
@@ -50,7 +51,7 @@ __all__ = [
 
 
 @dataclass(frozen=True)
-class GaussianFit:
+class GaussianFit(FieldsAsTable):
     """A Gaussian fitted by least squares. `fit_gaussian` returns it.
 
     Attributes
@@ -137,7 +138,7 @@ class _Distortion:
 
 
 @dataclass(frozen=True)
-class AdaptiveMoments(_Distortion):
+class AdaptiveMoments(_Distortion, FieldsAsTable):
     """Second moments with a Gaussian weight that is fitted to the light.
 
     The weight has the size and shape of the light (Hirata and Seljak 2003). `adaptive_moments`
@@ -179,7 +180,7 @@ class AdaptiveMoments(_Distortion):
 
 
 @dataclass(frozen=True)
-class QuadrupoleMoments(_Distortion):
+class QuadrupoleMoments(_Distortion, FieldsAsTable):
     """Second moments without a weight. `quadrupole_moments` returns them.
 
     Attributes
@@ -216,7 +217,7 @@ class QuadrupoleMoments(_Distortion):
 
 
 @dataclass(frozen=True)
-class Comparison:
+class Comparison(FieldsAsTable):
     """The errors of a result against a reference. `compare` returns them.
 
     Undefined values, such as ``snr_db`` without any error, are None.

@@ -11,6 +11,9 @@ import pytest
 
 import psfield
 
+# Plots are drawn without a window.
+os.environ["MPLBACKEND"] = "Agg"
+
 ROOT = Path(__file__).resolve().parents[2]
 
 

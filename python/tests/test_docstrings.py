@@ -14,10 +14,10 @@ from typing import Any
 import pytest
 
 import psfield
-from psfield import detector, metrics
+from psfield import detector, metrics, plot
 
 #: An example is skipped if it imports one of these packages and the package is not installed.
-OPTIONAL = ("astropy", "dask", "distributed", "photutils", "scipy")
+OPTIONAL = ("astropy", "dask", "distributed", "matplotlib", "photutils", "scipy")
 FLAGS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 
 
@@ -49,7 +49,7 @@ def docstrings() -> list[doctest.DocTest]:
 
 def public() -> Iterator[tuple[str, Any]]:
     """Yield the public functions, classes, methods and properties by name."""
-    namespaces = [psfield, detector, metrics]
+    namespaces = [psfield, detector, metrics, plot]
     if is_installed("dask"):
         namespaces.append(importlib.import_module("psfield.dask"))
     for namespace in namespaces:

@@ -20,8 +20,8 @@ PAGES = [
     )
 ]
 #: A block that imports one of these, and the blocks after it, are skipped if it is not installed.
-OPTIONAL = ("astropy", "dask", "dask_jobqueue", "galsim", "photutils", "regularizepsf", "scipy")
-OPTIONAL += ("tqdm",)
+OPTIONAL = ("astropy", "dask", "dask_jobqueue", "galsim", "matplotlib", "photutils")
+OPTIONAL += ("regularizepsf", "scipy", "tqdm")
 
 
 def blocks(page: str) -> list[tuple[str, int, str]]:

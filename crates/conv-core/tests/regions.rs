@@ -233,6 +233,43 @@ fn a_region_chooses_the_tiles_of_the_whole() {
 }
 
 #[test]
+fn blocks_cover_their_side_exactly_once() {
+    let shape = FrameShape::new(SCENE.0, SCENE.1).unwrap();
+    for (name, model) in models() {
+        for (frame, anchor) in frames().into_iter().flat_map(|frame| ANCHORS.map(|a| (frame, a))) {
+            let options = options(1e-3, anchor, PATHS[0]);
+            let whole = Plan::<f64>::new(&model, shape, frame, options).unwrap();
+            for part in [frame.shape().region(), region(40, 31, 53, 47)] {
+                let case = format!("{name} {anchor} {part:?} of {frame:?}");
+                let plan = whole.for_other_region(part, &NoProgress).unwrap();
+                let covered = if anchor == Anchor::Output {
+                    part.shifted(frame.x0(), frame.y0())
+                } else {
+                    plan.light_region()
+                };
+                let mut expected = Array2::zeros((SCENE.1, SCENE.0));
+                let (x, y) = (covered.x0() as usize, covered.y0() as usize);
+                let (to_x, to_y) = (x + covered.shape().nx(), y + covered.shape().ny());
+                expected.slice_mut(s![y..to_y, x..to_x]).fill(1);
+                let mut counts = Array2::zeros((SCENE.1, SCENE.0));
+                let mut by_modes = vec![0; plan.summary().blocks_by_modes.len()];
+                for (block, modes) in plan.blocks() {
+                    let (x, y) = (block.x0() as usize, block.y0() as usize);
+                    let (to_x, to_y) = (x + block.shape().nx(), y + block.shape().ny());
+                    counts
+                        .slice_mut(s![y..to_y, x..to_x])
+                        .mapv_inplace(|n: i32| n + 1);
+                    by_modes[modes] += 1;
+                }
+                assert_eq!(counts, expected, "{case}");
+                assert_eq!(by_modes, plan.summary().blocks_by_modes, "{case}");
+                assert_eq!(plan.blocks().len(), plan.summary().blocks, "{case}");
+            }
+        }
+    }
+}
+
+#[test]
 fn single_pixels_and_thin_regions_anywhere() {
     let shape = FrameShape::new(SCENE.0, SCENE.1).unwrap();
     for (name, model) in models() {

@@ -6,7 +6,7 @@ use ndarray::parallel::prelude::*;
 use ndarray::{Array, Array2, Array3, ArrayView2, ArrayViewMut2, ArrayViewMut3, Axis, Dimension, Ix2, Ix3};
 use numpy::{Element, IntoPyArray, PyArray, PyArrayMethods, PyReadonlyArray, PyReadwriteArray};
 use psfield::conv_core::{ConvReal, zeros};
-use psfield::psf_types::{Image, ImageView, NoProgress};
+use psfield::psf_types::{Image, ImageView, NoProgress, PixelRegion};
 use psfield::{Method, Preparation, PsfieldError, Scene, SimulateOptions, SimulationWarning, Simulator};
 use pyo3::exceptions::PyOSError;
 use pyo3::prelude::*;
@@ -165,6 +165,15 @@ impl Plan {
     fn frame_shape(&self) -> (usize, usize) {
         let shape = in_precision!(self, simulator => simulator.image_shape());
         (shape.ny(), shape.nx())
+    }
+
+    /// (x0, y0, nx, ny, modes) of each block, row by row, in pixels of the scene.
+    fn blocks(&self) -> PyResult<Vec<(i64, i64, usize, usize, usize)>> {
+        let blocks =
+            in_precision!(self, simulator => simulator.blocks(&NoProgress)).map_err(Failure::from)?;
+        let values =
+            |(at, modes): (PixelRegion, usize)| (at.x0(), at.y0(), at.shape().nx(), at.shape().ny(), modes);
+        Ok(blocks.into_iter().map(values).collect())
     }
 
     /// Properties of the plan by name.

@@ -240,6 +240,11 @@ impl PsfModel {
         Ok(arrays_of(py, self.record(py)?))
     }
 
+    /// The number of components, or `None` if the samples have not been fitted yet.
+    fn rank_if_fitted(&self) -> Option<usize> {
+        Some(self.0.record_if_fitted()?.basis().rank())
+    }
+
     /// The report on the fit as JSON. `None` for a model without samples.
     fn fit_report(&self, py: Python<'_>) -> PyResult<Option<String>> {
         let report = self.apart(py, |psf| psf.fit()?.map(Fit::report).transpose())?;

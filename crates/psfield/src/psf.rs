@@ -270,6 +270,12 @@ impl Psf {
         }
     }
 
+    /// The model in the form that a file stores, if it exists already. Unlike
+    /// [`record`](Self::record), this never starts a fit.
+    pub fn record_if_fitted(&self) -> Option<&PsfModelRecord> {
+        self.stored().or_else(|| self.0.fit.get().map(Fit::record))
+    }
+
     /// The model on the stamps' own grid, made when it is first needed.
     ///
     /// # Errors

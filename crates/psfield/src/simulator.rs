@@ -294,6 +294,17 @@ impl<T: ConvReal> Simulator<T> {
         })
     }
 
+    /// The blocks of the plan ([`Plan::blocks`](conv_core::Plan::blocks)): the pixels of each, in
+    /// pixels of the scene, and its number of modes.
+    ///
+    /// # Errors
+    /// [`ErrorKind::Setting`] for a method without a plan, and the errors of
+    /// [`prepare`](Self::prepare).
+    pub fn blocks(&self, progress: &dyn Progress) -> Result<Vec<(PixelRegion, usize)>, PsfieldError> {
+        let engine = self.convolver(progress)?.engine_for("blocks are made")?;
+        Ok(engine.plan().blocks().collect())
+    }
+
     /// Makes the models and the plans that scenes like `scene` need (with or without an image,
     /// stars and galaxies), unless they exist. If `rows` is true, the image of the scene will be
     /// read row by row ([`stream`](Self::stream)), and `scene` does not hold it.

@@ -367,6 +367,18 @@ impl<T: ConvReal> Plan<T> {
         PixelRegion::new(columns.start as i64, rows.start as i64, shape)
     }
 
+    /// The blocks, row by row: the pixels of each, and its number of modes, the reference included.
+    /// The pixels count from the first pixel of the light. The blocks cover the
+    /// [light that reaches the region](Self::light_region) (source-anchored) or the
+    /// [region](Self::region) (output-anchored), each pixel once.
+    pub fn blocks(&self) -> impl ExactSizeIterator<Item = (PixelRegion, usize)> {
+        let (across, frame) = (self.tiling.columns.len(), self.frame());
+        self.blocks.iter().enumerate().map(move |(i, block)| {
+            let region = self.tiling.region(&self.geometry, i % across, i / across);
+            (region.shifted(frame.x0(), frame.y0()), block.kernel_count())
+        })
+    }
+
     /// An image `[y, x]` of zeros with the shape of the plan's [region](Self::region), for
     /// [`Engine::execute`](crate::Engine::execute). It is faster to add to this image than to
     /// another large array of zeros, because its memory pages have already been written to.
