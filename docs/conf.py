@@ -44,6 +44,9 @@ sphinx_gallery_conf = {
     "min_reported_time": 5,
 }
 
+# Publishers refuse programs.
+linkcheck_ignore = ["https://doi.org/"]
+
 html_theme = "pydata_sphinx_theme"
 html_title = "psfield"
 html_show_sourcelink = False
