@@ -407,7 +407,7 @@ impl<T: ConvReal> GalaxyPlan<T> {
     fn block(&self, key: BlockKey) -> Arc<Block> {
         let make = || {
             let region = region_of(key, BLOCK);
-            let cells = self.space().sampled_cells(region);
+            let cells = self.space().cells_for_sources(region, self.shared.tolerance);
             let modes = LocalModes::of_exact_cells(self.space(), &cells, MARGIN * self.shared.tolerance);
             // No rows if the PSF has no value in the block. Then each galaxy uses all components.
             let directions = modes.kernels();

@@ -34,6 +34,9 @@ pub struct PsfSpace {
 /// The fraction of the tolerance that is left to the cells. More of it makes cells larger and needs
 /// more modes.
 const SHARE_OF_CELLS: f64 = 0.3;
+/// The numbers of rows of cells that are looked at to find modes.
+const FEWEST_ROWS: usize = 5;
+const MOST_ROWS: usize = 17;
 
 impl PsfSpace {
     /// The space of the PSFs of models that share their stamps, one for each layer. Plans that use
@@ -239,9 +242,17 @@ impl PsfSpace {
         use_limit(ErrorLimit { size, flux: &flux })
     }
 
-    /// A few cells of a region, without any error.
+    /// Some cells of a region, without any error: [`FEWEST_ROWS`] rows of them.
     pub(crate) fn sampled_cells(&self, region: PixelRegion) -> RegionCells {
-        RegionCells::sampled(self.fields(), region)
+        RegionCells::sampled(self.fields(), region, FEWEST_ROWS)
+    }
+
+    /// Some cells of a region, without any error: about as many as bilinear interpolation with this
+    /// tolerance needs. Sources between the rows of too few cells may exceed the tolerance.
+    pub(crate) fn cells_for_sources(&self, region: PixelRegion, tolerance: f64) -> RegionCells {
+        let of_layer = self.expected_cells(region, tolerance) / self.models.len();
+        let rows = (of_layer as f64).sqrt().ceil() as usize;
+        RegionCells::sampled(self.fields(), region, rows.clamp(FEWEST_ROWS, MOST_ROWS))
     }
 
     /// About how many cells a region has with the first guess of their error.

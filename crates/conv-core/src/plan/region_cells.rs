@@ -116,32 +116,36 @@ impl RegionCells {
         }
     }
 
-    /// The cells of a few rows of each layer of a region, which include the first and the last row.
-    /// Each of these rows is a band of its own, with cells between a few columns unless the field has
-    /// runs. The other rows have no cells.
-    pub(crate) fn sampled<'a>(fields: impl Iterator<Item = LayerField<'a>>, region: PixelRegion) -> Self {
+    /// The cells of `count` rows of each layer of a region, which include the first and the last row.
+    /// Each of these rows is a band of its own, with `count + 1` cells unless the field has runs. The
+    /// other rows have no cells.
+    pub(crate) fn sampled<'a>(
+        fields: impl Iterator<Item = LayerField<'a>>,
+        region: PixelRegion,
+        count: usize,
+    ) -> Self {
         let mut all = Self::default();
         for (field, nodes) in fields {
-            all.add_layer(nodes, region, |all| all.add_sampled_rows(field, region));
+            all.add_layer(nodes, region, |all| all.add_sampled_rows(field, region, count));
         }
         all.number_nodes();
         all
     }
 
-    fn add_sampled_rows(&mut self, field: &dyn CoefficientField, region: PixelRegion) {
+    fn add_sampled_rows(&mut self, field: &dyn CoefficientField, region: PixelRegion, count: usize) {
         let (nx, ny) = (region.shape().nx(), region.shape().ny());
         let has_runs = matches!(
             field.bilinear_cells(region, ErrorLimit::ZERO),
             BilinearCells::Bands(_) | BilinearCells::Rectangles(_)
         );
-        let count = SAMPLED_ROWS.min(ny);
-        for i in 0..count {
-            let row = i * (ny - 1) / (count - 1).max(1);
+        let rows = count.min(ny);
+        for i in 0..rows {
+            let row = i * (ny - 1) / (rows - 1).max(1);
             if has_runs {
                 self.add_band(field, region, row..row + 1);
                 continue;
             }
-            let columns = parts(0, nx, nx.div_ceil(SAMPLED_COLUMNS));
+            let columns = parts(0, nx, nx.div_ceil(count + 1));
             let runs: Vec<Run> = columns
                 .into_iter()
                 .map(|(first, length)| {
@@ -530,10 +534,6 @@ fn between(edges: &[f64], range: Range<usize>) -> impl Iterator<Item = (Range<us
     pixels.filter(|(pixels, _)| !pixels.is_empty())
 }
 
-/// The number of rows in [`RegionCells::sampled`].
-const SAMPLED_ROWS: usize = 5;
-/// The number of cells in each of these rows.
-const SAMPLED_COLUMNS: usize = 6;
 /// The largest rounding error of a sum of weights.
 const ROUNDING_OF_WEIGHTS: f64 = 1e-12;
 

@@ -36,7 +36,7 @@ impl<T: ConvReal> StarBlock<T> {
         norms: &PhaseNorms,
         tolerance: f64,
     ) -> Self {
-        let cells = space.sampled_cells(region);
+        let cells = space.cells_for_sources(region, tolerance);
         let mean = LocalModes::mean(space, &cells);
         let on_pixels = norms.of_mean(&mean);
         let of_modes = MARGIN * tolerance * norms.share(&mean, &on_pixels);
