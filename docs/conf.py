@@ -67,15 +67,20 @@ INCLUDED = {
 
 
 def relink(text: str, page: Path) -> str:
-    """Make the links of a page lead to pages of the site. In the repository they lead to files."""
+    """Make the links of a page lead to pages of the site. In the repository they lead to files.
+
+    A link that shows the name of a page's file shows the title on the site.
+    """
 
     def on_the_site(link: re.Match[str]) -> str:
-        target = (page.parent / link[1]).resolve()
-        if target in INCLUDED:
-            return f"]({INCLUDED[target]}"
-        return f"](/{os.path.relpath(target, DOCS)}" if target.exists() else link[0]
+        target = (page.parent / link[2]).resolve()
+        if not target.exists():
+            return link[0]
+        name = INCLUDED.get(target, f"/{os.path.relpath(target, DOCS)}")
+        is_page = name.endswith(".md") and link[1].endswith(target.name)
+        return f"[{'' if is_page else link[1]}]({name}"
 
-    return re.sub(r"\]\((?!\w+:|/)([^)#\s]+)", on_the_site, text)
+    return re.sub(r"\[([^][]*)\]\((?!\w+:|/)([^)#\s]+)", on_the_site, text)
 
 
 def relink_page(app, docname, source):

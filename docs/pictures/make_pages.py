@@ -288,7 +288,7 @@ def stages(program):
 def api(program):
     """The way from a PSF to an image, by the names of the package."""
     ax = canvas((-0.75, 5.65), (-0.45, 0.45))
-    makers = "from_samples, from_basis\nfrom_function, read\nfrom_gridded_psf_model"
+    makers = "from_samples, from_basis\nfrom_function, from_telescope\nfrom_gridded_psf_model, read"
     for x, title, text in [
         (0, "PSF", makers),
         (1.63, "PsfModel", "evaluate, fit_report\nat, for_spectrum\nwrite"),
