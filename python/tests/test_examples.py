@@ -1,16 +1,14 @@
-"""The example programs, and the snippets of the documents."""
+"""The example programs."""
 
 from __future__ import annotations
 
 import csv
-import importlib.util
 import itertools
 import os
 import re
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -148,109 +146,3 @@ def test_interpolators(tmp_path):
     # A sample that is left out is farther from the others than the test positions are from them.
     # The prediction is therefore an upper estimate.
     assert all(float(row["leave_one_out"]) > 0.5 * median[key] for key, row in rows.items())
-
-
-#: A block that imports one of these, and the blocks after it, are skipped if it is not installed.
-OPTIONAL = ("astropy", "galsim", "matplotlib", "photutils", "regularizepsf", "scipy", "tqdm")
-
-
-def sections(document: str) -> list[tuple[str, list[tuple[int, str]]]]:
-    """Return the sections of a document: the title and the blocks of Python.
-
-    Each block has the number of its first line.
-    """
-    text = (ROOT / "docs" / document).read_text(encoding="utf-8")
-    made: list[tuple[str, list[tuple[int, str]]]] = [("", [])]
-    for found in re.finditer(
-        r"^## ([^\n]*)$|^```python\n(.*?)^```$", text, re.MULTILINE | re.DOTALL
-    ):
-        if found[1] is not None:
-            made.append((found[1], []))
-        else:
-            made[-1][1].append((text.count("\n", 0, found.start(2)), found[2]))
-    return made
-
-
-def available(module: str) -> bool:
-    """Return whether a module can be imported."""
-    return importlib.util.find_spec(module) is not None
-
-
-def execute(blocks: list[tuple[int, str]], document: str, names: dict[str, Any]) -> None:
-    """Run blocks one after the other. Lines are numbered as in the document."""
-    for line, block in blocks:
-        for module in OPTIONAL:
-            if re.search(rf"^(from|import) {module}\b", block, re.MULTILINE) and not available(
-                module
-            ):
-                pytest.skip(f"{module} is not installed")
-        exec(compile("\n" * line + block, document, "exec"), names)
-
-
-def test_the_page_of_the_package(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    names: dict[str, Any] = {}
-    if not available("photutils"):
-        pytest.skip("photutils is not installed")
-    for _, blocks in sections("python.md"):
-        execute(blocks, "python.md", names)
-    image = np.load("frames.npy")[9]
-    assert np.array_equal(image, names["plan"].simulate(names["scene"]))
-    assert names["check"].passed and 0 < names["difference"].relative_l2 < 1e-3
-
-
-def test_the_page_on_colour(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    names: dict[str, Any] = {}
-    for _, blocks in sections("colour.md"):
-        execute(blocks, "colour.md", names)
-    peaks = [names[name].evaluate(0, 0).max() for name in ("green", "star")]
-    assert all(0 < peak < 1 for peak in peaks)
-
-
-def coming_from(section: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
-    """Run the blocks of a section and return their variables."""
-    monkeypatch.chdir(folder)
-    blocks = dict(sections("coming_from.md"))
-    names: dict[str, Any] = {}
-    execute([*blocks[""], *blocks[section]], "coming_from.md", names)
-    return names
-
-
-def over_peak(ours: np.ndarray, theirs: np.ndarray) -> float:
-    """Return the largest difference over the peak."""
-    return float(np.abs(ours - theirs).max() / theirs.max())
-
-
-def test_coming_from_galsim(tmp_path, monkeypatch):
-    names = coming_from("GalSim", tmp_path, monkeypatch)
-    # The error of interpolation between a dozen positions and between thirds of a pixel. The stars
-    # of GalSim have 64 pixels, those of psfield 63.
-    assert over_peak(names["ours"], names["theirs"].array) < 1e-3
-    # The interpolation of the PSF as for stars, and the truncation of GalSim's transforms.
-    assert over_peak(names["our_galaxy"], names["their_galaxy"]) < 2e-3
-    # The first pixel is 1 in GalSim and 0 in psfield. A shift by one pixel must be detected.
-    assert over_peak(names["ours"], np.roll(names["theirs"].array, 1, axis=1)) > 0.1
-
-
-def test_coming_from_photutils(tmp_path, monkeypatch):
-    names = coming_from("photutils", tmp_path, monkeypatch)
-    # Both draw splines through the same pixels.
-    assert over_peak(names["ours"], names["theirs"]) < 1e-6
-
-
-def test_coming_from_regularizepsf(tmp_path, monkeypatch):
-    names = coming_from("regularizepsf", tmp_path, monkeypatch)
-    ours, theirs, exact = (names[name] for name in ("ours", "theirs", "exact"))
-    # The error of interpolation between 5 x 5 positions, and that of patches stated on the page.
-    assert np.linalg.norm(ours - exact) < 1e-3 * np.linalg.norm(exact)
-    assert 2e-3 < np.linalg.norm(theirs - exact) / np.linalg.norm(exact) < 2e-2
-
-
-@pytest.mark.parametrize("document", ["python.md", "coming_from.md", "colour.md"])
-def test_links_lead_somewhere(document):
-    text = (ROOT / "docs" / document).read_text(encoding="utf-8")
-    for target in re.findall(r"\]\(([^)#]+)[^)]*\)", text):
-        assert target.startswith("https://") or (ROOT / "docs" / target).exists(), (
-            f"{document}: {target} is not there"
-        )

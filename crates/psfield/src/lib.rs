@@ -114,3 +114,8 @@ pub use stack_size::check_stack;
 pub mod prelude {
     pub use crate::{Psf, PsfieldError, Scene, SimulateOptions, Simulator};
 }
+
+/// Runs the Rust of the guide as a test of the documentation.
+#[cfg(doctest)]
+#[doc = include_str!("../../../docs/guide.md")]
+struct Guide;

@@ -10,6 +10,7 @@ use super::{Section, sections};
 const AT_MOST: &str = " ≤ ";
 
 const HEAD: &str = "# Numerical stability\n\n\
+    ![measured errors and limits of the first table, method auto](docs/pictures/stability.png)\n\n\
     This page lists what psfield does with extreme inputs. Each measured figure stands before the limit\n\
     that it must keep. This command makes the page:\n\n\
     ```sh\n\
