@@ -255,34 +255,10 @@ impl PsfSpace {
         if self.expected_cells(region, tolerance) > MOST_ROWS * MOST_ROWS * self.models.len() {
             return RegionCells::sampled(self.fields(), region, MOST_ROWS);
         }
-        RegionCells {
-            // Only the corners count.
-            error: 0.0,
-            ..self.cells(region, self.error_of_cells(region, tolerance))
-        }
-    }
-
-    fn with_limit<R>(&self, error: CellError, use_limit: impl FnOnce(ErrorLimit<'_>) -> R) -> R {
-        let mut flux = Vec::new();
-        if error.flux_weight > 0.0 {
-            let components = self.fluxes.iter().skip(self.first_component());
-            flux.extend(components.map(|flux| error.flux_weight * flux));
-        }
-        let size = error.size;
-        use_limit(ErrorLimit { size, flux: &flux })
-    }
-
-    /// Some cells of a region, without any error: [`FEWEST_ROWS`] rows of them.
-    pub(crate) fn sampled_cells(&self, region: PixelRegion) -> RegionCells {
-        RegionCells::sampled(self.fields(), region, FEWEST_ROWS)
-    }
-
-    /// Some cells of a region, without any error: about as many as bilinear interpolation with this
-    /// tolerance needs. Sources between the rows of too few cells may exceed the tolerance.
-    pub(crate) fn cells_for_sources(&self, region: PixelRegion, tolerance: f64) -> RegionCells {
-        let of_layer = self.expected_cells(region, tolerance) / self.models.len();
-        let rows = (of_layer as f64).sqrt().ceil() as usize;
-        RegionCells::sampled(self.fields(), region, rows.clamp(FEWEST_ROWS, MOST_ROWS))
+        let mut cells = self.cells(region, self.error_of_cells(region, tolerance));
+        // Only the corners count.
+        cells.error = 0.0;
+        cells
     }
 
     /// About how many cells a region has with the first guess of their error.
