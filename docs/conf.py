@@ -42,6 +42,7 @@ sphinx_gallery_conf = {
     "within_subsection_order": "FileNameSortKey",
     "copyfile_regex": r"(README|GALLERY_HEADER)\.(rst|txt)",
     "min_reported_time": 5,
+    "remove_config_comments": True,
 }
 
 # Publishers refuse programs.

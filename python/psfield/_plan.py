@@ -726,22 +726,22 @@ class Plan:
 
     def _repr_html_(self) -> str:
         found, settings = self.summary, self._settings
-        tile_rows, tile_columns = found["tile_shape"]
+        tile_rows, tile_columns = found.tile_shape
         rows = {
             "Scenes": size(self.shape),
             "Oversampling": None if settings["oversample"] == 1 else settings["oversample"],
             "Frame (x0, y0, nx, ny)": settings["frame"],
             "Region (x0, y0, nx, ny)": self.region,
             "Images": size(self.image_shape),
-            "Tolerance": f"{self.tolerance:g} ({found['tolerance_on']})",
-            "Precision": found["precision"],
-            "Anchor": found["anchor"],
-            "Device": found["device"],
-            "Tiles": f"{found['tiles']}, of at most {tile_rows} x {tile_columns}",
-            "Blocks": found["blocks"],
-            "Modes per block": f"mean {found['mean_modes']:.2f}, most {found['most_modes']}",
-            "Memory kept": f"{found['kept_bytes'] / 2**20:.1f} MiB",
-            "Predicted time": f"{found['predicted_seconds']:.2g} s (one thread, every pixel lit)",
+            "Tolerance": f"{self.tolerance:g} ({found.tolerance_on})",
+            "Precision": found.precision,
+            "Anchor": found.anchor,
+            "Device": found.device,
+            "Tiles": f"{found.tiles}, of at most {tile_rows} x {tile_columns}",
+            "Blocks": found.blocks,
+            "Modes per block": f"mean {found.mean_modes:.2f}, most {found.most_modes}",
+            "Memory kept": f"{found.kept_bytes / 2**20:.1f} MiB",
+            "Predicted time": f"{found.predicted_seconds:.2g} s (one thread, every pixel lit)",
         }
         return table("Plan", rows)
 

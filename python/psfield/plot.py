@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 __all__ = ["plot_image", "plot_plan", "plot_psf_field", "plot_residuals", "plot_shapes"]
 
 #: The asinh scale of images is linear up to this part of their range, or up to their noise.
-FAINTEST_OF_IMAGE = 1e-3
+FAINTEST_OF_IMAGE = 1e-4
 #: The asinh scale of PSFs is linear up to this part of the highest peak.
 FAINTEST_OF_PSF = 1e-3
 #: Positions of a default grid.
@@ -56,7 +56,7 @@ def plot_image(
         Axes to draw into. By default those of a new figure.
     stretch : {'asinh', 'linear'}
         Scale of the grey values. ``asinh`` is linear up to twice the noise above the sky, or up to
-        a thousandth of the range if that is more, and logarithmic for brighter pixels.
+        1e-4 of the range if that is more, and logarithmic for brighter pixels.
     colorbar : bool
         Add a colour bar, with the unit of the image if it has one.
 
@@ -174,8 +174,9 @@ def plot_shapes(
     A whisker has the direction of the major axis. Its length is the ellipticity ``(a**2 - b**2) /
     (a**2 + b**2)`` of an ellipse with axes ``a >= b``, from the adaptive moments. A key shows the
     scale. A round PSF is a dot. The colour is the FWHM of a fitted Gaussian. PSFs are measured on
-    pixels of the frame, by `psfield.metrics.measure`. A grey cross marks a PSF that could not be
-    measured.
+    the pixels of their stamps, by `psfield.metrics.measure`. A grey cross marks a PSF that could
+    not be measured. Oversampled stamps avoid that, because pixels as wide as the PSF hide its
+    shape.
 
     Parameters
     ----------
@@ -213,8 +214,8 @@ def plot_shapes(
     """
     first, length = _extent(model, shape)
     x, y, cell = _positions(first, length, grid, WHISKERS)
-    found = measure(model.evaluate(x, y, pixels="frame"))
-    size, fwhm = found["ellipticity"], found["fwhm_px"]
+    found = measure(model.evaluate(x, y))
+    size, fwhm = found["ellipticity"], found["fwhm_px"] / model.oversampling
     angle = np.arctan2(found["e2"], found["e1"]) / 2
     measured = np.isfinite(size) & np.isfinite(angle) & np.isfinite(fwhm)
     if not measured.any():
@@ -394,7 +395,7 @@ def _new_axes(length: Any, count: int) -> Any:
     """Return axes in a row, in a new figure of a height that suits their columns and rows."""
     columns, rows = length
     # In inches, with room for labels, title and colour bar.
-    width, beside, above = (6.4, 1.9, 0.9) if count == 1 else (4.6, 1.7, 1.3)
+    width, beside, above = (6.4, 1.9, 0.9) if count == 1 else (4.6, 1.7, 1.5)
     height = min(max((width - beside) * rows / columns + above, 2.4), 9.0)
     size = (width * count, height)
     return _pyplot().subplots(1, count, figsize=size, layout="constrained")[1]

@@ -113,6 +113,9 @@ impl PlanSettings {
 /// The image, or `None` if it was written to an array of the caller, and warnings in sentences.
 type Simulated<'py> = (Option<Bound<'py, PyAny>>, Vec<String>);
 
+/// (x0, y0, nx, ny, modes) of a block.
+type BlockRow = (i64, i64, usize, usize, usize);
+
 #[pymethods]
 impl Plan {
     /// Makes a plan for scenes of one shape.
@@ -167,8 +170,8 @@ impl Plan {
         (shape.ny(), shape.nx())
     }
 
-    /// (x0, y0, nx, ny, modes) of each block, row by row, in pixels of the scene.
-    fn blocks(&self) -> PyResult<Vec<(i64, i64, usize, usize, usize)>> {
+    /// The blocks, row by row, in pixels of the scene.
+    fn blocks(&self) -> PyResult<Vec<BlockRow>> {
         let blocks =
             in_precision!(self, simulator => simulator.blocks(&NoProgress)).map_err(Failure::from)?;
         let values =

@@ -34,8 +34,9 @@ pub struct PsfSpace {
 /// The fraction of the tolerance that is left to the cells. More of it makes cells larger and needs
 /// more modes.
 const SHARE_OF_CELLS: f64 = 0.3;
-/// The numbers of rows of cells that are looked at to find modes.
+/// The number of rows of cells that are looked at to predict the number of modes.
 const FEWEST_ROWS: usize = 5;
+/// The largest number of rows of cells that are looked at to find modes for sources.
 const MOST_ROWS: usize = 17;
 
 impl PsfSpace {
@@ -230,6 +231,35 @@ impl PsfSpace {
         self.with_limit(error, |limit| {
             RegionCells::of_layers(self.fields(), region, limit)
         })
+    }
+
+    fn with_limit<R>(&self, error: CellError, use_limit: impl FnOnce(ErrorLimit<'_>) -> R) -> R {
+        let mut flux = Vec::new();
+        if error.flux_weight > 0.0 {
+            let components = self.fluxes.iter().skip(self.first_component());
+            flux.extend(components.map(|flux| error.flux_weight * flux));
+        }
+        let size = error.size;
+        use_limit(ErrorLimit { size, flux: &flux })
+    }
+
+    /// Some cells of a region, without any error: [`FEWEST_ROWS`] rows of them.
+    pub(crate) fn sampled_cells(&self, region: PixelRegion) -> RegionCells {
+        RegionCells::sampled(self.fields(), region, FEWEST_ROWS)
+    }
+
+    /// Cells of a region whose corners are enough PSFs to find modes for sources, which are tested one by
+    /// one: the cells that bilinear interpolation with this tolerance needs or, if they are many, those of
+    /// [`MOST_ROWS`] rows.
+    pub(crate) fn cells_for_sources(&self, region: PixelRegion, tolerance: f64) -> RegionCells {
+        if self.expected_cells(region, tolerance) > MOST_ROWS * MOST_ROWS * self.models.len() {
+            return RegionCells::sampled(self.fields(), region, MOST_ROWS);
+        }
+        RegionCells {
+            // Only the corners count.
+            error: 0.0,
+            ..self.cells(region, self.error_of_cells(region, tolerance))
+        }
     }
 
     fn with_limit<R>(&self, error: CellError, use_limit: impl FnOnce(ErrorLimit<'_>) -> R) -> R {
