@@ -136,9 +136,13 @@ def test_coming_from_regularizepsf():
     assert 2e-3 < np.linalg.norm(theirs - exact) / np.linalg.norm(exact) < 2e-2
 
 
-#: Commands of a queue that runs each job at once, on this machine.
+#: Commands of a queue that runs each job at once, on this machine. Job files are short-lived.
 QUEUE = {
-    "sbatch": '#!/bin/sh\nbash "$1" > "$0.log" 2>&1 &\necho "Submitted batch job $$"\n',
+    "sbatch": """#!/bin/sh
+cp "$1" "$0.$$"
+bash "$0.$$" > "$0.$$.log" 2>&1 &
+echo "Submitted batch job $$"
+""",
     "scancel": "#!/bin/sh\n",
 }
 
