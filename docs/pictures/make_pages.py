@@ -101,12 +101,13 @@ def arrow(ax, start, end):
 
 
 def index(program):
-    """The three pictures of the README, side by side."""
+    """A scene, its PSF and its image, on the first page and in the README."""
+    model = psfield.PsfModel.read(DEMO / "model.fits")
+    scene = scene_of_the_demo()
     _, axes = plt.subplots(1, 3, figsize=(9.6, 3.5), layout="constrained")
-    titles = ("input scene", "PSF over the field", "simulated image")
-    for ax, name, title in zip(axes, ("scene", "psf", "image"), titles):
-        ax.imshow(plt.imread(PICTURES / f"{name}.png"), cmap="gray", origin="upper")
-        ax.set(title=title, xticks=[], yticks=[])
+    show(axes[0], scene[PART], "input scene")
+    show(axes[1], psf_sheet(model, 8, 8), "PSF over the field", 1)
+    show(axes[2], psfield.simulate(scene, model)[PART], "simulated image")
 
 
 def python(program):
