@@ -78,6 +78,7 @@ def relink(text: str, page: Path) -> str:
         if not target.exists():
             return link[0]
         name = INCLUDED.get(target, f"/{os.path.relpath(target, DOCS)}")
+        name = re.sub(r"^/((?:tutorials|gallery)/\w+)\.py$", r"/generated/\1.rst", name)
         is_page = name.endswith(".md") and link[1].endswith(target.name)
         return f"[{'' if is_page else link[1]}]({name}"
 
