@@ -42,8 +42,8 @@ def read_catalog(
     Parameters
     ----------
     path : path
-        CSV, text separated by blanks, SExtractor's ``ASCII_HEAD`` and ``FITS_LDAC``, or a binary
-        table of a FITS file.
+        CSV, ECSV, text separated by blanks, SExtractor's ``ASCII_HEAD`` and ``FITS_LDAC``, or a
+        binary table of a FITS file.
     columns : str, optional
         The column of each role, as in ``"x=X_IMAGE,y=Y_IMAGE,mag=MAG_AUTO"``. The roles are x and y
         (or ra and dec), flux (or mag), and re, n, q, angle, g1 and g2 for galaxies. By default each
@@ -173,6 +173,11 @@ def columns_of(catalog: Any, unit: Any = None, sky: Sky | None = None) -> Column
         catalog["x"], catalog["y"] = _pixels_of(place, sky)
         found |= {"x": "x", "y": "y"}
     if missing := [role for role in _NEEDED if role not in found]:
+        if missing == ["flux"] and find_columns(names, ("mag",), "catalog"):
+            raise ValueError(
+                "catalog: there is no column flux, only magnitudes: set flux = 10**(-0.4 * (mag -"
+                " zero_point)), or read the file with read_catalog(..., zero_point=)"
+            )
         raise ValueError(
             f"catalog: there is no column {missing[0]}. A catalogue needs x and y (or ra and dec,"
             " or a SkyCoord) and flux, and for galaxies re and n. The columns are"
@@ -228,7 +233,7 @@ def _on_projection(columns: Columns) -> Columns:
         return columns
     rows = "row" if count == 1 else "rows"
     text = f"catalog: {count} {rows} skipped: outside the projection of the world coordinates"
-    warnings.warn(text, PsfieldWarning, stacklevel=4)
+    warnings.warn(text, PsfieldWarning, stacklevel=6)
     return {role: None if column is None else column[known] for role, column in columns.items()}
 
 

@@ -668,13 +668,16 @@ class PsfModel:
     def field_shape(self) -> tuple[int, int] | None:
         """Rows and columns of the frame over which the PSF is known, or None if not stated.
 
+        A PSFEx model states only the positions of its stars. Its frame begins at pixel (0, 0), and
+        ends as far beyond the last star as the first star is from the first pixel.
+
         Examples
         --------
         >>> import psfield
         >>> psfield.PsfModel.from_samples([[1, 2, 1]], (0, 0), field_shape=(20, 30)).field_shape
         (20, 30)
         """
-        return self._handle.field()
+        return self._handle.field_shape()
 
     @property
     def stamp_shape(self) -> tuple[int, int]:

@@ -461,6 +461,10 @@ class Plan:
         >>> plan.simulate(np.stack([scene, 2 * scene, 3 * scene])).shape
         (3, 3, 4)
         """
+        return self._image_of(scene, catalog, out, wcs, progress)
+
+    def _image_of(self, scene: Any, catalog: Any, out: Any, wcs: Any, progress: Any) -> Any:
+        """Return what `simulate` returns. Warnings name the line that calls the caller."""
         if scene is None and catalog is None:
             raise ValueError("there is nothing to simulate: give a scene, a catalog, or both")
         if is_stack(scene):
@@ -468,11 +472,11 @@ class Plan:
         light, unit = None if scene is None else self._scene(scene), unit_of(scene)
         columns = self._sources(catalog, scene, light, wcs)
         if columns and (x := columns["x"]) is not None and not x.size:
-            warnings.warn("catalog: there are no sources", PsfieldWarning, stacklevel=2)
+            warnings.warn("catalog: there are no sources", PsfieldWarning, stacklevel=3)
         target, copied = self._target(out, light, unit)
         image, texts = self._handle.simulate(light, columns, target, as_callback(progress))
         for text in texts:
-            warnings.warn(text, PsfieldWarning, stacklevel=2)
+            warnings.warn(text, PsfieldWarning, stacklevel=3)
         if copied:
             np.copyto(out, target)  # type: ignore[arg-type]
         if out is not None:
@@ -489,7 +493,7 @@ class Plan:
         target, copied = self._target(out, lights, unit, len(lights))
         images, texts = self._handle.simulate_many(lights, target, as_callback(progress))
         for text in texts:
-            warnings.warn(text, PsfieldWarning, stacklevel=3)
+            warnings.warn(text, PsfieldWarning, stacklevel=4)
         if copied:
             np.copyto(out, target)  # type: ignore[arg-type]
         if out is not None:
@@ -786,6 +790,8 @@ _CHECKS: dict[str, Callable[[Any, str], Any]] = {
     "gpu_adapter": text_or_none,
     "gpu_memory": integer_or_none,
 }
+
+PLAN_SETTINGS = frozenset(_CHECKS)
 
 
 def checked(settings: dict[str, Any]) -> dict[str, Any]:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from psfield._arrays import plain, shape_of
 from psfield._catalog import is_path
 from psfield._model import PsfModel
-from psfield._plan import Labelled, is_stack
+from psfield._plan import PLAN_SETTINGS, Labelled, is_stack
 from psfield._tables import column_names
 
 
@@ -79,6 +79,10 @@ def simulate(
         raise TypeError(
             f"model must be a PsfModel, got {type(model).__name__}: psfield.simulate(scene, model)"
         )
+    if unknown := sorted(set(settings) - PLAN_SETTINGS):
+        raise TypeError(
+            f"simulate() has no argument {unknown[0]!r}: it takes the arguments of PsfModel.plan"
+        )
     if scene is not None and (is_path(scene) or column_names(scene) is not None):
         if catalog is not None:
             raise TypeError("scene and catalog are both catalogues: join them")
@@ -93,7 +97,8 @@ def simulate(
             raise ValueError("shape: give rows and columns, because the model has no field_shape")
         finer = settings.get("oversample", 1)
         scene_shape = tuple(n * finer for n in shape_of(shape, "shape"))
-    return model.plan(scene_shape, **settings).simulate(scene, catalog, wcs=wcs)
+    plan = model.plan(scene_shape, **settings)
+    return plan._image_of(scene, catalog, None, wcs, None)
 
 
 def example(shape: tuple[int, int] = (512, 768)) -> tuple[dict[str, Any], PsfModel]:

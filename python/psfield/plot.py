@@ -244,10 +244,12 @@ def plot_shapes(
     # The scale of the key: the largest of 1, 2 and 5 times a power of ten in the longest whisker.
     power = 10 ** np.floor(np.log10(longest))
     key = power * max(step for step in (1, 2, 5) if step * power <= longest)
-    ax.quiverkey(whiskers, 0.85, 1.04, key, f"ellipticity {key:g}", labelpos="W", color="black")
+    # The key lies in the second line of the title, for which the layout has room.
+    right = 0.01 + key / longest * FILLED * float(cell.min()) / length[0]
+    ax.quiverkey(whiskers, right, 1.03, key, f"ellipticity {key:g}", labelpos="E", color="black")
     ax.figure.colorbar(whiskers, ax=ax, label="FWHM (pixels)")
     _show_field(ax, first, length)
-    ax.set_title("PSF shapes", loc="left")
+    ax.set_title("PSF shapes\n", loc="left")
     return _labelled(ax)
 
 

@@ -48,8 +48,25 @@ def test_what_one_call_refuses(model: psfield.PsfModel) -> None:
         psfield.simulate(STARS, model, STARS)
     with pytest.raises(TypeError, match="leave it out"):
         psfield.simulate(scene, model, shape=(60, 80))
+    with pytest.raises(TypeError, match="no argument 'zero_point'"):
+        psfield.simulate(STARS, model, zero_point=30)
+    with pytest.raises(ValueError, match="only magnitudes: set flux"):
+        psfield.simulate({"x": [1], "y": [1], "mag": [20]}, model)
     with pytest.raises(ValueError, match="no field_shape"):
         psfield.simulate({"x": [1], "y": [1], "flux": [1]}, everywhere)
+
+
+def test_warnings_name_the_line_of_the_caller(model: psfield.PsfModel) -> None:
+    coarse = psfield.PsfModel.from_samples([[0, 1, 0], [1, 4, 1], [0, 1, 0]], (0, 0))
+    stars = {"x": [5.3], "y": [4.2], "flux": [1.0]}
+    plan = coarse.plan((10, 12))
+    for call in (
+        lambda: psfield.simulate(stars, coarse, shape=(10, 12)),
+        lambda: plan.simulate(catalog=stars),
+    ):
+        with pytest.warns(psfield.PsfieldWarning, match="below 2") as caught:
+            call()
+        assert {warning.filename for warning in caught} == {__file__}
 
 
 def test_the_example_is_always_the_same_and_right() -> None:

@@ -230,6 +230,12 @@ impl PsfModel {
         Some((field.ny(), field.nx()))
     }
 
+    /// (ny, nx) of the frame: as stated or, for a PSFEx model, the frame that fits its stars.
+    fn field_shape(&self) -> Option<(usize, usize)> {
+        let field = self.0.field_shape()?;
+        Some((field.ny(), field.nx()))
+    }
+
     /// The names of the interpolation, the outside policy and the normalisation of the model.
     fn choices(&self, py: Python<'_>) -> PyResult<Choices> {
         Ok(choices_of(self.record(py)?))

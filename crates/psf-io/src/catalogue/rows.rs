@@ -243,7 +243,7 @@ fn check_options(path: &Path, options: &CatalogOptions, columns: &Picked) -> Res
     if options.sky.is_none() {
         let problem = format!(
             "the columns {ra:?} and {dec:?} are sky coordinates, but the world coordinates of the frame are missing: give \
-             positions in pixels, or (for the sources of a simulation) an image whose header has world coordinates"
+             an image whose header has them, or positions in pixels"
         );
         return refused("sky", problem);
     }

@@ -100,8 +100,7 @@ pub(super) struct SceneArgs {
         long,
         value_name = "FILE.fits",
         conflicts_with = "scene",
-        help_heading = SCENE,
-        hide_short_help = true
+        help_heading = SCENE
     )]
     pub(super) wcs: Option<PathBuf>,
     #[command(flatten)]
@@ -311,7 +310,7 @@ struct CatalogArgs {
     /// Magnitude of flux 1 (required with a column mag)
     ///
     /// flux = 10^(-0.4 (mag - MAG)).
-    #[arg(long, value_name = "MAG", value_parser = finite, hide_short_help = true)]
+    #[arg(long, value_name = "MAG", value_parser = finite)]
     zero_point: Option<f64>,
     /// Skip invalid rows and count them [default: an invalid row is an error]
     ///

@@ -170,8 +170,8 @@ impl fmt::Display for SimulationWarning {
             Self::SourcesBetweenPixels { flux } => {
                 f.write_str(
                     "stars between pixels and galaxies need interpolated PSF stamps, and the stamps are oversampled by a \
-                     factor below 2: the interpolation has errors of a few percent where the PSF is under-sampled. The spot check does not \
-                     detect this",
+                     factor below 2: the interpolation has errors of a few percent where the PSF is under-sampled. The tolerance does not \
+                     bound them, and the spot check does not detect them. Stamps with 2 or more pixels per frame pixel avoid them",
                 )?;
                 let Some((least, most)) = flux else {
                     return Ok(());
