@@ -246,7 +246,9 @@ def plot_shapes(
     key = power * max(step for step in (1, 2, 5) if step * power <= longest)
     # The key lies in the second line of the title, for which the layout has room.
     right = 0.01 + key / longest * FILLED * float(cell.min()) / length[0]
-    ax.quiverkey(whiskers, right, 1.03, key, f"ellipticity {key:g}", labelpos="E", color="black")
+    height = ax.get_window_extent().height / ax.figure.dpi
+    above = 1 + 0.11 / height
+    ax.quiverkey(whiskers, right, above, key, f"ellipticity {key:g}", labelpos="E", color="black")
     ax.figure.colorbar(whiskers, ax=ax, label="FWHM (pixels)")
     _show_field(ax, first, length)
     ax.set_title("PSF shapes\n", loc="left")
