@@ -97,7 +97,7 @@ figure, axes = plt.subplots(1, 2, figsize=(10, 3.6), layout="constrained")
 for name, (likelihoods, errors) in curves.items():
     for ax, values in zip(axes, (likelihoods - top, errors), strict=True):
         ax.plot(range(1, 61), values, "o-", markevery=[best[name] - 1], label=name)
-    assert errors[best[name] - 1] < 1.03 * errors.min()
+    assert errors[best[name] - 1] < 1.05 * errors.min()
 axes[0].set(xlabel="iteration", ylabel="log-likelihood - largest value", ylim=(-2000, 100))
 axes[1].set(xlabel="iteration", ylabel="error (share of the flux)", ylim=(0, 1))
 axes[1].legend()
@@ -105,7 +105,7 @@ plt.show()
 
 # %%
 # Dots mark the stops. The error needs the truth, so a real frame has no such curve. Here it checks
-# the rule: the error at the stop is within 3 % of its smallest value. The likelihood is higher with
+# the rule: the error at the stop is within 5 % of its smallest value. The likelihood is higher with
 # the varying PSF, which a real frame would show as well.
 #
 # 4. The result
@@ -136,5 +136,5 @@ assert abs(ratio - 1) < 0.03 and error(sharp["varying PSF"]) < 0.7 * error(sharp
 # %%
 # No pixel becomes negative, so noise in dark pixels adds a little flux. Least squares allows
 # negative pixels: ``plan.linear_operator()`` gives the operator to SciPy, for example to ``lsqr``.
-# Sources outside a frame also light its edge. A plan for a scene that is some pixels larger on each
-# side, with ``frame=``, has room for their light.
+# Sources outside a frame also light its edge. A plan for a larger scene, with ``frame=``, has room
+# for their light. Its margin must be smaller than half a stamp, or ``A^T 1`` is zero there.
