@@ -98,7 +98,7 @@ def main(target):
     print("Software that the program psfield and the Python package psfield contain\n")
     for package in packages:
         print(f"{package['name']} {package['version']}: {package['license']}")
-        print(f"    {package['repository'] or package['homepage'] or 'crates.io'}")
+        print(f"    {package['repository'] or package['homepage'] or 'no address given'}")
     print("CFITSIO and zlib (in fitsio-sys), the font DejaVu (in dejavu), Rust's standard library")
     for text, names in users.values():
         print(f"\n{RULE}\n{', '.join(dict.fromkeys(names))}\n{RULE}\n\n{text}")

@@ -303,7 +303,7 @@ def api(program):
 
 def contributing(program):
     """The checks of the page's first table."""
-    ax = canvas((-0.95, 5.35), (-0.45, 0.45))
+    ax = canvas((-0.95, 7.55), (-0.45, 0.45))
     for x, name, text in [
         (0, ".ci/fast", "for every commit:\nformat, clippy, unit tests,\ncontracts, stages"),
         (
@@ -311,10 +311,11 @@ def contributing(program):
             ".ci/run",
             "before a change lands:\nall tests, the Python package,\nthe pages, fuzzers",
         ),
-        (4.4, ".ci/extra", "sometimes:\nlicences, packages, the site,\nlong fuzzing"),
+        (4.4, ".ci/extra", "sometimes:\nlicences, large stamps, the site,\nlong fuzzing"),
+        (6.6, ".ci/release", "for a release:\nwheel, archives, packages,\nnotices"),
     ]:
         box(ax, x, 0, name, text, 1.75)
-    for x in (0.88, 3.08):
+    for x in (0.88, 3.08, 5.28):
         arrow(ax, (x, 0), (x + 0.45, 0))
 
 
