@@ -79,6 +79,19 @@ pub enum ConvError {
         /// The frame.
         frame: FrameShape,
     },
+    /// A galaxy needs transforms that are too large.
+    #[error(
+        "the galaxy at ({x}, {y}) needs transforms of {points} x {points} points, which are too large: use PSF stamps with \
+         less oversampling, or with softer edges"
+    )]
+    GalaxyTransform {
+        /// The position along x.
+        x: f64,
+        /// The position along y.
+        y: f64,
+        /// Points along each axis.
+        points: usize,
+    },
     /// The progress object cancelled the work ([`psf_types::Progress::cancelled`]).
     #[error(transparent)]
     Cancelled(#[from] Cancelled),

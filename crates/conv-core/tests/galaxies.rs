@@ -3,7 +3,7 @@
 use std::f64::consts::TAU;
 use std::sync::Arc;
 
-use conv_core::{GalaxyPlan, PlanOptions, StampInterpolator};
+use conv_core::{ConvError, GalaxyPlan, PlanOptions, StampInterpolator};
 use ndarray::{Array2, Array3};
 use psf_types::{
     Anchor, CoefficientField, FieldError, FrameShape, LightProfile, NoProgress, Normalisation, PixelRegion,
@@ -309,6 +309,23 @@ fn light_does_not_depend_on_the_region() {
             );
         }
     }
+}
+
+/// A point on finely sampled stamps has light at all wavenumbers.
+#[test]
+fn transforms_that_are_too_large_are_an_error() {
+    let model = model(9, 64.0, |u, v| if u == 0.0 && v == 0.0 { 1.0 } else { 0.0 });
+    let plan = GalaxyPlan::<f32>::new(&model, PlanOptions::new(1e-4).unwrap(), None).unwrap();
+    let mut image = Array2::zeros((64, 64));
+    let frame = FrameShape::new(64, 64).unwrap().region();
+    let galaxies = [galaxy((30.0, 31.0), 6.0, 4.0, 0.8, 20.0)];
+    let error = plan
+        .draw_into(&galaxies, &light, frame, frame, image.view_mut(), &NoProgress)
+        .unwrap_err();
+    assert!(
+        matches!(error, ConvError::GalaxyTransform { x: 30.0, y: 31.0, points } if points > 1 << 15),
+        "{error}"
+    );
 }
 
 /// Bands of a frame have the light of the whole frame bit by bit, also far from a galaxy, where its

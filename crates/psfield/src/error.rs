@@ -193,6 +193,7 @@ impl From<ConvError> for PsfieldError {
             ConvError::PatchSize => (ErrorKind::Setting, Some("method")),
             ConvError::StampSize => (ErrorKind::Setting, Some("stamp_size")),
             ConvError::RegionOutsideFrame { .. } => (ErrorKind::Setting, Some("region")),
+            ConvError::GalaxyTransform { .. } => (ErrorKind::TooLarge, None),
             ConvError::Cancelled(_) => (ErrorKind::Cancelled, None),
             ConvError::Field(_) => (ErrorKind::Field, None),
             #[cfg(feature = "gpu")]

@@ -74,6 +74,8 @@ const PER_GROUP: usize = 32;
 const PIXELS_PER_GROUP: usize = 512 * 512;
 /// The transforms of a model's stamps use at most this part of the memory limit.
 const PARTS_OF_MEMORY: usize = 4;
+/// The most points of a transform along each axis. It would take 8 GiB.
+const MOST_POINTS: usize = 1 << 15;
 /// Groups that are drawn before they are added to the image.
 const GROUPS_AT_ONCE: usize = 32;
 /// Rows of the image to which one task adds.
@@ -265,7 +267,12 @@ impl<T: ConvReal> GalaxyPlan<T> {
                     Anchor::Output => Outline::default(),
                     _ => self.block(block).kernels.power.outline(light.as_ref()),
                 };
-                let key = (side, self.stamps().band_number(outline.radius()), block);
+                let number = self.stamps().band_number(outline.radius());
+                let points = self.stamps().transform_points(side, number);
+                if points > MOST_POINTS {
+                    return Err(ConvError::GalaxyTransform { x, y, points });
+                }
+                let key = (side, number, block);
                 Ok(Some(Placed {
                     key,
                     index,

@@ -1,6 +1,6 @@
 //! The stamps of a model, and the PSFs of some galaxies as combinations of them.
 
-use std::f64::consts::PI;
+use std::f64::consts::{PI, TAU};
 use std::sync::Arc;
 
 use ndarray::{Array2, ArrayView1, ArrayView2, Axis};
@@ -110,6 +110,13 @@ impl Stamps {
         ((k / LEAST_BAND).ln() / BAND_RATIO.ln()).ceil().max(0.0) as usize
     }
 
+    /// The number of points, along each axis, of a stamp's transform for windows of a side, up to a band
+    /// of this number.
+    pub(super) fn transform_points(&self, side: usize, number: usize) -> usize {
+        let whole = has_copies(self.grid).then(|| side as f64 * self.grid.oversampling());
+        (2.0 * band(number) * side as f64 / TAU).min(whole.unwrap_or(f64::INFINITY)) as usize
+    }
+
     /// The transforms of PSFs for windows of a side, up to a band of this number.
     pub(super) fn spectra_of<T: ConvReal>(
         &self,
@@ -117,7 +124,7 @@ impl Stamps {
         side: usize,
         number: usize,
     ) -> Spectra<T> {
-        let wavenumbers = Wavenumbers::within(BAND_RATIO.powi(number as i32) * LEAST_BAND, side, self.grid);
+        let wavenumbers = Wavenumbers::within(band(number), side, self.grid);
         let bytes = self.values.nrows() * wavenumbers.count * size_of::<Complex64>();
         let stamps = if bytes > self.memory_bytes {
             let combined = kernels.directions.dot(&self.values);
@@ -145,6 +152,11 @@ impl Stamps {
         let bytes = |made: &Transforms| made.0.len() * size_of::<f64>();
         self.spectra.get((side, number), make, bytes)
     }
+}
+
+/// The largest wavenumber of a band, in radians per pixel.
+fn band(number: usize) -> f64 {
+    BAND_RATIO.powi(number as i32) * LEAST_BAND
 }
 
 impl Kernels {
