@@ -463,7 +463,7 @@ def _rounded(ticks: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _set_ticks(bar: Any, ticks: NDArray[Any]) -> None:
-    bar.set_ticks(ticks, labels=[f"{tick:.10g}" for tick in ticks], minor=False)
+    bar.set_ticks(ticks, labels=[f"{tick + 0.0:.10g}" for tick in ticks], minor=False)
     bar.minorticks_off()
 
 
