@@ -68,13 +68,13 @@ plans = [plan_of(factor) for factor in factors]
 #
 # The truth is the flux in each pixel: stars in single pixels, and galaxies with the response of a
 # pixel but no other blur. A PSF that is a point gives nearly this. Its stamp cannot hold the sharp
-# edges of a pixel, so they are softened over a third of a pixel. In the bright centre of a small
-# galaxy, a pixel is wrong by up to 5 % of the peak. If that matters, draw the galaxies on a frame
-# that is 8 times finer (positions and ``re`` times 8), and sum 8 x 8 pixels.
+# edges of a pixel, so they are softened a little. In the bright centre of a small galaxy, a pixel
+# is wrong by up to 2 % of the peak. If that matters, draw the galaxies on a frame that is 8 times
+# finer (``8 * x + 3.5``, ``8 * y + 3.5`` and ``8 * re``), and sum 8 x 8 pixels.
 
-point = np.zeros((9, 9))
-point[4, 4] = 4**2
-pixel = psfield.PsfModel.from_samples(point, (0, 0), oversampling=4, pixel_response_included=False)
+point = np.zeros((17, 17))
+point[8, 8] = 8**2
+pixel = psfield.PsfModel.from_samples(point, (0, 0), oversampling=8, pixel_response_included=False)
 drawing = pixel.plan(shape, device="cpu")
 
 

@@ -71,7 +71,8 @@ class SpotCheck(FieldsAsTable):
     relative_rms : float or None
         ``rms``, divided by the root mean square of the direct sum at the same pixels.
     limit : float or None
-        Largest ``relative_rms`` that passes the check.
+        Largest ``relative_rms`` that passes the check. It is larger than the tolerance where the
+        light of several sources overlaps.
     worst_pixel : float or None
         Largest difference in a pixel, divided by the largest that the tolerance allows there.
     sources : int

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 
@@ -11,7 +11,7 @@ class Report:
     """A report whose values are attributes. They can still be read by their names in brackets."""
 
     def __getitem__(self, name: str) -> Any:
-        if name not in (field.name for field in fields(self)):  # type: ignore[arg-type]
+        if name not in (known.name for known in fields(self)):  # type: ignore[arg-type]
             raise KeyError(name)
         text = f"reports have attributes now: .{name} in place of [{name!r}]"
         warnings.warn(text, DeprecationWarning, stacklevel=2)
@@ -51,7 +51,7 @@ class LeaveOneOutReport(Report):
     max: float | None
     extrapolated: int
     unpredictable: int
-    errors: list[float | None]
+    errors: list[float | None] = field(repr=False)
 
 
 @dataclass(frozen=True)
@@ -105,10 +105,10 @@ class FitReport(Report):
     normalise: str
     max_error: float
     rms_error: float
-    errors: list[float]
+    errors: list[float] = field(repr=False)
     leave_one_out: LeaveOneOutReport
-    singular_values: list[float]
-    cumulative_weights: list[float]
+    singular_values: list[float] = field(repr=False)
+    cumulative_weights: list[float] = field(repr=False)
 
 
 @dataclass(frozen=True)

@@ -81,7 +81,8 @@ def simulate(
         )
     if unknown := sorted(set(settings) - PLAN_SETTINGS):
         raise TypeError(
-            f"simulate() has no argument {unknown[0]!r}: it takes the arguments of PsfModel.plan"
+            f"simulate() has no argument {unknown[0]!r}: it takes the arguments of PsfModel.plan."
+            " For columns and magnitudes of a file of sources, see psfield.read_catalog"
         )
     if scene is not None and (is_path(scene) or column_names(scene) is not None):
         if catalog is not None:

@@ -248,8 +248,8 @@ def plot_shapes(
     right = 0.01 + key / longest * FILLED * float(cell.min()) / length[0]
     height = ax.get_window_extent().height / ax.figure.dpi
     above = 1 + 0.11 / height
-    ax.quiverkey(whiskers, right, above, key, f"ellipticity {key:g}", labelpos="E", color="black")
-    ax.figure.colorbar(whiskers, ax=ax, label="FWHM (pixels)")
+    ax.quiverkey(whiskers, right, above, key, f"|e| = {key:g}", labelpos="E", color="black")
+    ax.figure.colorbar(whiskers, ax=ax, label="FWHM of a Gaussian fit (pixels)")
     _show_field(ax, first, length)
     ax.set_title("PSF shapes\n", loc="left")
     return _labelled(ax)

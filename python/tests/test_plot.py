@@ -186,7 +186,7 @@ def test_whiskers_are_as_long_as_the_ellipticity_and_have_the_colour_of_the_fwhm
     assert np.allclose(ax.collections[0].get_array(), found["fwhm_px"] / model.oversampling)
     key = next(artist for artist in ax.get_children() if hasattr(artist, "label"))
     assert found["ellipticity"].max() / 2.5 <= key.U <= found["ellipticity"].max()
-    assert key.label == f"ellipticity {key.U:g}" and key in ax.get_children()
+    assert key.label == f"|e| = {key.U:g}" and key in ax.get_children()
 
 
 def test_oversampled_stamps_of_a_narrow_psf_can_be_measured(plt):
