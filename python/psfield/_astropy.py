@@ -6,6 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from psfield import _native
+
 
 def unit_of(scene: Any) -> Any:
     """Return the unit of a Quantity or of CCDData, or None."""
@@ -48,15 +50,31 @@ def like(scene: Any, image: Any, first: tuple[int, int], oversample: int) -> Any
     if isinstance(scene, np.ndarray) or scene is None or not hasattr(scene, "meta"):
         return image if unit is None else image << unit
     wcs = getattr(scene, "wcs", None)
-    ny, nx = image.shape
-    if wcs is not None and (scene.shape != (ny, nx) or first != (0, 0)):
-        column, row = first
-        shown = (
-            slice(start * oversample, (start + n) * oversample, oversample)
-            for start, n in ((row, ny), (column, nx))
-        )
-        wcs = wcs.slice(tuple(shown))
+    if wcs is not None and (scene.shape != image.shape or first != (0, 0)):
+        wcs = _wcs_of_image(wcs, image.shape, first, oversample)
     return type(scene)(image, unit=unit, meta=scene.meta.copy(), wcs=wcs)
+
+
+def _wcs_of_image(wcs: Any, shape: tuple[int, int], first: tuple[int, int], oversample: int) -> Any:
+    """Return the world coordinates of an image from those of its scene."""
+    if oversample > 1 and getattr(wcs, "sip", None) is not None:
+        # The polynomials of SIP count in pixels. A slice of astropy's leaves them as they are.
+        from astropy.io import fits
+
+        moved = _native.image_cards(cards_of(wcs), first, oversample)
+        return type(wcs)(fits.Header.fromstring(moved, sep=""))
+    column, row = first
+    shown = (
+        slice(start * oversample, (start + n) * oversample, oversample)
+        for start, n in zip((row, column), shape, strict=True)
+    )
+    return wcs.slice(tuple(shown))
+
+
+def cards_of(wcs: Any) -> str:
+    """Return the cards of a header with these world coordinates, 80 characters each."""
+    text: str = wcs.to_header(relax=True).tostring(sep="", endcard=False, padding=False)
+    return text
 
 
 def _labelled(scene: Any, image: Any, first: tuple[int, int], oversample: int) -> Any:

@@ -7,6 +7,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from psfield import _native
+from psfield._astropy import cards_of
+
 
 class Sky(NamedTuple):
     """World coordinates of an image.
@@ -47,16 +50,13 @@ class Sky(NamedTuple):
 
     def cards(self) -> str:
         """Return the cards of a header with these world coordinates of the image."""
-        from psfield import _native
-
         if not hasattr(self.wcs, "to_header"):
             raise TypeError(
                 f"wcs: a file of sources needs an astropy WCS, not {type(self.wcs).__name__}: read"
                 " the table with astropy, and give the table"
             )
-        text = self.wcs.to_header(relax=True).tostring(sep="", endcard=False, padding=False)
         x0, y0 = (-start / self.oversample for start in self.first)
-        return _native.image_cards(text, (x0, y0), self.oversample)
+        return _native.image_cards(cards_of(self.wcs), (x0, y0), self.oversample)
 
 
 def sky_of(scene: Any, wcs: Any, oversample: int, first: tuple[int, int]) -> Sky | None:

@@ -68,11 +68,21 @@ def test_parts_of_a_frame_have_their_own_place(model, scene, sky, words, first):
         assert np.allclose(plan.simulate(part).wcs.all_pix2world([[2.0, 1.0]], 0), expected)
 
 
-def test_finer_scenes_have_coarser_images(model, sky):
+@pytest.mark.parametrize("distorted", [False, True], ids=["TAN", "TAN-SIP"])
+def test_finer_scenes_have_coarser_images(model, sky, distorted):
+    if distorted:
+        sky.wcs.ctype = ["RA---TAN-SIP", "DEC--TAN-SIP"]
+        a, b = np.zeros((3, 3)), np.zeros((3, 3))
+        a[2, 0], b[0, 2] = 1e-3, -2e-3
+        sky.sip = wcs.Sip(a, b, None, None, sky.wcs.crpix)
     ccd = nddata.CCDData(np.ones((96, 128)), unit="adu", wcs=sky)
     image = model.plan((96, 128), 1e-3, oversample=2).simulate(ccd)
     # Pixel (0, 0) of the image is centred between four pixels of the scene.
     assert np.allclose(image.wcs.all_pix2world([[0.0, 0.0]], 0), sky.all_pix2world([[0.5, 0.5]], 0))
+    part = model.plan((96, 128), 1e-3, oversample=2, frame=(5, 3, 20, 30)).simulate(ccd)
+    found = part.wcs.all_pix2world([[7.0, 9.0]], 0)
+    expected = sky.all_pix2world([[24.5, 24.5]], 0)
+    assert np.allclose(found, expected, rtol=0, atol=1e-9)
 
 
 def test_masked_pixels_are_refused(model, scene):
