@@ -168,7 +168,7 @@ def columns_of(catalog: Any, unit: Any = None, sky: Sky | None = None) -> Column
     found = find_columns(names, roles, "catalog")
     place = None if "x" in found or "y" in found else _place_on_sky(catalog, names)
     if place is not None:
-        # The loops below find the pixels like columns of the table.
+        # From here on, the pixels are columns of the table.
         catalog = {name: catalog[name] for name in names}
         catalog["x"], catalog["y"] = _pixels_of(place, sky)
         found |= {"x": "x", "y": "y"}

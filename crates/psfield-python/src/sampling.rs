@@ -121,7 +121,7 @@ pub(crate) struct TelescopeSettings {
     samples: (usize, usize),
     /// Frame pixels.
     stamp_size: Option<usize>,
-    oversampling: Option<usize>,
+    oversampling: usize,
     wavelengths_um: Option<Vec<f64>>,
 }
 
@@ -134,7 +134,7 @@ pub(crate) fn sample_telescope(
 ) -> PyResult<PsfModel> {
     let options = fit.choices()?.or(FitOptions::default());
     let name = &settings.telescope;
-    if Telescope::preset(name).is_none() && !Path::new(name).exists() {
+    if !Telescope::PRESETS.contains(&name.as_str()) && !Path::new(name).exists() {
         return Err(invalid(format!(
             "telescope must be the name of a built-in telescope ({}) or a TOML file, but there is no file {name}",
             Telescope::PRESETS.join(", ")
@@ -146,11 +146,11 @@ pub(crate) fn sample_telescope(
 
 impl TelescopeSettings {
     fn draw(&self, watch: &Watch) -> Result<PsfSamples, PsfieldError> {
-        let mut telescope = match Telescope::preset(&self.telescope) {
+        let described = match Telescope::preset(&self.telescope) {
             Some(preset) => preset,
             None => Telescope::from_toml_file(Path::new(&self.telescope))?,
         };
-        let mut params = telescope.params().clone();
+        let mut params = described.params().clone();
         if let Some((ny, nx)) = self.field {
             (params.frame.nx, params.frame.ny) = (nx, ny);
         }
@@ -159,16 +159,10 @@ impl TelescopeSettings {
             Some(size) => (size, size),
             None => (frame_pixels(params.stamp.nx), frame_pixels(params.stamp.ny)),
         };
-        if let Some(oversampling) = self.oversampling {
-            params.stamp.oversampling = oversampling;
-        }
-        if (self.stamp_size, self.oversampling) != (None, None) {
-            let pixels = |size: usize| size.saturating_mul(params.stamp.oversampling);
-            (params.stamp.nx, params.stamp.ny) = (pixels(size.0), pixels(size.1));
-        }
-        if params != *telescope.params() {
-            telescope = Telescope::new(params)?;
-        }
+        let pixels = |size: usize| size.saturating_mul(self.oversampling);
+        (params.stamp.nx, params.stamp.ny) = (pixels(size.0), pixels(size.1));
+        params.stamp.oversampling = self.oversampling;
+        let telescope = Telescope::new(params)?;
         let (ny, nx) = self.samples;
         let method = UniformSampling::new(nx, ny)?;
         let states = self.wavelengths_um.as_ref().map_or(1, Vec::len);
