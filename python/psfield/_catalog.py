@@ -24,6 +24,7 @@ Columns = dict[str, Column | None]
 _NEEDED = ("x", "y", "flux")
 _SHAPE = ("re", "n", "q", "angle")
 _SHEAR = ("g1", "g2")
+_OFF_PROJECTION = "outside the projection of the world coordinates"
 
 
 def read_catalog(
@@ -122,14 +123,8 @@ def read_catalog(
         if found is None:
             raise
     stars, galaxies, invalid, outside = found
-    for count, problem in (
-        (invalid, "invalid"),
-        (outside, "outside the projection of the world coordinates"),
-    ):
-        if count:
-            rows = "row" if count == 1 else "rows"
-            text = f"{path}: {count} {rows} skipped: {problem}"
-            warnings.warn(text, PsfieldWarning, stacklevel=2)
+    _warn_of_skipped(invalid, path, "invalid", 2)
+    _warn_of_skipped(outside, path, _OFF_PROJECTION, 2)
     catalog = dict(zip(_NEEDED, stars, strict=True))
     if len(galaxies[0]):
         of_star = {"re": 0.0, "n": np.nan, "q": 1.0, "angle": 0.0}
@@ -138,6 +133,14 @@ def read_catalog(
             in_stars = np.full(len(stars[0]), of_star[name])
             catalog[name] = np.concatenate([in_stars, galaxies[len(_NEEDED) + i]])
     return catalog
+
+
+def _warn_of_skipped(count: int, catalog: str, problem: str, stacklevel: int) -> None:
+    """Warn of rows that were left out, if there are any. ``stacklevel`` is that of the caller."""
+    if count:
+        rows = "row" if count == 1 else "rows"
+        text = f"{catalog}: {count} {rows} skipped: {problem}"
+        warnings.warn(text, PsfieldWarning, stacklevel=stacklevel + 1)
 
 
 def is_path(value: Any) -> bool:
@@ -228,12 +231,9 @@ def _pixels_of(place: Any, sky: Sky | None) -> tuple[Column, Column]:
 def _on_projection(columns: Columns) -> Columns:
     """Leave out the sources for which the projection has no pixel, with a warning."""
     known = np.isfinite(columns["x"]) & np.isfinite(columns["y"])  # type: ignore[arg-type]
-    count = np.count_nonzero(~known)
-    if not count:
+    if known.all():
         return columns
-    rows = "row" if count == 1 else "rows"
-    text = f"catalog: {count} {rows} skipped: outside the projection of the world coordinates"
-    warnings.warn(text, PsfieldWarning, stacklevel=6)
+    _warn_of_skipped(int(np.count_nonzero(~known)), "catalog", _OFF_PROJECTION, 6)
     return {role: None if column is None else column[known] for role, column in columns.items()}
 
 
