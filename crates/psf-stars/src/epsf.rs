@@ -7,10 +7,12 @@ use rayon::prelude::*;
 
 use crate::Camera;
 use crate::background::median;
-use crate::epsf_solver::{ACCURACY, Prior, SurfaceGrid, combined, solve, weight};
-use crate::frame::Star;
+use crate::epsf_prior::{ACCURACY, Prior, pixel_variance};
+use crate::epsf_solver::{combined, solve};
+use crate::frame::{Star, StarPixel};
 use crate::registration::FineGrid;
 use crate::selection::FieldTerms;
+use crate::surface::{Place, SurfaceGrid};
 
 /// An oversampled PSF and the stars to which it was fitted. The PSF at the offset `u` from a star
 /// at the position `x` is `E(u; x) = sum_j P_j(x) E_j(u)`, where `P_j` are polynomials over the
@@ -22,7 +24,36 @@ pub(crate) struct Epsf {
     /// Indices of the sources whose stars do not agree with the PSF.
     pub(crate) mismatched: Vec<usize>,
     pub(crate) median_chi: f64,
+    /// The errors with which stars were predicted that had no part in the fit, if the fit chose its
+    /// degree.
+    pub(crate) left_out: Option<LeftOut>,
     psf: FieldPsf,
+    /// The width of the expected PSF in nodes.
+    width_nodes: f64,
+}
+
+/// The prediction of stars by PSFs to which they did not contribute.
+#[derive(Debug)]
+pub(crate) struct LeftOut {
+    stars: Vec<Star>,
+    /// The error of each star ([`prediction_error`]).
+    errors: Vec<f64>,
+    surface: SurfaceGrid,
+    peak: f64,
+}
+
+impl LeftOut {
+    /// Returns whether other PSFs predict the stars better: `psf_of` a star, as a function of the
+    /// offset from it along x and y.
+    pub(crate) fn is_worse_than<P: Fn(f64, f64) -> f64>(&self, psf_of: impl Fn(&Star) -> P + Sync) -> bool {
+        let errors = self.stars.par_iter().map(|star| {
+            let psf = psf_of(star);
+            prediction_error(star, self.surface, self.peak, |pixel, _| {
+                psf(pixel.x - star.x, pixel.y - star.y)
+            })
+        });
+        is_smaller(&errors.collect::<Vec<_>>(), &self.errors)
+    }
 }
 
 /// The planes `E_j` of an oversampled PSF, as spline coefficients, and the terms `P_j` that
@@ -46,8 +77,11 @@ const STARS_PER_TERM: usize = 5;
 /// To choose the degree, stars are divided into this number of groups. Each group is predicted from
 /// a fit to the other groups.
 const FOLDS: usize = 5;
-/// A higher degree is chosen only if it reduces the prediction error by more than this fraction.
-const GAIN: f64 = 0.002;
+/// At most this number of stars, evenly spread over the brightness, serve to choose the degree.
+const STARS_FOR_DEGREE: usize = 500;
+/// If this number of degrees in a row predict no better than a lower one, higher degrees are not
+/// tried.
+const VAIN_DEGREES: usize = 2;
 /// Residuals beyond this number of sigma get a lower weight (Huber 1964).
 const HUBER: f64 = 3.0;
 /// A star is mismatched if its chi (root of the reduced chi squared) is above two limits. The first
@@ -79,6 +113,7 @@ impl Epsf {
             camera: *camera,
         };
         let mut mismatched = Vec::new();
+        let mut left_out = None;
         for round in 0..ROUNDS {
             // Each round fits the stars' positions before the PSF. In the first round, the PSF for
             // this fit is a Gaussian.
@@ -100,7 +135,11 @@ impl Epsf {
             let terms = match degree {
                 _ if round != ROUNDS_BEFORE_REJECTION => psf.terms,
                 Some(degree) => FieldTerms::new(degree, frame),
-                None => psf.choose_degree(&stars, &prior),
+                None => {
+                    let (terms, errors) = psf.choose_degree(&stars, &prior);
+                    left_out = Some(errors);
+                    terms
+                }
             };
             psf = psf.fitted(&stars, &prior, terms);
         }
@@ -109,7 +148,9 @@ impl Epsf {
             stars,
             mismatched,
             median_chi: median(&mut chi),
+            left_out,
             psf,
+            width_nodes: gaussian.width_nodes,
         }
     }
 
@@ -121,11 +162,32 @@ impl Epsf {
         let mut coefficients = psf.at(star);
         if own_shape {
             let constant = FieldTerms::new(0, psf.terms.frame());
-            let alone = psf.fitted(std::slice::from_ref(star), &Prior::local(coefficients), constant);
+            let alone = psf.fitted(
+                std::slice::from_ref(star),
+                &Prior::local(coefficients, self.width_nodes),
+                constant,
+            );
             coefficients = alone.at(star);
         }
         let flux = surface.flux(&coefficients);
         (flux > 0.0 && star.flux > 0.0).then(|| (surface.at_nodes(&coefficients) / flux, star.flux * flux))
+    }
+
+    /// The most probable flux of a star from its fit and from the `sum` of its pixels over the stamp.
+    /// The fit has less noise, but errs where the PSF does.
+    pub(crate) fn flux_with(&self, star: &Star, sum: f64) -> f64 {
+        let coefficients = self.psf.at(star);
+        let (mut power, mut variance_of_sum) = (0.0, 0.0);
+        for pixel in star.pixels.iter().filter(|p| p.trust > 0.0) {
+            if let Some(place) = self.psf.surface.place(pixel.x - star.x, pixel.y - star.y) {
+                let value = self.psf.surface.value(&coefficients, &place);
+                power += value * value / pixel.rms.powi(2);
+                variance_of_sum += pixel.rms.powi(2);
+            }
+        }
+        let variance_of_fit = power.recip() + (FLUX_ACCURACY * star.flux).powi(2);
+        let weights = [variance_of_fit.recip(), variance_of_sum.recip()];
+        (weights[0] * star.flux + weights[1] * sum) / (weights[0] + weights[1])
     }
 
     /// Fits the PSF to a star that was not part of its fit. Returns the star's position and flux,
@@ -149,6 +211,8 @@ fn mismatch_limit(chi: &[f64]) -> f64 {
     (middle + MISMATCH_SIGMA * spread).max(MISMATCH_RATIO * middle)
 }
 
+/// The error of a fitted flux that the PSF's own error is assumed to cause, as a fraction.
+const FLUX_ACCURACY: f64 = 0.05;
 const STEPS: usize = 8;
 /// Longest step of a star's position, in pixels.
 const LONGEST: f64 = 0.2;
@@ -163,7 +227,7 @@ impl FieldPsf {
     fn fitted(&self, stars: &[Star], prior: &Prior, terms: FieldTerms) -> Self {
         Self {
             terms,
-            planes: solve(stars, prior, self.surface, terms, &self.camera),
+            planes: solve(stars, prior, self.surface, terms, &self.camera, &self.planes),
             ..*self
         }
     }
@@ -190,6 +254,7 @@ impl FieldPsf {
 
     fn refine_one(&self, star: &mut Star) -> f64 {
         let (surface, coefficients, start) = (self.surface, self.at(star), star.start);
+        let peak = coefficients.iter().copied().fold(0.0, f64::max);
         let mut chi = f64::INFINITY;
         for step in 0..=STEPS {
             let (mut normal, mut gradient) = (Matrix3::zeros(), Vector3::zeros());
@@ -205,7 +270,7 @@ impl FieldPsf {
                 let psf = surface.value(&coefficients, &place);
                 let (sx, sy) = surface.slopes(&coefficients, &place);
                 let signal = flux * psf;
-                let variance = self.camera.variance(signal, pixel.rms) + (ACCURACY * signal).powi(2);
+                let variance = pixel_variance(signal, flux * peak, pixel.rms, &self.camera);
                 let residual = pixel.value - signal - offset;
                 let deviation = residual.abs() / variance.sqrt();
                 pixel.trust = if deviation > HUBER { HUBER / deviation } else { 1.0 };
@@ -238,54 +303,99 @@ impl FieldPsf {
         chi
     }
 
-    /// Chooses the degree whose PSF best predicts stars that were not part of its fit.
-    fn choose_degree(&self, stars: &[Star], prior: &Prior) -> FieldTerms {
+    /// Chooses the degree whose PSF best predicts stars that were not part of its fit. A higher
+    /// degree must reduce the summed error by more than the error's own uncertainty, which follows
+    /// from its scatter among the stars.
+    fn choose_degree(&self, stars: &[Star], prior: &Prior) -> (FieldTerms, LeftOut) {
         let frame = self.terms.frame();
+        let peak = prior.peak();
+        let step = stars.len().div_ceil(STARS_FOR_DEGREE).max(1);
+        let stars: Vec<Star> = stars.iter().step_by(step).cloned().collect();
+        let errors_of = |terms: FieldTerms| -> Vec<f64> {
+            let folds = (0..FOLDS).into_par_iter().map(|fold| {
+                let learn: Vec<Star> = part_of(&stars, |k| k % FOLDS != fold);
+                let judge = part_of(&stars, |k| k % FOLDS == fold);
+                if learn.is_empty() {
+                    return vec![0.0; judge.len()];
+                }
+                let learnt = self.fitted(&learn, prior, terms);
+                let errors = judge.iter().map(|star| {
+                    let coefficients = learnt.at(star);
+                    let psf = |_: &StarPixel, place: &Place| self.surface.value(&coefficients, place);
+                    prediction_error(star, self.surface, peak, psf)
+                });
+                errors.collect()
+            });
+            let folds: Vec<Vec<f64>> = folds.collect();
+            (0..stars.len()).map(|k| folds[k % FOLDS][k / FOLDS]).collect()
+        };
         let mut best = FieldTerms::new(0, frame);
-        let mut least = f64::INFINITY;
-        for degree in 0..=HIGHEST_DEGREE {
-            if degree > 0 && stars.len() < STARS_PER_TERM * FieldTerms::count_of(degree) {
+        let mut errors = errors_of(best);
+        for degree in 1..=HIGHEST_DEGREE {
+            let too_few = stars.len() < STARS_PER_TERM * FieldTerms::count_of(degree);
+            if too_few || degree > best.degree + VAIN_DEGREES {
                 break;
             }
             let terms = FieldTerms::new(degree, frame);
-            let error: f64 = (0..FOLDS)
-                .map(|fold| {
-                    let part = |inside: bool| -> Vec<Star> {
-                        let chosen = stars
-                            .iter()
-                            .enumerate()
-                            .filter(|(k, _)| (k % FOLDS == fold) == inside);
-                        chosen.map(|(_, s)| s.clone()).collect()
-                    };
-                    let (learn, judge) = (part(false), part(true));
-                    if learn.is_empty() {
-                        return 0.0;
-                    }
-                    let learnt = self.fitted(&learn, prior, terms);
-                    judge
-                        .iter()
-                        .map(|star| learnt.prediction_error(star, prior))
-                        .sum()
-                })
-                .sum();
-            if error < (1.0 - GAIN) * least {
-                (best, least) = (terms, error);
+            let others = errors_of(terms);
+            if is_smaller(&others, &errors) {
+                (best, errors) = (terms, others);
             }
         }
-        best
+        let left_out = LeftOut {
+            stars,
+            errors,
+            surface: self.surface,
+            peak,
+        };
+        (best, left_out)
     }
+}
 
-    fn prediction_error(&self, star: &Star, prior: &Prior) -> f64 {
-        let (surface, coefficients) = (self.surface, self.at(star));
-        let used = star.pixels.iter().filter(|p| p.trust > 0.0);
-        used.filter_map(|pixel| {
+fn part_of(stars: &[Star], chosen: impl Fn(usize) -> bool) -> Vec<Star> {
+    let all = stars.iter().enumerate();
+    all.filter(|(k, _)| chosen(*k))
+        .map(|(_, star)| star.clone())
+        .collect()
+}
+
+/// Returns whether the sum of `errors` is smaller than that of `others` by more than the standard
+/// deviation of the difference.
+fn is_smaller(errors: &[f64], others: &[f64]) -> bool {
+    let gains: Vec<f64> = others
+        .iter()
+        .zip(errors)
+        .map(|(other, error)| other - error)
+        .collect();
+    let mean = gains.iter().sum::<f64>() / gains.len() as f64;
+    let scatter: f64 = gains.iter().map(|gain| (gain - mean).powi(2)).sum();
+    gains.iter().sum::<f64>() > scatter.sqrt()
+}
+
+/// The sum of squared differences between a star's pixels and a PSF times the flux that fits best, in
+/// units of the pixels' variance. This variance is that of the background, and allows for an error of
+/// the PSF by [`ACCURACY`] of its peak: an error counts as much in the wings as in the core, as in the
+/// relative L2 error of a PSF.
+fn prediction_error(
+    star: &Star,
+    surface: SurfaceGrid,
+    peak: f64,
+    psf: impl Fn(&StarPixel, &Place) -> f64,
+) -> f64 {
+    let used = star.pixels.iter().filter(|p| p.trust > 0.0);
+    let pixels: Vec<(f64, f64, f64)> = used
+        .filter_map(|pixel| {
             let place = surface.place(pixel.x - star.x, pixel.y - star.y)?;
-            let psf = surface.value(&coefficients, &place);
-            // All degrees get the same weights, so that their errors can be compared.
-            let w = weight(star, surface.value(&prior.mean, &place), pixel.rms, &self.camera);
-            let off = (pixel.value - star.offset) / star.flux - psf;
-            Some(pixel.trust * w * off * off)
+            let variance = pixel.rms.powi(2) + (ACCURACY * star.flux * peak).powi(2);
+            Some((pixel.value - star.offset, psf(pixel, &place), variance))
         })
-        .sum()
-    }
+        .collect();
+    let product: f64 = pixels
+        .iter()
+        .map(|(value, psf, variance)| value * psf / variance)
+        .sum();
+    let power: f64 = pixels.iter().map(|(_, psf, variance)| psf * psf / variance).sum();
+    let flux = product / power.max(f64::MIN_POSITIVE);
+    let off = |(value, psf, variance): &(f64, f64, f64)| (value - flux * psf).powi(2) / variance;
+    pixels.iter().map(|pixel| off(pixel).min(HUBER * HUBER)).sum()
 }

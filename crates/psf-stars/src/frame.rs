@@ -173,7 +173,7 @@ impl FrameView {
         }
     }
 
-    pub(crate) fn star(&self, index: usize, source: &Source, ownership: &Ownership, grid: FineGrid) -> Star {
+    fn star(&self, index: usize, source: &Source, ownership: &Ownership, grid: FineGrid) -> Star {
         let (x, y) = (source.x, source.y);
         let (ny, nx) = self.pixels.dim();
         let range = |v: f64, n: usize| {
@@ -203,18 +203,46 @@ impl FrameView {
             x,
             y,
             flux: source.flux,
-            offset: self.level_around(index, source, ownership, grid),
+            offset: 0.0,
             pixels,
         }
     }
 
-    /// The background around a star minus the background map. It is the median over a ring outside
-    /// the star's stamp, from pixels that are free of other sources. It is 0 if there are too few
-    /// such pixels.
+    /// The `chosen` sources as stars, with their pixels and the background around them.
+    pub(crate) fn stars(
+        &self,
+        sources: &[Source],
+        chosen: impl Fn(&Source) -> bool + Sync + Send,
+        ownership: &Ownership,
+        grid: FineGrid,
+    ) -> Vec<Star> {
+        let chosen = sources.par_iter().enumerate().filter(|(_, s)| chosen(s));
+        let (mut stars, levels): (Vec<Star>, Vec<_>) = chosen
+            .map(|(k, source)| {
+                let level = self.level_around(k, source, ownership, grid);
+                (self.star(k, source, ownership, grid), level)
+            })
+            .unzip();
+        let of_ring = ring_part(&levels);
+        for (star, (level, variance)) in stars.iter_mut().zip(levels) {
+            star.offset = of_ring(level, variance);
+        }
+        stars
+    }
+
+    /// The background around a star minus the background map, and its variance. It is the median
+    /// over a ring outside the star's stamp, from pixels that are free of other sources. It is
+    /// unknown (0 with an infinite variance) if there are too few such pixels.
     ///
     /// Pixels of the stamp cannot give this level. They hold the wings of the star, and a level
     /// fitted to them would remove the wings from the PSF.
-    fn level_around(&self, index: usize, source: &Source, ownership: &Ownership, grid: FineGrid) -> f64 {
+    fn level_around(
+        &self,
+        index: usize,
+        source: &Source,
+        ownership: &Ownership,
+        grid: FineGrid,
+    ) -> (f64, f64) {
         let (x, y, inner) = (source.x, source.y, grid.reach as f64);
         let free = |&(column, row): &(usize, usize)| {
             let (px, py) = (column as f64, row as f64);
@@ -225,11 +253,43 @@ impl FrameView {
         let ring = self.disc(x, y, RING * inner).filter(free);
         let mut levels: Vec<f64> = ring.map(|(column, row)| self.excess[[row, column]]).collect();
         if levels.len() < LEAST_RING {
-            return 0.0;
+            return (0.0, f64::INFINITY);
         }
-        median(&mut levels)
+        let variance = MEDIAN_VARIANCE * source.background_rms.powi(2) / levels.len() as f64;
+        (median(&mut levels), variance)
     }
 }
+
+/// Returns a function that gives the most probable level around a star from the level of its ring and
+/// the variance of this level. Both the ring and the background map have errors. Those of the map
+/// follow from the rings of all stars: where the rings scatter by more than their noise, the map
+/// misses structure of the background, and rings count more.
+fn ring_part(rings: &[(f64, f64)]) -> impl Fn(f64, f64) -> f64 + use<> {
+    let known = || rings.iter().filter(|ring| ring.1.is_finite());
+    // The squared level minus its noise, for the typical star.
+    let squares: Vec<f64> = known()
+        .map(|(level, variance)| level * level / variance)
+        .collect();
+    let typical = NORMAL_SQUARE_MEDIAN.recip() * median(&mut squares.clone());
+    let variances: Vec<f64> = known().map(|ring| ring.1).collect();
+    let of_map = if squares.is_empty() {
+        0.0
+    } else {
+        (typical - 1.0).max(0.0) * median(&mut variances.clone())
+    };
+    move |level, variance| {
+        if variance.is_finite() && of_map > 0.0 {
+            level * of_map / (of_map + variance)
+        } else {
+            0.0
+        }
+    }
+}
+
+/// The variance of the median of Gaussian values, times their number, in units of their variance.
+const MEDIAN_VARIANCE: f64 = std::f64::consts::FRAC_PI_2;
+/// The median of the square of a Gaussian value of variance 1.
+const NORMAL_SQUARE_MEDIAN: f64 = 0.4549;
 
 /// A pixel near a star.
 #[derive(Debug, Clone, Copy)]
@@ -255,7 +315,7 @@ pub(crate) struct Star {
     pub(crate) x: f64,
     pub(crate) y: f64,
     pub(crate) flux: f64,
-    /// The background around it minus the background map.
+    /// The background around it minus the background map, as far as the ring around it is trusted.
     pub(crate) offset: f64,
     pub(crate) pixels: Vec<StarPixel>,
 }

@@ -18,10 +18,12 @@
 //! a pixel. The samples include the pixel response.
 
 mod background;
+mod band_matrix;
 mod camera;
 mod coverage;
 mod detection;
 mod epsf;
+mod epsf_prior;
 mod epsf_solver;
 mod error;
 mod frame;
@@ -29,6 +31,7 @@ mod registration;
 mod selection;
 mod source;
 mod star_sampling;
+mod surface;
 
 pub use background::{Background, BackgroundMesh};
 pub use camera::{Camera, Saturation, SaturationOrigin};

@@ -1,24 +1,27 @@
 //! Registration: from stars to stamps on one grid.
 
-use ndarray::{Array2, ArrayView2, s};
+use ndarray::{Array2, ArrayView2};
 use psf_types::named;
 use serde::Serialize;
 
 use crate::StarError;
-use crate::background::{Spline, median};
+use crate::background::Spline;
 use crate::error::check;
 
 /// The method that makes stamps with a common centre and grid from stars.
 ///
-/// If stars are well sampled, the pixels of a single star determine its PSF between the pixels. If
-/// stars are undersampled (FWHM below 2 pixels), a single star does not contain this information,
-/// and interpolation blurs the PSF. Many stars at different pixel phases together do contain it.
+/// Many stars together give a PSF with little noise, as far as it varies smoothly over the field. If
+/// stars are well sampled, the pixels of a single star also determine its PSF between the pixels, with
+/// the star's noise. If stars are undersampled (FWHM below 2 pixels), a single star does not contain
+/// this information, and interpolation blurs the PSF.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
 #[serde(rename_all = "lowercase")]
 #[non_exhaustive]
 pub enum RegistrationMethod {
-    /// [`Epsf`](Self::Epsf) if the FWHM is below 2 pixels and there are enough stars, else
-    /// [`Stamps`](Self::Stamps).
+    /// [`Epsf`](Self::Epsf) if there are enough stars, else [`Stamps`](Self::Stamps). If the FWHM is
+    /// at least 2 pixels, stars that are left out decide: where the nearest stars' own pixels
+    /// predict them better than the oversampled PSF, the PSF varies too fast for a polynomial, and
+    /// the method is [`Stamps`](Self::Stamps).
     #[default]
     Auto,
     /// One oversampled PSF that varies over the field as a polynomial, fitted to the pixels of all
@@ -30,8 +33,10 @@ pub enum RegistrationMethod {
     /// polynomial has terms. With [`Registration::with_own_shapes`] each sample is adapted to its
     /// star's own pixels, and contains some of their noise.
     Epsf,
-    /// Each star's own pixels, shifted to the common centre by cubic spline. Samples keep the
-    /// star's noise. With one stamp pixel per pixel of the frame the noise stays nearly white, so
+    /// Each star's own pixels, shifted to the common centre by cubic spline and divided by the
+    /// star's flux. This flux comes from a fit of an oversampled PSF, and for bright stars also from
+    /// the sum of the pixels. Stars that do not agree with the oversampled PSF are rejected. Samples
+    /// keep the star's noise. With one stamp pixel per pixel of the frame the noise stays nearly white, so
     /// that a fit can separate it from the PSF. On a finer grid, neighbouring stamp pixels have
     /// correlated noise, because they come from the same few pixels of the frame. A fit then cannot
     /// recognise the noise and keeps all of it.
@@ -65,8 +70,10 @@ impl Registration {
     /// Below this FWHM in pixels, stars are undersampled.
     const UNDERSAMPLED_PX: f64 = 2.0;
     /// With this number of stamp pixels per FWHM, the error of a cubic spline is about 1e-3 of the
-    /// peak.
+    /// peak for a Gaussian, and 1e-2 for a PSF with as sharp a core as diffraction gives.
     const PIXELS_PER_FWHM: f64 = 3.0;
+    /// The number of stamp pixels per FWHM for an oversampled PSF of many stars.
+    const PIXELS_PER_FWHM_OF_MANY: f64 = 4.0;
     /// The default distance from a stamp's centre to its edge, in FWHM.
     const REACH_FWHM: f64 = 3.0;
     const LEAST_REACH: usize = 5;
@@ -137,16 +144,16 @@ impl Registration {
         )
     }
 
-    /// The grid for a number of stars of the given FWHM.
-    pub(crate) fn grid(&self, fwhm_px: f64, stars: usize) -> FineGrid {
-        let frame_pixels = self.method != RegistrationMethod::Epsf
-            && !Self::is_undersampled(fwhm_px)
-            && stars >= Self::MIN_STARS_FOR_FRAME_PIXELS;
+    /// The grid of a method for a number of stars of the given FWHM.
+    pub(crate) fn grid(&self, method: RegistrationMethod, fwhm_px: f64, stars: usize) -> FineGrid {
+        let of = |per_fwhm: f64| ((per_fwhm / fwhm_px).ceil() as usize).clamp(1, Self::LARGEST_OVERSAMPLING);
         let scale = self.oversampling.unwrap_or_else(|| {
-            if frame_pixels {
-                1
-            } else {
-                ((Self::PIXELS_PER_FWHM / fwhm_px).ceil() as usize).clamp(1, Self::LARGEST_OVERSAMPLING)
+            let (least, fine) = (of(Self::PIXELS_PER_FWHM), of(Self::PIXELS_PER_FWHM_OF_MANY));
+            let well_sampled = !Self::is_undersampled(fwhm_px);
+            match method {
+                RegistrationMethod::Stamps if well_sampled && stars >= Self::MIN_STARS_FOR_FRAME_PIXELS => 1,
+                RegistrationMethod::Epsf if stars >= Self::needed_for_epsf(fine) => fine,
+                _ => least,
             }
         });
         FineGrid {
@@ -160,24 +167,26 @@ impl Registration {
         Self::LEAST_FOR_EPSF.max(3 * scale * scale)
     }
 
-    /// Resolves [`Auto`](RegistrationMethod::Auto) to the method that is used.
-    pub(crate) fn resolve(
-        &self,
-        fwhm_px: f64,
-        stars: usize,
-        scale: usize,
-    ) -> Result<RegistrationMethod, StarError> {
+    /// Returns whether an oversampled PSF can serve as samples, for a number of stars and the grid's
+    /// number of stamp pixels per pixel of the frame.
+    ///
+    /// # Errors
+    /// [`StarError::NoSamples`] when the method was requested and there are too few stars.
+    pub(crate) fn may_be_epsf(&self, stars: usize, scale: usize) -> Result<bool, StarError> {
         let need = Self::needed_for_epsf(scale);
         match self.method {
             RegistrationMethod::Epsf if stars < need => Err(StarError::NoSamples(format!(
                 "an oversampled PSF (method epsf) with an oversampling of {scale} needs at least {need} stars, but the cuts accepted only {stars}: use the method stamps, reduce the oversampling, or relax the cuts"
             ))),
-            RegistrationMethod::Auto if fwhm_px < Self::UNDERSAMPLED_PX && stars >= need => {
-                Ok(RegistrationMethod::Epsf)
-            }
-            RegistrationMethod::Auto => Ok(RegistrationMethod::Stamps),
-            method => Ok(method),
+            RegistrationMethod::Stamps => Ok(false),
+            _ => Ok(stars >= need),
         }
+    }
+
+    /// Returns whether the data choose the method, if both are possible. The pixels of an
+    /// undersampled star do not give its PSF.
+    pub(crate) fn is_open(&self, fwhm_px: f64) -> bool {
+        self.method == RegistrationMethod::Auto && !Self::is_undersampled(fwhm_px)
     }
 
     /// Returns whether stars of the given FWHM are undersampled.
@@ -228,67 +237,50 @@ pub struct RegistrationReport {
 /// stamp.
 const MARGIN: usize = 3;
 
-/// Returns the star's stamp, interpolated at the nodes of the grid and scaled to unit flux, and the
-/// star's flux. Returns `None` if the flux is not positive.
+/// Returns the light of a star at position `(x, y)` of the frame, interpolated at the nodes of the
+/// grid. `level` is the background minus the background map.
 ///
 /// A pixel that is masked, belongs to a neighbour or lies off the frame is replaced by the pixel on
-/// the opposite side of the star, or by 0 if that cannot be used either. The median along the
-/// stamp's edge estimates the error of the background map and is subtracted. The spline passes
-/// exactly through the pixels' values.
+/// the opposite side of the star, or by 0 if that cannot be used either. The spline passes exactly
+/// through the pixels' values.
 pub(crate) fn own_stamp(
     excess: ArrayView2<'_, f64>,
     (star_x, star_y): (f64, f64),
+    level: f64,
     trusted: impl Fn(usize, usize) -> bool,
     grid: FineGrid,
-) -> Option<(Array2<f64>, f64)> {
+) -> Array2<f64> {
     let (ny, nx) = excess.dim();
     let reach = (grid.reach + MARGIN) as i64;
     let (column, row) = (star_x.round() as i64, star_y.round() as i64);
     let on = |v: i64, n: usize| (0..n as i64).contains(&v);
     let value = |x: i64, y: i64| {
         let good = |x: i64, y: i64| on(x, nx) && on(y, ny) && trusted(x as usize, y as usize);
+        let at = |x: i64, y: i64| excess[[y as usize, x as usize]] - level;
         if good(x, y) {
-            return excess[[y as usize, x as usize]];
+            return at(x, y);
         }
         let opposite = |v: i64, centre: f64| (2.0 * centre - v as f64).round() as i64;
         let (x, y) = (opposite(x, star_x), opposite(y, star_y));
-        if good(x, y) {
-            excess[[y as usize, x as usize]]
-        } else {
-            0.0
-        }
+        if good(x, y) { at(x, y) } else { 0.0 }
     };
     let side = (2 * reach + 1) as usize;
-    let mut window = Array2::from_shape_fn((side, side), |(j, i)| {
+    let window = Array2::from_shape_fn((side, side), |(j, i)| {
         value(column + i as i64 - reach, row + j as i64 - reach)
     });
-    let offset = edge_level(window.slice(s![MARGIN..side - MARGIN, MARGIN..side - MARGIN]));
-    window.mapv_inplace(|v| v - offset);
     let spline = Spline::through(window.view());
     let middle = grid.middle() as f64;
     let at =
         |k: usize, centre: f64, first: i64| centre + (k as f64 - middle) / grid.scale as f64 - first as f64;
-    let stamp = Array2::from_shape_fn((grid.side(), grid.side()), |(j, i)| {
+    Array2::from_shape_fn((grid.side(), grid.side()), |(j, i)| {
         spline.at(at(i, star_x, column - reach), at(j, star_y, row - reach))
-    });
-    let flux = stamp.sum() / (grid.scale * grid.scale) as f64;
-    (flux > 0.0).then(|| (stamp / flux, flux))
-}
-
-/// The median along the outermost pixels.
-fn edge_level(stamp: ArrayView2<'_, f64>) -> f64 {
-    let (ny, nx) = stamp.dim();
-    let mut edge: Vec<f64> = stamp
-        .indexed_iter()
-        .filter(|((y, x), _)| *y == 0 || *x == 0 || *y == ny - 1 || *x == nx - 1)
-        .map(|(_, v)| *v)
-        .collect();
-    median(&mut edge)
+    })
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use ndarray::s;
 
     fn frame(x: f64, y: f64, sigma: f64) -> Array2<f64> {
         Array2::from_shape_fn((41, 41), |(j, i)| {
@@ -298,14 +290,14 @@ mod tests {
     }
 
     #[test]
-    fn a_stamp_is_centred_and_has_unit_flux() {
+    fn a_stamp_is_centred_and_holds_the_flux() {
         let (x, y, sigma) = (20.3, 19.6, 1.2);
         let grid = FineGrid { reach: 8, scale: 2 };
-        let (stamp, flux) = own_stamp(frame(x, y, sigma).view(), (x, y), |_, _| true, grid).unwrap();
-        assert!((stamp.sum() / 4.0 - 1.0).abs() < 1e-12);
-        let truth = std::f64::consts::TAU * sigma * sigma * 500.0;
-        // The pedestal of 3 is the level of the edge and is removed.
+        // The pedestal of 3 is the level around the star.
+        let mut stamp = own_stamp(frame(x, y, sigma).view(), (x, y), 3.0, |_, _| true, grid);
+        let (flux, truth) = (stamp.sum() / 4.0, std::f64::consts::TAU * sigma * sigma * 500.0);
         assert!((flux / truth - 1.0).abs() < 1e-4, "{flux} against {truth}");
+        stamp /= flux;
         let middle = grid.middle();
         let (mut mx, mut my) = (0.0, 0.0);
         for ((j, i), v) in stamp.indexed_iter() {
@@ -323,8 +315,8 @@ mod tests {
         with_neighbour.slice_mut(s![24..27, 19..22]).fill(1e4);
         let grid = FineGrid { reach: 8, scale: 1 };
         let trusted = |x: usize, y: usize| !((19..22).contains(&x) && (24..27).contains(&y));
-        let (a, _) = own_stamp(clean.view(), (20.0, 20.0), |_, _| true, grid).unwrap();
-        let (b, _) = own_stamp(with_neighbour.view(), (20.0, 20.0), trusted, grid).unwrap();
+        let a = own_stamp(clean.view(), (20.0, 20.0), 3.0, |_, _| true, grid);
+        let b = own_stamp(with_neighbour.view(), (20.0, 20.0), 3.0, trusted, grid);
         assert!((&a - &b).iter().all(|d| d.abs() < 1e-12));
     }
 }

@@ -13,7 +13,9 @@ use crate::{Rejection, Source, StarError};
 /// Applies cuts to the sources. The sources that pass all cuts serve as PSF samples. Each cut
 /// rejects sources for a reason of its own ([`Rejection`]).
 ///
-/// * Signal-to-noise ratio above a limit, by default 10 (Bai, Jia et al. 2025, AJ, eq. 6).
+/// * Signal-to-noise ratio above a limit. By default, the limit is as low as it takes to keep 200
+///   stars, but at least 10 (Bai, Jia et al. 2025, AJ, eq. 6) and at most 50: where bright stars are
+///   many, faint ones only add the light of their neighbours.
 /// * Room for the stamp: the centre is at least [`with_edge_px`](Self::with_edge_px) from the
 ///   frame's edge.
 /// * Isolation: no other source within a radius has more than a fraction of the star's flux.
@@ -26,7 +28,7 @@ use crate::{Rejection, Source, StarError};
 /// the PSF may vary over the field, but a single star that deviates is rejected.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Selection {
-    snr: f64,
+    snr: Option<f64>,
     edge_px: Option<f64>,
     isolation_px: Option<f64>,
     neighbour_flux: f64,
@@ -34,8 +36,12 @@ pub struct Selection {
 }
 
 impl Selection {
-    /// Default signal-to-noise ratio that a star must exceed.
-    pub const DEFAULT_SNR: f64 = 10.0;
+    /// The lowest default signal-to-noise ratio that a star must exceed.
+    pub const LEAST_SNR: f64 = 10.0;
+    /// The highest default signal-to-noise ratio that a star must exceed.
+    pub const AMPLE_SNR: f64 = 50.0;
+    /// The number of stars for which the default signal-to-noise ratio is lowered.
+    pub const ENOUGH_STARS: usize = 200;
     /// Default fraction of a star's flux that a neighbour may have.
     pub const DEFAULT_NEIGHBOUR_FLUX: f64 = 0.2;
     /// Default number of sigma at which shapes are clipped.
@@ -46,7 +52,7 @@ impl Selection {
         ///
         /// # Errors
         /// [`StarError::Setting`] unless it is 0 or above.
-        with_snr(snr) => snr, if at_least(0.0, snr),
+        with_snr(snr) => snr: Some, if at_least(0.0, snr),
             else "the signal-to-noise limit", "a number, 0 or above";
         /// Sets the smallest distance of a star from the frame's edge in pixels. The default is
         /// half a stamp.
@@ -77,9 +83,19 @@ impl Selection {
             else "the limit for shapes", "a number of sigma, at least 1";
     }
 
-    /// The signal-to-noise ratio that a star must exceed.
-    pub fn snr(&self) -> f64 {
-        self.snr
+    /// The signal-to-noise ratio that every star must exceed.
+    pub(crate) fn least_snr(&self) -> f64 {
+        self.snr.unwrap_or(Self::LEAST_SNR)
+    }
+
+    /// The signal-to-noise ratio that a star must exceed, from the ratios of all stars that have not
+    /// been rejected for other reasons.
+    fn snr_limit(&self, mut of_stars: Vec<f64>) -> f64 {
+        self.snr.unwrap_or_else(|| {
+            of_stars.sort_unstable_by(|a, b| b.total_cmp(a));
+            let last = of_stars.get(Self::ENOUGH_STARS).copied();
+            last.unwrap_or(0.0).clamp(Self::LEAST_SNR, Self::AMPLE_SNR)
+        })
     }
 
     /// Returns an error if stamps do not fit at the distance from the edge.
@@ -105,7 +121,7 @@ impl Selection {
             let crowded = neighbours
                 .within(x, y, isolation)
                 .any(|(j, _)| j != k && sources[j].flux > self.neighbour_flux * flux);
-            let (snr, fitted) = (sources[k].snr, sources[k].fwhm_px.is_some());
+            let fitted = sources[k].fwhm_px.is_some();
             let mut flag = |holds: bool, reason| {
                 if holds {
                     sources[k].rejected.insert(reason);
@@ -113,10 +129,18 @@ impl Selection {
             };
             flag(!(inside(x, frame.nx()) && inside(y, frame.ny())), Rejection::Edge);
             flag(crowded, Rejection::Neighbour);
-            // NaN also counts as too low.
-            flag(snr.is_nan() || snr <= self.snr, Rejection::LowSnr);
             flag(!fitted, Rejection::NoFit);
         }
+        let usable = sources
+            .iter()
+            .filter(|s| s.rejected.is_empty() && !s.snr.is_nan());
+        let limit = self.snr_limit(usable.map(|s| s.snr).collect());
+        // NaN also counts as too low.
+        let low = |s: &&mut Source| s.snr.is_nan() || s.snr <= limit;
+        sources
+            .iter_mut()
+            .filter(low)
+            .for_each(|s| s.rejected.insert(Rejection::LowSnr));
         self.flag_shapes(sources, frame, fwhm_px.ln());
     }
 
@@ -194,7 +218,7 @@ impl Selection {
 impl Default for Selection {
     fn default() -> Self {
         Self {
-            snr: Self::DEFAULT_SNR,
+            snr: None,
             edge_px: None,
             isolation_px: None,
             neighbour_flux: Self::DEFAULT_NEIGHBOUR_FLUX,

@@ -61,7 +61,7 @@ const FOLDS: usize = 5;
 /// With fewer samples there is no cross-validation.
 const LEAST_FOR_FOLDS: usize = 2 * FOLDS;
 
-/// A stamp of unit flux, and the star's flux.
+/// A star's light divided by its flux, and this flux.
 type StampAndFlux = (Array2<f64>, f64);
 
 /// The smallest size of a frame along each axis, in pixels.
@@ -183,9 +183,7 @@ impl StarSampling {
         // Stars that are held out also count for the choice of the grid and the method.
         let accepted = sources.iter().filter(|s| s.rejected.is_empty()).count();
         self.hold_out(&mut sources)?;
-        let grid = self.registration.grid(fwhm_px, accepted);
-        let method = self.registration.resolve(fwhm_px, accepted, grid.scale)?;
-        let registered = self.register(&view, &mut sources, (method, grid), fwhm_px)?;
+        let registered = self.register(&view, &mut sources, accepted, fwhm_px)?;
         let folds = self.folds(&view, &registered, fwhm_px);
         view.collected(sources, registered, folds, fwhm_px)
     }
@@ -263,75 +261,101 @@ impl StarSampling {
 
     /// The most frequent FWHM of bright sources, or `otherwise` if there is none.
     fn typical_fwhm(&self, sources: &[Source], otherwise: f64) -> f64 {
-        let good = |s: &&Source| s.rejected.is_empty() && s.snr > self.selection.snr();
+        let good = |s: &&Source| s.rejected.is_empty() && s.snr > self.selection.least_snr();
         // The most significant sources come first.
         let widths = sources.iter().filter(good).filter_map(|s| s.fwhm_px);
         most_frequent_width(widths.collect()).unwrap_or(otherwise)
     }
 
+    /// Makes stamps from the stars. `accepted` is the number of stars that may serve, those that are
+    /// held out included.
     fn register(
         &self,
         view: &FrameView,
         sources: &mut [Source],
-        (method, grid): (RegistrationMethod, FineGrid),
+        accepted: usize,
         fwhm_px: f64,
     ) -> Result<Registered, StarError> {
-        let ownership = Ownership::new(sources, fwhm_px);
-        let stars: Vec<Star> = sources
-            .par_iter()
-            .enumerate()
-            .filter(|(_, s)| s.rejected.is_empty())
-            .map(|(k, c)| view.star(k, c, &ownership, grid))
-            .collect();
-        if self.hold_out.0 > 0 && method == RegistrationMethod::Epsf {
+        let fine = self
+            .registration
+            .grid(RegistrationMethod::Epsf, fwhm_px, accepted);
+        let coarse = self
+            .registration
+            .grid(RegistrationMethod::Stamps, fwhm_px, accepted);
+        let may_be_epsf = self.registration.may_be_epsf(accepted, fine.scale)?;
+        let undersampled = Registration::is_undersampled(fwhm_px);
+        if self.hold_out.0 > 0 && may_be_epsf && undersampled {
             return Err(StarError::NoSamples(
-                "stars cannot be held out with the method epsf (which auto uses for undersampled stars), because the pixels of a single star do not give its oversampled PSF: compare the model with the stars of another frame, or use the method stamps"
+                "undersampled stars cannot be held out with the method epsf (which auto uses for them), because the pixels of a single star do not give its oversampled PSF: compare the model with the stars of another frame, or use the method stamps"
                     .to_owned(),
             ));
         }
-        let own = |k: usize| {
-            let Source { x, y, flux, .. } = sources[k];
-            let trusted = |x, y| !view.is_masked(x, y) && ownership.allows(k, flux, x as f64, y as f64);
-            own_stamp(view.excess.view(), (x, y), trusted, grid)
+        let ownership = Ownership::new(sources, fwhm_px);
+        let stars = view.stars(sources, |s| s.rejected.is_empty(), &ownership, fine);
+        let epsf = Epsf::fit(stars, fine, fwhm_px, view.shape(), &self.camera, None);
+        for &source in &epsf.mismatched {
+            sources[source].rejected.insert(Rejection::PsfMismatch);
+        }
+        // A star's own light at the nodes of a grid divided by the star's flux, and this flux. Its
+        // centre is that of the Gaussian fit, which does not depend on the oversampled PSF.
+        let own = |star: &Star, grid: FineGrid| -> Option<StampAndFlux> {
+            let trusted =
+                |x, y| !view.is_masked(x, y) && ownership.allows(star.source, star.flux, x as f64, y as f64);
+            let light = own_stamp(view.excess.view(), star.start, star.offset, trusted, grid);
+            let nodes_per_pixel = (grid.scale * grid.scale) as f64;
+            let flux = epsf.flux_with(star, light.sum() / nodes_per_pixel);
+            // Noise and the background's error make the sum differ from the flux. The difference is
+            // spread evenly: to divide by a sum near 0 would make noise dominate all samples.
+            let missing = (flux * nodes_per_pixel - light.sum()) / light.len() as f64;
+            (flux > 0.0).then(|| ((light + missing) / flux, flux))
         };
-        let chosen = (0..sources.len()).filter(|&k| sources[k].rejected.contains(Rejection::HeldOut));
-        let chosen: Vec<_> = chosen.map(|k| (k, own(k))).collect();
-        let mut report = RegistrationReport {
+        let own_stamps =
+            || -> Vec<Option<StampAndFlux>> { epsf.stars.par_iter().map(|star| own(star, coarse)).collect() };
+        let mut stamps = if may_be_epsf { None } else { Some(own_stamps()) };
+        if may_be_epsf && self.registration.is_open(fwhm_px) {
+            let found = own_stamps();
+            if neighbours_predict_better(&epsf, &found, coarse) {
+                stamps = Some(found);
+            }
+        }
+        let (method, grid) = match stamps {
+            None => (RegistrationMethod::Epsf, fine),
+            Some(_) => (RegistrationMethod::Stamps, coarse),
+        };
+        let stamps = stamps.unwrap_or_else(|| {
+            let own_shapes = self.registration.own_shapes;
+            let stars = epsf.stars.par_iter();
+            stars.map(|star| epsf.sample(star, own_shapes)).collect()
+        });
+        let mut held_out = Vec::new();
+        let chosen = |s: &Source| s.rejected.contains(Rejection::HeldOut);
+        for mut star in view.stars(sources, chosen, &ownership, fine) {
+            if let Some((x, y, flux)) = epsf.measure(&star) {
+                (star.x, star.y, star.flux) = (x, y, flux);
+            }
+            match own(&star, grid) {
+                Some((stamp, _)) => held_out.push((star.start, stamp)),
+                None => sources[star.source].rejected.insert(Rejection::LowSnr),
+            }
+        }
+        let is_epsf = method == RegistrationMethod::Epsf;
+        let report = RegistrationReport {
             method,
             oversampling: grid.scale,
             stamp_pixels: grid.side(),
-            undersampled: Registration::is_undersampled(fwhm_px),
-            field_degree: None,
-            median_chi: None,
+            undersampled,
+            field_degree: is_epsf.then(|| epsf.field_degree()),
+            median_chi: is_epsf.then_some(epsf.median_chi),
         };
-        let (stars, stamps): (Vec<Star>, Vec<Option<StampAndFlux>>) = if method == RegistrationMethod::Epsf {
-            let epsf = Epsf::fit(stars, grid, fwhm_px, view.shape(), &self.camera, None);
-            report.field_degree = Some(epsf.field_degree());
-            report.median_chi = Some(epsf.median_chi);
-            for &source in &epsf.mismatched {
-                sources[source].rejected.insert(Rejection::PsfMismatch);
-            }
-            let own_shapes = self.registration.own_shapes;
-            let stamps = epsf
-                .stars
-                .par_iter()
-                .map(|star| epsf.sample(star, own_shapes))
-                .collect();
-            (epsf.stars, stamps)
-        } else {
-            let stamps = stars.par_iter().map(|star| own(star.source)).collect();
-            (stars, stamps)
-        };
-        let (mut samples, mut held_out) = (Vec::new(), Vec::new());
-        for (k, stamp) in chosen {
+        let mut samples = Vec::new();
+        for (mut star, stamp) in epsf.stars.into_iter().zip(stamps) {
             match stamp {
-                Some((stamp, _)) => held_out.push(((sources[k].x, sources[k].y), stamp)),
-                None => sources[k].rejected.insert(Rejection::LowSnr),
-            }
-        }
-        for (star, stamp) in stars.into_iter().zip(stamps) {
-            match stamp {
-                Some((stamp, flux)) => samples.push((star, stamp, flux)),
+                Some((stamp, flux)) => {
+                    if !is_epsf {
+                        (star.x, star.y) = star.start;
+                    }
+                    samples.push((star, stamp, flux));
+                }
                 None => sources[star.source].rejected.insert(Rejection::LowSnr),
             }
         }
@@ -343,6 +367,47 @@ impl StarSampling {
         })
     }
 }
+
+/// Returns whether the own pixels of the nearest stars predict a star better than the oversampled
+/// PSF does, for stars that had no part in either.
+fn neighbours_predict_better(epsf: &Epsf, stamps: &[Option<StampAndFlux>], grid: FineGrid) -> bool {
+    let Some(left_out) = &epsf.left_out else {
+        return false;
+    };
+    let known: Vec<(&Star, Spline)> = epsf
+        .stars
+        .iter()
+        .zip(stamps)
+        .filter_map(|(star, stamp)| Some((star, Spline::through(stamp.as_ref()?.0.view()))))
+        .collect();
+    let (middle, scale) = (grid.middle() as f64, grid.scale as f64);
+    left_out.is_worse_than(|star| {
+        let distance = |k: usize| (known[k].0.x - star.x).hypot(known[k].0.y - star.y);
+        let mut others: Vec<usize> = (0..known.len())
+            .filter(|&k| known[k].0.source != star.source)
+            .collect();
+        others.sort_by(|&a, &b| distance(a).total_cmp(&distance(b)));
+        others.truncate(NEAREST);
+        let weights: Vec<f64> = others.iter().map(|&k| distance(k).max(1.0).powi(-2)).collect();
+        let sum: f64 = weights.iter().sum();
+        let nearest: Vec<(&Spline, f64)> = others
+            .iter()
+            .zip(weights)
+            .map(|(&k, weight)| (&known[k].1, weight / sum))
+            .collect();
+        move |dx: f64, dy: f64| {
+            let at = |offset: f64| middle + scale * offset;
+            nearest
+                .iter()
+                .map(|(spline, weight)| weight * spline.at(at(dx), at(dy)))
+                .sum()
+        }
+    })
+}
+
+/// The number of nearest stars whose pixels predict a star. Interpolation between scattered samples
+/// mixes about as many.
+const NEAREST: usize = 4;
 
 /// The samples made without one group of stars. `left_out` has the stars of this group: index of
 /// the sample, x, y, flux.

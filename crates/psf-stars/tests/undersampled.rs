@@ -163,6 +163,61 @@ fn the_flux_of_a_star_includes_its_wings() {
     assert!(ratios.len() >= 130 && (median - 1.0).abs() < FLUX, "{median}");
 }
 
+/// The fluxes of the stars and the PSF's sum at each phase are determined together only by the
+/// condition that this sum is 1.
+const PHASE_SUM: f64 = 2e-3;
+/// The error of pixels in units of the PSF's flux, for stars without much noise.
+const PIXEL: f64 = 0.012;
+
+#[test]
+fn pixels_around_a_star_hold_all_its_light_at_every_phase() {
+    for sigma in [0.42, 0.55] {
+        for flux in [1e5, 1e7] {
+            let round = move |dx: f64, dy: f64| in_pixel(dx, sigma) * in_pixel(dy, sigma);
+            let mut rng = ChaCha8Rng::seed_from_u64(5);
+            let mut pixels = Array2::from_shape_simple_fn((SIDE, SIDE), || {
+                let noise: f64 = StandardNormal.sample(&mut rng);
+                200.0 + NOISE * noise
+            });
+            for k in 0..144u32 {
+                let place = |c: u32, shift: f64| 20.0 + 32.7 * f64::from(c) + shift;
+                let (x, y) = (
+                    place(k % 12, rng.random::<f64>()),
+                    place(k / 12, rng.random::<f64>()),
+                );
+                for ((row, column), value) in pixels.indexed_iter_mut() {
+                    let (dx, dy) = (column as f64 - x, row as f64 - y);
+                    if dx.abs() < 6.0 && dy.abs() < 6.0 {
+                        *value += flux * round(dx, dy);
+                    }
+                }
+            }
+            let found = StarSampling::default().run(&Image::new(pixels).unwrap()).unwrap();
+            let (samples, grid) = (&found.samples, found.samples.grid());
+            let scale = grid.oversampling() as usize;
+            let stamp = samples.stamps().index_axis(ndarray::Axis(0), 0).to_owned();
+            let (mut least, mut most, mut worst) = (f64::MAX, f64::MIN, 0.0f64);
+            for (y, x) in (0..scale).flat_map(|y| (0..scale).map(move |x| (y, x))) {
+                let phase = stamp.slice(ndarray::s![y..; scale, x..; scale]);
+                (least, most) = (least.min(phase.sum()), most.max(phase.sum()));
+                for ((j, i), value) in phase.indexed_iter() {
+                    let at = |k: usize, first: usize, centre: f64| {
+                        ((k * scale + first) as f64 - centre) / scale as f64
+                    };
+                    let truth = round(at(i, x, grid.centre_x()), at(j, y, grid.centre_y()));
+                    worst = worst.max((value - truth).abs());
+                }
+            }
+            println!(
+                "sigma {sigma}, flux {flux:e}: sums {least:.5} to {most:.5}, largest error {worst:.4}, {:?}",
+                found.registration
+            );
+            assert!(1.0 - least < PHASE_SUM && most - 1.0 < PHASE_SUM);
+            assert!(worst < PIXEL);
+        }
+    }
+}
+
 #[test]
 fn every_star_is_left_out_of_the_samples_of_one_fold() {
     let (frame, stars) = frame(psf);
