@@ -204,6 +204,8 @@ mod tests {
     use super::*;
 
     fn gaussian(oversampling: f64, fwhm_px: f64) -> (Array2<f64>, StampGrid) {
+        /// An average over a frame pixel is a sum of so many points.
+        const POINTS: usize = 40;
         let side = (16.0 * oversampling) as usize / 2 * 2 + 1;
         let grid = StampGrid::new(side, side)
             .unwrap()
@@ -212,8 +214,6 @@ mod tests {
         // The width of the Gaussian that is convolved with a pixel, in quadrature.
         let sigma = (fwhm_px / 2.354_82) * oversampling;
         let middle = (side / 2) as f64;
-        // Averages over a frame pixel: a sum of many points.
-        const POINTS: usize = 40;
         let along = |i: usize| -> f64 {
             (0..POINTS)
                 .map(|p| {
