@@ -982,6 +982,11 @@ class PsfModel:
         -------
         FitReport or None
 
+        Warns
+        -----
+        PsfieldWarning
+            The samples do not determine the model (`FitReport.warnings`).
+
         Examples
         --------
         >>> import psfield
@@ -996,6 +1001,8 @@ class PsfModel:
             return None
         found = json.loads(report)
         found["leave_one_out"] = LeaveOneOutReport(**found["leave_one_out"])
+        for warning in found["warnings"]:
+            warnings.warn(warning, PsfieldWarning, stacklevel=2)
         return FitReport(**found)
 
     def evaluate(

@@ -442,8 +442,9 @@ class Plan:
         Warns
         -----
         PsfieldWarning
-            The stamps are oversampled by a factor below 2 and there are galaxies, or stars between
-            pixels. Or the catalogue has no sources, or none whose light reaches the frame. Or the
+            There are galaxies, or stars between pixels, and the stamps are too coarse to be
+            interpolated for them. Or the model does not keep the tolerance for the flux in circles
+            about a source. Or the catalogue has no sources, or none whose light reaches the frame. Or the
             plan exceeds its memory, so that each call makes parts of it again.
 
         Examples

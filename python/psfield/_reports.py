@@ -79,10 +79,15 @@ class FitReport(Report):
         Largest and root mean square error of the truncated basis, relative to each sample.
     errors : list of float
         This error for every sample.
+    circle_error : float or None
+        Largest error of the flux in circles about the source, over the samples, relative to the
+        total flux. Of noisy samples, only what the noise does not explain.
     leave_one_out : LeaveOneOutReport
         Errors of predicting each sample from the others.
     singular_values, cumulative_weights : list of float
         Singular values that were computed, from the largest on, and their cumulative weights.
+    warnings : list of str
+        Sentences on samples that do not determine the model.
 
     Examples
     --------
@@ -106,9 +111,11 @@ class FitReport(Report):
     max_error: float
     rms_error: float
     errors: list[float] = field(repr=False)
+    circle_error: float | None
     leave_one_out: LeaveOneOutReport
     singular_values: list[float] = field(repr=False)
     cumulative_weights: list[float] = field(repr=False)
+    warnings: list[str]
 
 
 @dataclass(frozen=True)

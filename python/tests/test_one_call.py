@@ -64,7 +64,7 @@ def test_warnings_name_the_line_of_the_caller(model: psfield.PsfModel) -> None:
         lambda: psfield.simulate(stars, coarse, shape=(10, 12)),
         lambda: plan.simulate(catalog=stars),
     ):
-        with pytest.warns(psfield.PsfieldWarning, match="below 2") as caught:
+        with pytest.warns(psfield.PsfieldWarning, match="too coarse") as caught:
             call()
         assert {warning.filename for warning in caught} == {__file__}
 

@@ -275,7 +275,7 @@ def test_a_plan_tells_of_itself(model):
 def test_spot_checks_tell_right_from_wrong(model, scene):
     plan = model.plan(scene.shape, 1e-3)
     catalog = {"x": [5.25, 60.0], "y": [7.5, 90.5], "flux": [500.0, 20.0]}
-    with pytest.warns(psfield.PsfieldWarning, match="oversampled by a factor below 2"):
+    with pytest.warns(psfield.PsfieldWarning, match="too coarse to be interpolated"):
         image = plan.simulate(scene, catalog)
     check = plan.spot_check(scene, catalog, image=image, pixels=300)
     assert check.passed is True and check.pixels == 300 and check.relative_rms < check.limit

@@ -116,11 +116,8 @@ pub(crate) fn decompose(matrix: MatRef<'_, f64>) -> Result<Decomposition, BasisE
         recursion_threshold: usize::MAX,
         ..qr_first
     };
-    let whole: f64 = matrix
-        .col_iter()
-        .flat_map(faer::ColRef::iter)
-        .map(|v| v * v)
-        .sum();
+    // A pairwise sum. In a plain sum of millions of squares, small ones round to nothing.
+    let whole = matrix.squared_norm_l2();
     for params in [usual, qr_first, undivided] {
         let Some((values, vectors)) = decompose_by(matrix, params)? else {
             continue;
@@ -450,6 +447,20 @@ mod tests {
             orthonormal(None, zeros, Array2::ones((4, 3)).view(), grid),
             Err(BasisError::Data(DataError::CountMismatch { .. }))
         ));
+    }
+
+    /// A peak and a wide faint halo: each square of the halo is below the rounding of the peak's, but
+    /// together they are 4e-10 of the sum, more than [`SQUARES_AGREE`].
+    #[test]
+    fn wide_faint_halos_are_decomposed() {
+        const PIXELS: usize = 1 << 22;
+        let rows = Array2::from_shape_fn((2, PIXELS), |(j, u)| match (j, u) {
+            (0, 0) => 1.0,
+            _ => 1e-8 * if j == 1 && u % 2 == 0 { -1.0 } else { 1.0 },
+        });
+        let (values, _) = decompose(columns_of(rows.view())).unwrap();
+        let halo = 1e-8 * (PIXELS as f64).sqrt();
+        assert!((values[1] / halo - 1.0).abs() < 1e-6, "{values:?}");
     }
 
     /// `decompose` accepts a result if the squares of its values add up. This test shows that its

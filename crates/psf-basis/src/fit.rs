@@ -5,6 +5,7 @@ use ndarray::{Array2, Array3, ArrayView1, ArrayView2, ArrayView3, Axis, concaten
 use psf_types::{DataError, PsfBasis, PsfSamples, SampleCoefficients, named};
 use rayon::prelude::*;
 
+use crate::circles::{Circles, SampleFlux};
 use crate::components::{Components, Krylov, is_large};
 use crate::decomposition::{BasisError, ROUNDING_UNITS, fix_signs};
 use crate::noise::{NoiseSearch, PixelNoise};
@@ -29,11 +30,12 @@ pub struct BasisFit {
     coefficients: SampleCoefficients,
     spectrum: Option<Spectrum>,
     errors: Vec<f64>,
+    circle_errors: Vec<f64>,
 }
 
 impl BasisFit {
     /// Combines the parts of a fit and measures the truncation error of every sample,
-    /// `||h_j - B_0 - sum_k a_jk B_k||_2 / ||h_j||_2`.
+    /// `||h_j - B_0 - sum_k a_jk B_k||_2 / ||h_j||_2`, and the error of its flux in circles.
     ///
     /// # Errors
     /// [`BasisError::Data`] when the parts do not match each other or the samples.
@@ -49,12 +51,20 @@ impl BasisFit {
         DataError::check_count(what, basis.rank(), coefficients.component_count())?;
         check_grid(samples, &basis)?;
         let rows = rows_of(samples.stamps());
-        let errors = truncation_errors(rows, mean_of(&basis), &norms(rows), &basis, coefficients.values());
+        let sizes = Sizes::new(rows);
+        let noisy = is_noisy(spectrum.as_ref());
+        let (errors, circle_errors) = truncation_errors(
+            (rows, mean_of(&basis)),
+            (&sizes, &Circles::new(samples.grid()), noisy),
+            &basis,
+            coefficients.values(),
+        );
         Ok(Self {
             basis,
             coefficients,
             spectrum,
             errors,
+            circle_errors,
         })
     }
 
@@ -71,6 +81,14 @@ impl BasisFit {
     /// The truncation error of every sample: relative L2 norm, in sample order.
     pub fn errors(&self) -> &[f64] {
         &self.errors
+    }
+
+    /// For every sample, the largest error of the flux in a circle about the source, relative to the
+    /// sample's flux: `max_R |sum_{|u| <= R} dh(u)| / |sum_u h(u)|`, in sample order. `R` are multiples
+    /// of half a stamp pixel. If the samples are noisy, only what noise does not explain counts (five
+    /// standard deviations of the noise in the circle). 0 for samples without flux.
+    pub fn circle_errors(&self) -> &[f64] {
+        &self.circle_errors
     }
 
     /// Returns the basis and the coefficients without copying them.
@@ -99,9 +117,14 @@ impl BasisFit {
     }
 }
 
-/// Samples are processed in blocks of this size, so that the residuals of thousands of samples need
-/// little memory.
+/// Samples are processed in blocks of at most this size, so that the residuals of thousands of samples
+/// need little memory.
 const BLOCK: usize = 64;
+/// Blocks of wide stamps are smaller: about this number of pixels, but at least [`FEWEST`] samples,
+/// because every block reads the whole basis.
+const BLOCK_PIXELS: usize = 1 << 24;
+/// The smallest number of samples in a block.
+const FEWEST: usize = 8;
 
 /// Returns stamps `[stamp, y, x]`, which must be in row-major order, as `[stamp, pixel]`.
 fn rows_of(stamps: ArrayView3<'_, f64>) -> ArrayView2<'_, f64> {
@@ -117,38 +140,57 @@ fn mean_of(basis: &PsfBasis) -> Option<ArrayView1<'_, f64>> {
         .map(|mean| mean.into_shape_with_order(pixels).expect("row-major"))
 }
 
-/// The norm of every row.
-fn norms(rows: ArrayView2<'_, f64>) -> Vec<f64> {
-    rows.outer_iter().map(|row| row.dot(&row).sqrt()).collect()
+/// The sizes of samples, to which their errors are relative.
+struct Sizes {
+    norms: Vec<f64>,
+    fluxes: Vec<SampleFlux>,
 }
 
-/// The truncation error of every sample, relative to `norms`. `rows` are the samples, and `mean` the
-/// mean stamp that they contain.
+impl Sizes {
+    /// The sizes of rows `[sample, pixel]`.
+    fn new(rows: ArrayView2<'_, f64>) -> Self {
+        Self {
+            norms: rows.outer_iter().map(|row| row.dot(&row).sqrt()).collect(),
+            fluxes: rows.outer_iter().map(SampleFlux::of).collect(),
+        }
+    }
+}
+
+/// Returns whether noise was found in the samples.
+fn is_noisy(spectrum: Option<&Spectrum>) -> bool {
+    spectrum.is_some_and(|spectrum| spectrum.noise_sigma.is_some())
+}
+
+/// The truncation error of every sample, and the error of its flux in circles. `rows` are the samples,
+/// and `mean` the mean stamp that they contain.
 fn truncation_errors(
-    rows: ArrayView2<'_, f64>,
-    mean: Option<ArrayView1<'_, f64>>,
-    norms: &[f64],
+    (rows, mean): (ArrayView2<'_, f64>, Option<ArrayView1<'_, f64>>),
+    (sizes, circles, noisy): (&Sizes, &Circles, bool),
     basis: &PsfBasis,
     coefficients: ArrayView2<'_, f64>,
-) -> Vec<f64> {
+) -> (Vec<f64>, Vec<f64>) {
     let components = rows_of(basis.components());
+    let block = (BLOCK_PIXELS / rows.ncols()).clamp(FEWEST, BLOCK);
     let blocks: Vec<_> = rows
-        .axis_chunks_iter(Axis(0), BLOCK)
-        .zip(coefficients.axis_chunks_iter(Axis(0), BLOCK))
-        .zip(norms.chunks(BLOCK))
+        .axis_chunks_iter(Axis(0), block)
+        .zip(coefficients.axis_chunks_iter(Axis(0), block))
+        .zip(sizes.norms.chunks(block).zip(sizes.fluxes.chunks(block)))
         .collect();
-    let errors = blocks.into_par_iter().flat_map_iter(|((block, weights), norms)| {
-        let mut residual = &block - &weights.dot(&components);
-        if let Some(mean) = mean {
-            residual -= &mean;
-        }
-        let errors = residual
-            .outer_iter()
-            .zip(norms)
-            .map(|(rest, norm)| rest.dot(&rest).sqrt() / norm);
-        errors.collect::<Vec<_>>()
-    });
-    errors.collect()
+    let errors = blocks
+        .into_par_iter()
+        .flat_map_iter(|((block, weights), (norms, fluxes))| {
+            let mut residual = &block - &weights.dot(&components);
+            if let Some(mean) = mean {
+                residual -= &mean;
+            }
+            let sizes = norms.iter().zip(fluxes);
+            let errors = residual.outer_iter().zip(sizes).map(|(rest, (norm, &flux))| {
+                let in_circles = circles.error(rest, flux, noisy);
+                (rest.dot(&rest).sqrt() / norm, in_circles)
+            });
+            errors.collect::<Vec<_>>()
+        });
+    errors.unzip()
 }
 
 /// A basis of given, mutually orthogonal stamps, with an optional mean stamp. It is for bases from
@@ -305,7 +347,8 @@ impl Svd {
         if expected != got {
             return Err(BasisError::TrainingShape { expected, got });
         }
-        let norms = norms(rows_of(samples.stamps()));
+        let sizes = Sizes::new(rows_of(samples.stamps()));
+        let circles = Circles::new(grid);
         let mut stack = samples.into_stamps();
         stack.append(Axis(0), training).expect("equal shapes");
 
@@ -322,14 +365,16 @@ impl Svd {
         };
         let freedom = count - usize::from(mean.is_some());
         let rounding = ROUNDING_UNITS * f64::EPSILON * frobenius;
-        let (found, spectrum, rank) = self.decide(rows.view(), &norms, freedom, rounding)?;
+        let (found, spectrum, rank) = self.decide(rows.view(), (&sizes, &circles), freedom, rounding)?;
         if rank == 0 && mean.is_none() {
             return Err(BasisError::RankZero);
         }
         // The samples come first in the stack.
-        let coefficients = found.coefficients.slice(ndarray::s![..norms.len(), ..rank]);
+        let count = sizes.norms.len();
+        let coefficients = found.coefficients.slice(ndarray::s![..count, ..rank]);
         let mut coefficients = coefficients.to_owned();
         let mut components = Array2::from_shape_fn((rank, pixels), |(k, u)| found.vectors[(u, k)]);
+        drop(found);
         fix_signs(&mut components, &mut coefficients);
 
         let components = components
@@ -338,36 +383,47 @@ impl Svd {
         let mean = mean.map(|m| m.into_shape_with_order((ny, nx)).expect("row-major"));
         let basis = PsfBasis::new(mean, components, grid)?;
         // The mean is already subtracted from the rows.
-        let rows = rows.slice(ndarray::s![..norms.len(), ..]);
-        let errors = truncation_errors(rows, None, &norms, &basis, coefficients.view());
+        let rows = rows.slice(ndarray::s![..count, ..]);
+        let (errors, circle_errors) = truncation_errors(
+            (rows, None),
+            (&sizes, &circles, is_noisy(Some(&spectrum))),
+            &basis,
+            coefficients.view(),
+        );
         Ok(BasisFit {
             basis,
             coefficients: SampleCoefficients::new(coefficients, positions)?,
             spectrum: Some(spectrum),
             errors,
+            circle_errors,
         })
     }
 
     /// Computes the components of rows `[sample, pixel]` and selects the rank. Of a large matrix,
     /// only leading components are computed, as many as the selection needs. If these are too many,
-    /// all are computed. `norms` are the norms of the samples, which come first in the rows.
+    /// all are computed. `sizes` are those of the samples, which come first in the rows.
     fn decide(
         &self,
         rows: ArrayView2<'_, f64>,
-        norms: &[f64],
+        (sizes, circles): (&Sizes, &Circles),
         freedom: usize,
         rounding: f64,
     ) -> Result<(Components, Spectrum, usize), BasisError> {
         let noise = NoiseSearch::new(self.noise, rows, freedom)?;
+        let of_samples = rows.slice(ndarray::s![..sizes.norms.len(), ..]);
+        let sums = (self.rank == RankSelection::Auto).then(|| circles.sums_of_rows(of_samples));
         let select = |found: &Components| -> Result<Option<(Spectrum, usize)>, BasisError> {
             let floor = noise.floor(found, rows.ncols(), freedom);
             let values = found.values.clone();
             let Some(spectrum) = Spectrum::new(values, &found.rest, rounding, floor) else {
                 return Ok(None);
             };
-            let rank = self
-                .rank
-                .select(&spectrum, &found.rest, &max_errors_by_rank(norms, found))?;
+            let mut errors = max_errors_by_rank(&sizes.norms, found);
+            if let Some(sums) = &sums {
+                let limits = (RankSelection::AUTO_ERROR, spectrum.significant);
+                circles.raise_errors(&mut errors, limits, sums.view(), &sizes.fluxes, found);
+            }
+            let rank = self.rank.select(&spectrum, &found.rest, &errors)?;
             Ok(rank.map(|rank| (spectrum, rank)))
         };
         if is_large(rows) && self.rank != RankSelection::Full {

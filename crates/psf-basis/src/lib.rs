@@ -27,6 +27,7 @@
 //! has zero flux, so that any truncation preserves the flux. Therefore scale samples first
 //! ([`psf_types::PsfSamples::into_unit_flux`]).
 
+mod circles;
 mod components;
 mod decomposition;
 mod fit;

@@ -17,7 +17,9 @@ use crate::noise::NoiseFloor;
 #[non_exhaustive]
 pub enum RankSelection {
     /// At least the elbow. More components are kept until the largest truncation error over the
-    /// samples is at most [`RankSelection::AUTO_ERROR`]. Components below the noise are never kept.
+    /// samples is at most [`RankSelection::AUTO_ERROR`], and the error of their flux in every circle
+    /// about the source too ([`BasisFit::circle_errors`](crate::BasisFit::circle_errors)). Components
+    /// below the noise are never kept.
     #[default]
     Auto,
     /// The elbow of the cumulative weights.
@@ -35,11 +37,12 @@ pub enum RankSelection {
 }
 
 impl RankSelection {
-    /// The largest truncation error over the samples that `auto` accepts.
+    /// The largest truncation error over the samples, and the largest error of their flux in circles,
+    /// that `auto` accepts.
     pub const AUTO_ERROR: f64 = 1e-4;
 
     /// Returns the rank for a spectrum, or `None` if it depends on singular values in `rest`.
-    /// `max_errors[k]` is the largest truncation error over the samples with `k` components.
+    /// `max_errors[k]` is the largest error over the samples with `k` components.
     pub(crate) fn select(
         self,
         spectrum: &Spectrum,

@@ -4,8 +4,8 @@ mod common;
 
 use common::{normal, orthonormal_rows, samples};
 use ndarray::{Array3, Axis};
-use psf_basis::{BasisError, BasisMethod, Centring, GivenStamps, PixelNoise, RankSelection, Svd};
-use psf_types::PsfSamples;
+use psf_basis::{BasisError, BasisFit, BasisMethod, Centring, GivenStamps, PixelNoise, RankSelection, Svd};
+use psf_types::{Position, PsfSamples, SamplePositions, StampGrid};
 
 /// The error of a backward stable SVD is a few units of rounding times the largest singular value.
 const SINGULAR_VALUE_TOLERANCE: f64 = 1e-10;
@@ -346,4 +346,58 @@ fn the_number_of_threads_does_not_matter() {
     for threads in [2, 3, 5] {
         assert_eq!(with_threads(threads), one, "{threads} threads");
     }
+}
+
+/// A core that varies, and a faint halo: up to 1e-3 of the flux moves from a narrow one to a wide one.
+/// This part's L2 norm is below the limit of `auto`, its flux in circles is not.
+fn samples_with_a_halo() -> PsfSamples {
+    const SIDE: usize = 65;
+    let profile = |x: usize, y: usize, sigma: f64| {
+        let square = (x as f64 - 32.0).powi(2) + (y as f64 - 32.0).powi(2);
+        (-square / (2.0 * sigma * sigma)).exp() / (std::f64::consts::TAU * sigma * sigma)
+    };
+    let stamps = Array3::from_shape_fn((9, SIDE, SIDE), |(j, y, x)| {
+        let (width, halo) = (0.1 * (j % 3) as f64, 1e-3 * j as f64 / 8.0);
+        let core = (1.0 - width) * profile(x, y, 1.0) + width * profile(x, y, 2.0);
+        core + halo * (profile(x, y, 16.0) - profile(x, y, 8.0))
+    });
+    let positions = (0..9).map(|j| Position::of_pixel(j, 0)).collect();
+    let positions = SamplePositions::new(positions, None).unwrap();
+    let samples = PsfSamples::new(stamps, positions, StampGrid::new(SIDE, SIDE).unwrap()).unwrap();
+    samples.into_unit_flux()
+}
+
+#[test]
+fn auto_keeps_the_flux_in_circles_where_the_l2_error_does_not() {
+    let samples = samples_with_a_halo();
+    let fit = |rank| Svd::new().with_rank(rank).fit(&samples).unwrap();
+    let largest = |fit: &BasisFit| fit.circle_errors().iter().copied().fold(0.0, f64::max);
+    let one = fit(RankSelection::Fixed(1));
+    assert!(one.max_error() < RankSelection::AUTO_ERROR, "{}", one.max_error());
+    // From the definition: the residual in circles about pixel (32, 32).
+    let (basis, j) = (one.basis(), 8);
+    let psf = &basis.mean().unwrap()
+        + &(&basis.components().index_axis(Axis(0), 0) * one.coefficients().values()[[j, 0]]);
+    let residual = &samples.stamp(j) - &psf;
+    let in_circle = |number: u32| {
+        let radius = f64::from(number) / 2.0;
+        let inside = residual
+            .indexed_iter()
+            .filter(|((y, x), _)| (*x as f64 - 32.0).hypot(*y as f64 - 32.0) <= radius);
+        inside.map(|(_, v)| v).sum::<f64>().abs()
+    };
+    let expected = (0..92).map(in_circle).fold(0.0, f64::max);
+    assert!(expected > 1.2 * RankSelection::AUTO_ERROR, "{expected}");
+    assert!(
+        (one.circle_errors()[j] - expected).abs() < 1e-12,
+        "{:?}",
+        one.circle_errors()
+    );
+    let auto = fit(RankSelection::Auto);
+    assert!(
+        auto.rank() == 2 && largest(&auto) < RankSelection::AUTO_ERROR,
+        "{} {}",
+        auto.rank(),
+        largest(&auto)
+    );
 }

@@ -10,7 +10,7 @@ use thiserror::Error;
 
 use crate::basis::{PsfBasis, SampleCoefficients};
 use crate::choices::{Interpolation, Normalisation, OutsidePolicy};
-use crate::frame::{DataError, FrameShape, PixelRegion, Position, read_through_new};
+use crate::frame::{DataError, FrameShape, PixelRegion, Position};
 use crate::mean_parts::MeanParts;
 use crate::stamp::{Stamp, StampGrid};
 
@@ -547,9 +547,31 @@ pub struct PsfModelRecord {
     interpolation: Interpolation,
     outside: OutsidePolicy,
     normalisation: Normalisation,
+    circle_error: Option<f64>,
 }
 
-read_through_new!(RawPsfModelRecord => PsfModelRecord { basis: PsfBasis, coefficients: SampleCoefficients, interpolation: Interpolation, outside: OutsidePolicy, normalisation: Normalisation });
+#[derive(Deserialize)]
+struct RawPsfModelRecord {
+    basis: PsfBasis,
+    coefficients: SampleCoefficients,
+    interpolation: Interpolation,
+    outside: OutsidePolicy,
+    normalisation: Normalisation,
+    #[serde(default)]
+    circle_error: Option<f64>,
+}
+
+impl TryFrom<RawPsfModelRecord> for PsfModelRecord {
+    type Error = DataError;
+    fn try_from(raw: RawPsfModelRecord) -> Result<Self, DataError> {
+        let (choices, error) = (
+            (raw.interpolation, raw.outside, raw.normalisation),
+            raw.circle_error,
+        );
+        let record = Self::new(raw.basis, raw.coefficients, choices.0, choices.1, choices.2)?;
+        Ok(record.with_circle_error(error))
+    }
+}
 
 impl PsfModelRecord {
     /// A model from its parts.
@@ -570,7 +592,23 @@ impl PsfModelRecord {
             interpolation,
             outside,
             normalisation,
+            circle_error: None,
         })
+    }
+
+    /// States the error of the flux in circles ([`circle_error`](Self::circle_error)). A number that is
+    /// not finite, or below 0, counts as not known.
+    #[must_use]
+    pub fn with_circle_error(self, circle_error: Option<f64>) -> Self {
+        let circle_error = circle_error.filter(|error| error.is_finite() && *error >= 0.0);
+        Self { circle_error, ..self }
+    }
+
+    /// The largest error of the flux in circles about the source that the basis causes at the samples,
+    /// relative to the total flux of the PSF. None if it is not known, for example in a model of older
+    /// software.
+    pub fn circle_error(&self) -> Option<f64> {
+        self.circle_error
     }
 
     /// The basis.
@@ -599,12 +637,14 @@ impl PsfModelRecord {
     }
 
     /// Truncates the model to its first `rank` components. A model with fewer components is
-    /// unchanged.
+    /// unchanged. The error of the flux in circles is then not known.
     ///
     /// # Errors
     /// [`DataError::EmptyBasis`] for rank 0 of a basis without a mean.
     pub fn truncated(&self, rank: usize) -> Result<Self, DataError> {
-        let rank = rank.min(self.basis.rank());
+        if rank >= self.basis.rank() {
+            return Ok(self.clone());
+        }
         let basis = PsfBasis::new(
             self.basis.mean().map(|mean| mean.to_owned()),
             self.basis.components().slice(s![..rank, .., ..]).to_owned(),

@@ -103,6 +103,7 @@ impl FitCommandArgs {
                 report.max_error
             ));
         }
+        report.warnings.iter().for_each(|warning| context.warn(warning));
         context.report(&report, || text(&report, &self.output.display().to_string()))
     }
 
@@ -165,7 +166,7 @@ fn text(report: &FitReport, output: &str) -> String {
     format!(
         "{output}: {} samples{of_states}, {} components (elbow at {}), {} interpolation\n\
          noise:          {noise}\n\
-         fit error:      largest {:.2e}, r.m.s. {:.2e} (relative L2 of a sample)\n\
+         fit error:      largest {:.2e}, r.m.s. {:.2e} (relative L2 of a sample), in circles {} of the flux\n\
          leave-one-out:  {interpolation_error} (relative L2; each sample is left out and interpolated over about twice the spacing)\n",
         report.samples,
         report.rank,
@@ -173,5 +174,8 @@ fn text(report: &FitReport, output: &str) -> String {
         report.interpolation,
         report.max_error,
         report.rms_error,
+        report
+            .circle_error
+            .map_or_else(|| "-".to_owned(), |error| format!("{error:.2e}")),
     )
 }

@@ -83,6 +83,7 @@ pub struct Fit {
     spectrum: Option<Spectrum>,
     errors: Vec<f64>,
     norms: Vec<f64>,
+    selection: RankSelection,
 }
 
 /// The errors of a fit, and the choices that it made. Errors are relative L2 errors of stamps.
@@ -117,13 +118,29 @@ pub struct FitReport {
     pub rms_error: f64,
     /// Truncation error of every sample.
     pub errors: Vec<f64>,
+    /// The largest error of the flux in circles about the source, over the samples, relative to the
+    /// total flux ([`BasisFit::circle_errors`]). None for a fit that was truncated later.
+    pub circle_error: Option<f64>,
     /// Errors of predicting each sample from all others.
     pub leave_one_out: LeaveOneOutReport,
     /// The singular values that were computed, in descending order ([`psf_basis::Spectrum`]).
     pub singular_values: Vec<f64>,
     /// The cumulative weights of the singular values.
     pub cumulative_weights: Vec<f64>,
+    /// Sentences on samples that do not determine the model: they differ more from their neighbours than
+    /// their noise explains, or the model keeps nearly all components.
+    pub warnings: Vec<String>,
 }
+
+/// Leave-one-out errors (median) above this value are warned of: the PSF between the samples is a guess.
+const GUESSED: f64 = 0.1;
+/// Noise explains leave-one-out errors of up to this multiple of the truncation error. Of noisy samples,
+/// the truncation error is their noise, and a prediction from few neighbours has noise of its own.
+const EXPLAINED_BY_NOISE: f64 = 1.5;
+/// Nearly all components are this part of the largest possible number.
+const NEARLY_ALL: f64 = 0.9;
+/// Of fewer samples, all may well differ.
+const MANY_SAMPLES: usize = 64;
 
 /// Leave-one-out errors of stamps, relative to each sample's own norm. They include the truncation
 /// error.
@@ -305,6 +322,7 @@ impl Fit {
         options: &FitOptions,
     ) -> Result<Self, PsfieldError> {
         let (spectrum, errors) = (fit.spectrum().cloned(), fit.errors().to_vec());
+        let circle_error = fit.circle_errors().iter().copied().fold(0.0, f64::max);
         let (basis, coefficients) = fit.into_parts();
         let record = PsfModelRecord::new(
             basis,
@@ -312,13 +330,49 @@ impl Fit {
             interpolation,
             options.outside,
             options.normalisation,
-        )?;
+        )?
+        .with_circle_error(Some(circle_error));
         Ok(Self {
             record,
             spectrum,
             errors,
             norms,
+            selection: options.rank,
         })
+    }
+
+    /// A sentence for a fit that chose nearly all components by itself and found no noise: then the model
+    /// probably contains the noise of the samples.
+    pub(crate) fn warning_of_all_components(&self) -> Option<String> {
+        let spectrum = self.spectrum.as_ref()?;
+        let (rank, samples) = (self.record.basis().rank(), self.norms.len());
+        let chosen = self.selection == RankSelection::Auto && spectrum.noise_sigma.is_none();
+        let all = samples >= MANY_SAMPLES && rank as f64 >= NEARLY_ALL * (samples - 1) as f64;
+        (chosen && all).then(|| {
+            format!(
+                "the fit keeps {rank} components for {samples} samples and found no noise edge, so the model probably holds the \
+                 noise of the samples as well: state their noise, or choose the rank elbow"
+            )
+        })
+    }
+
+    /// A sentence for samples that cannot be predicted from their neighbours.
+    fn warning_of_interpolation(&self, left_out: &LeaveOneOutReport) -> Option<String> {
+        let median = left_out.median.filter(|&median| median > GUESSED)?;
+        let noisy = self.spectrum.as_ref().is_some_and(|s| s.noise_sigma.is_some());
+        let explained = noisy && median <= EXPLAINED_BY_NOISE * self.rms_error();
+        (!explained).then(|| {
+            format!(
+                "the samples do not determine the PSF between them: a sample that is predicted from the others has an error of \
+                 {:.0} % (median, relative L2): more samples, or cleaner ones, are needed",
+                100.0 * median
+            )
+        })
+    }
+
+    /// The root mean square of the truncation errors.
+    fn rms_error(&self) -> f64 {
+        (self.errors.iter().map(|e| e * e).sum::<f64>() / self.errors.len() as f64).sqrt()
     }
 
     /// The record that a model file stores.
@@ -365,6 +419,7 @@ impl Fit {
             record,
             spectrum: self.spectrum.clone(),
             norms: self.norms.clone(),
+            selection: RankSelection::Fixed(rank),
         })
     }
 
@@ -390,6 +445,11 @@ impl Fit {
         let interpolation = coeff_field::interpolation(record.interpolation())?;
         let left_out =
             coeff_field::leave_one_out(record.coefficients(), interpolation.as_ref(), record.outside())?;
+        let left_out = LeaveOneOutReport::new(left_out.outcomes(), &self.norms, &self.errors);
+        let warnings = self
+            .warning_of_interpolation(&left_out)
+            .into_iter()
+            .chain(self.warning_of_all_components());
         let spectrum = self.spectrum.as_ref();
         let states = record.coefficients().positions().states();
         Ok(FitReport {
@@ -403,9 +463,11 @@ impl Fit {
             outside: record.outside(),
             normalise: record.normalisation(),
             max_error: self.max_error(),
-            rms_error: (self.errors.iter().map(|e| e * e).sum::<f64>() / self.errors.len() as f64).sqrt(),
+            rms_error: self.rms_error(),
             errors: self.errors.clone(),
-            leave_one_out: LeaveOneOutReport::new(left_out.outcomes(), &self.norms, &self.errors),
+            circle_error: record.circle_error(),
+            warnings: warnings.collect(),
+            leave_one_out: left_out,
             singular_values: self.singular_values().to_vec(),
             cumulative_weights: spectrum.map(|s| s.cumulative_weights.clone()).unwrap_or_default(),
         })
@@ -455,6 +517,55 @@ mod tests {
     use psf_types::{Position, SamplePositions, StampGrid};
 
     use super::*;
+
+    /// Samples of noise, and of noise on one PSF whose width varies smoothly.
+    #[test]
+    fn samples_that_do_not_determine_the_model_are_told() {
+        let random = |j: usize, u: usize| ((j * 7919 + u * 104_729) as f64 * 12.9898).sin() * 43_758.547;
+        let report = |psf: f64, noise: f64| {
+            let stamps = Array3::from_shape_fn((81, 9, 9), |(j, y, x)| {
+                let square = (x as f64 - 4.0).powi(2) + (y as f64 - 4.0).powi(2);
+                let width = 2.0 + 0.1 * (j % 9) as f64;
+                psf * (-square / width).exp() + noise * (random(j, 9 * y + x).rem_euclid(1.0) - 0.5)
+            });
+            let at = (0..81)
+                .map(|j| Position::of_pixel(j % 9 * 10, j / 9 * 10))
+                .collect();
+            let positions = SamplePositions::new(at, None).unwrap();
+            let samples = PsfSamples::new(stamps, positions, StampGrid::new(9, 9).unwrap()).unwrap();
+            let options = FitOptions {
+                normalisation: Normalisation::Keep,
+                ..FitOptions::default()
+            };
+            fit(samples, &options).unwrap().report().unwrap().warnings
+        };
+        assert_eq!(report(1.0, 1e-3), Vec::<String>::new());
+        // Noise is told from a PSF, so an error by noise alone is no reason to warn.
+        assert_eq!(report(1.0, 0.3), Vec::<String>::new());
+        // Each sample is something else, with light on one pixel.
+        let positions = (0..81)
+            .map(|j| Position::of_pixel(j % 9 * 10, j / 9 * 10))
+            .collect();
+        let stamps = Array3::from_shape_fn((81, 9, 9), |(j, y, x)| {
+            f64::from(u8::from(9 * y + x == j)) * 1.05f64.powi(j as i32)
+        });
+        let positions = SamplePositions::new(positions, None).unwrap();
+        let samples = PsfSamples::new(stamps, positions, StampGrid::new(9, 9).unwrap()).unwrap();
+        let options = FitOptions {
+            normalisation: Normalisation::Keep,
+            noise: PixelNoise::Known(0.0),
+            ..FitOptions::default()
+        };
+        let warnings = fit(samples, &options).unwrap().report().unwrap().warnings;
+        assert!(
+            warnings.len() == 2 && warnings[0].contains("do not determine"),
+            "{warnings:?}"
+        );
+        assert!(
+            warnings[1].contains("80 components for 81 samples"),
+            "{warnings:?}"
+        );
+    }
 
     #[test]
     fn the_first_components_of_a_fit_are_the_fit_of_that_rank() {

@@ -105,7 +105,8 @@ pub use series::{
 };
 pub use simulate_options::{Device, Method, ScenePixels, SimulateOptions};
 pub use simulator::{
-    ColourSimulator, OwnMethodBuilder, Preparation, SimulationWarning, Simulator, SimulatorBuilder,
+    ColourSimulator, OwnMethodBuilder, Preparation, SamplingErrors, SimulationWarning, Simulator,
+    SimulatorBuilder,
 };
 pub use spot_check::{PickedPixel, PixelPicker, SpotCheck};
 pub use stack_size::check_stack;

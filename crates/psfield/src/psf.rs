@@ -270,10 +270,15 @@ impl Psf {
         }
     }
 
+    /// The fit of the samples, if it exists already.
+    pub(crate) fn fit_if_made(&self) -> Option<&Fit> {
+        self.0.fit.get()
+    }
+
     /// The model in the form that a file stores, if it exists already. Unlike
     /// [`record`](Self::record), this never starts a fit.
     pub fn record_if_fitted(&self) -> Option<&PsfModelRecord> {
-        self.stored().or_else(|| self.0.fit.get().map(Fit::record))
+        self.stored().or_else(|| self.fit_if_made().map(Fit::record))
     }
 
     /// The model on the stamps' own grid, made when it is first needed.

@@ -10,6 +10,7 @@ mod geometry;
 mod many;
 mod mixtures;
 mod sources;
+mod stamp_sampling;
 mod stream;
 #[cfg(test)]
 mod tests;
@@ -36,6 +37,7 @@ pub use builder::{OwnMethodBuilder, SimulatorBuilder};
 pub(crate) use check::spot_check_layers;
 pub use colours::ColourSimulator;
 pub(crate) use mixtures::{Mixture, Mixtures};
+pub use stamp_sampling::SamplingErrors;
 pub use warnings::SimulationWarning;
 
 /// The start of the error message for a region with a method that makes no plan
@@ -97,9 +99,8 @@ struct Shared<T: ConvReal> {
     /// The model on the scene's pixels, and the seconds that its fit took.
     image_model: OnceLock<(PsfModel, f64)>,
     sources: OnceLock<Sources<T>>,
-    /// The smallest and the largest flux that a star of flux 1 gets at different sub-pixel phases.
-    /// The inner value is None if the PSF is not known in the middle of the frame.
-    star_flux: OnceLock<Option<(f64, f64)>>,
+    /// The errors of stars by the interpolation of the stamps.
+    sampling_errors: OnceLock<SamplingErrors>,
 }
 
 /// Convolves the image of a scene.

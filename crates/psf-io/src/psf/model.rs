@@ -16,6 +16,7 @@
 //! | `INTERPOL` | `auto`, `delaunay`, `natural-neighbour`, `idw`, `idw=POWER` (the last three on a tree of cells, see the crate `coeff-field`), `bilinear`, `bicubic`, `polynomial=DEGREE` or `nearest` |
 //! | `OUTSIDE` | policy outside the area that the samples cover: `nearest`, `extend` or `error` |
 //! | `NORMALIS` | `unit` (every PSF is scaled to unit flux) or `keep` |
+//! | `CIRCERR` | optional: largest error of the flux in circles about the source at the samples, relative to the total flux, that the components left out cause |
 //! | `OVERSAMP`, `CENX`, `CENY`, `PIXCONV`, `STAMPINT`, `FIELDNX`, `FIELDNY` | as in [`psf-samples`](crate::samples) |
 //!
 //! A model whose PSF depends on the position only is always written as version 1.
@@ -55,6 +56,7 @@ use crate::psf::samples::{field, grid_cards, stamp_grid};
 const VERSION_KEYWORD: &str = "PSFMODEL";
 /// The newest version of the layout that this crate can read.
 pub const MODEL_VERSION: i64 = 2;
+const CIRCLE_ERROR: &str = "CIRCERR";
 const COEFFICIENTS: &str = "COEFFS";
 const SINGULAR_VALUES: &str = "SINGULAR";
 
@@ -133,6 +135,7 @@ pub fn read_model_file(path: impl AsRef<Path>) -> Result<ModelFile, IoError> {
     let interpolation = hdu.required_choice("INTERPOL", "the interpolation, such as natural-neighbour")?;
     let outside = hdu.required_choice("OUTSIDE", "nearest, extend or error")?;
     let normalisation = hdu.required_choice("NORMALIS", "unit or keep")?;
+    let circle_error = hdu.optional::<f64>(CIRCLE_ERROR, "a number of at least 0")?;
     let grid = stamp_grid(hdu, shape.2, shape.1)?;
     let field = field(hdu)?;
 
@@ -154,7 +157,8 @@ pub fn read_model_file(path: impl AsRef<Path>) -> Result<ModelFile, IoError> {
     let components = planes.slice_move(s![usize::from(centred).., .., ..]);
     let basis = PsfBasis::new(mean, components, grid).map_err(invalid(path))?;
     let record = PsfModelRecord::new(basis, coefficients, interpolation, outside, normalisation)
-        .map_err(invalid(path))?;
+        .map_err(invalid(path))?
+        .with_circle_error(circle_error);
     let singular_values = match structure.table(SINGULAR_VALUES) {
         Some(table) => Table::new(table)?.read("S", 1)?,
         None => Vec::new(),
@@ -211,7 +215,14 @@ pub fn write_model(
         ("OUTSIDE", outside, "policy outside the area of samples"),
         ("NORMALIS", normalisation, "normalisation of every PSF"),
     ];
-    let own = cards(path, own)?;
+    let circle_error = record.circle_error().map(|error| {
+        (
+            CIRCLE_ERROR,
+            error.into(),
+            "error of the flux in circles, relative",
+        )
+    });
+    let own = cards(path, own.into_iter().chain(circle_error))?;
     let header = HeaderCards::new()
         .with(added)
         .with(&own)

@@ -445,7 +445,7 @@ fn small_galaxies_look_like_stars() {
     desk.done(&run("fine", "centred", "enough"));
     desk.warned(
         &run("samples", "centred", "coarse"),
-        "stars between pixels and galaxies need interpolated PSF stamps",
+        "too coarse to be interpolated for stars between pixels and for galaxies",
     );
 }
 

@@ -165,7 +165,11 @@ fn light_from_beyond_the_frame_comes_in() {
 #[test]
 fn headers_say_how_to_repeat_the_result() {
     let desk = Desk::new();
-    desk.done("simulate scene.fits --psf samples.fits -o image.fits --rank 3 --anchor output --spot-check 20 --seed 5");
+    let run = desk.run("simulate scene.fits --psf samples.fits -o image.fits --rank 3 --anchor output --spot-check 20 --seed 5");
+    assert!(
+        run.code == Some(0) && run.stderr.contains("flux in circles"),
+        "{run:?}"
+    );
     let header = desk.header("image.fits");
     let value = |key: &str| {
         header
@@ -198,7 +202,7 @@ fn headers_say_how_to_repeat_the_result() {
 fn the_report_counts_what_was_done() {
     let desk = Desk::new();
     let report = desk
-        .done("simulate scene.fits --psf samples.fits -o image.fits --rank 3 --spot-check 50 --json")
+        .done("simulate scene.fits --psf samples.fits -o image.fits --rank 3 --spot-check 50 --json -q")
         .json();
     assert_keys(
         &report,
@@ -225,7 +229,7 @@ fn the_report_counts_what_was_done() {
     assert_eq!(l2["tolerance_on"], "l2");
     assert_eq!(l2["scene_pixels"], "point");
     let integrated = desk
-        .done("simulate scene.fits --psf samples.fits -o integrated.fits --rank 3 --scene-pixels integrated --spot-check 50 --json")
+        .done("simulate scene.fits --psf samples.fits -o integrated.fits --rank 3 --scene-pixels integrated --spot-check 50 --json -q")
         .json();
     assert_eq!(integrated["scene_pixels"], "integrated");
     assert_eq!(integrated["spot_check"]["passed"], true);

@@ -97,7 +97,7 @@ fn stars_between_pixels_stay_where_they_are() {
         if psf == "fine" {
             desk.done(&simulate);
         } else {
-            desk.warned(&simulate, "oversampled by a factor below 2");
+            desk.warned(&simulate, "too coarse to be interpolated");
         }
         let image = desk.image(&format!("{psf}_out.fits"));
         let (x, y) = centroid(&image);

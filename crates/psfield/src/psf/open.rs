@@ -276,13 +276,14 @@ impl Psf {
                     );
                     return Err(PsfieldError::of_setting(setting, message));
                 }
-                Origin::Record(PsfModelRecord::new(
+                let chosen = PsfModelRecord::new(
                     record.basis().clone(),
                     record.coefficients().clone(),
                     record.interpolation(),
                     choices.outside.unwrap_or(record.outside()),
                     choices.normalisation.unwrap_or(record.normalisation()),
-                )?)
+                )?;
+                Origin::Record(chosen.with_circle_error(record.circle_error()))
             }
             model @ Origin::Model(..) => model,
         };
@@ -478,13 +479,14 @@ impl Origin {
                 let basis = record.basis();
                 let grid = basis.grid().with_pixel_response_included(included);
                 let mean = basis.mean().map(|mean| mean.to_owned());
-                Self::Record(PsfModelRecord::new(
+                let changed = PsfModelRecord::new(
                     PsfBasis::new(mean, basis.components().to_owned(), grid)?,
                     record.coefficients().clone(),
                     record.interpolation(),
                     record.outside(),
                     record.normalisation(),
-                )?)
+                )?;
+                Self::Record(changed.with_circle_error(record.circle_error()))
             }
             model @ Self::Model(..) => model,
         })

@@ -107,14 +107,16 @@ impl Psf {
         let record = self.record()?;
         let method = (record.interpolation(), record.outside());
         let coefficients = coeff_field::mix_states(record.coefficients(), method, mixtures, labels)?;
-        let record = PsfModelRecord::new(
+        let mixture = PsfModelRecord::new(
             record.basis().clone(),
             coefficients,
             record.interpolation(),
             record.outside(),
             record.normalisation(),
         )?;
-        let mixed = Self::with_source(Origin::Record(record), self.0.source.clone());
+        // The error of a mixture is at most the largest error of its parts.
+        let mixture = mixture.with_circle_error(record.circle_error());
+        let mixed = Self::with_source(Origin::Record(mixture), self.0.source.clone());
         // If the models of the states exist, the new ones share their stamps.
         if let Some([first, ..]) = self.0.models.get().map(Vec::as_slice) {
             let models = models_on(mixed.record()?, first, 0)?;

@@ -216,7 +216,7 @@ impl SimulatorBuilder {
                 method,
                 image_model: OnceLock::new(),
                 sources: OnceLock::new(),
-                star_flux: OnceLock::new(),
+                sampling_errors: OnceLock::new(),
             }),
             options,
             geometry,

@@ -4,23 +4,27 @@ use std::convert::Infallible;
 use std::fmt;
 
 use conv_core::ConvReal;
-use psf_types::{PointSource, Position};
+use psf_types::{PointSource, Position, ToleranceOn};
 
+use super::stamp_sampling::SamplingErrors;
 use super::{Convolver, Simulator};
 use crate::device::Placement;
+use crate::fit::Fit;
 use crate::psf::get_or_make;
-use crate::{EvaluateOptions, Extrapolation, OutputGrid, PsfieldError, Scene, evaluate_stamps};
+use crate::{Extrapolation, PsfieldError, Scene};
 
-/// The number of stamp pixels per frame pixel that galaxies, and stars between pixels, need. The
-/// interpolation of coarser stamps may be wrong.
-const MIN_STAMP_OVERSAMPLING: f64 = 2.0;
+/// The largest error of a star's total flux by the interpolation of stamps that is not warned of: the
+/// default tolerance, which bounds the flux in every circle.
+const FLUX_ERROR: f64 = 1e-4;
+
+/// The largest errors of the flux (relative) and the position (in pixels) from a PSF fit that are not
+/// warned of: a thousandth. Few measurements of single stars are more precise. Stamps with two pixels per
+/// frame pixel of a PSF with an FWHM of two pixels have half of it.
+const FIT_ERROR: f64 = 1e-3;
 
 /// The largest distance along x and along y, in pixels, at which a star counts as lying on the
 /// centre of a pixel.
 const ON_PIXEL: f64 = 1e-9;
-
-/// The number of sub-pixel phases along x and along y at which the flux of a star is measured.
-const PHASES: usize = 4;
 
 /// Beyond this number of half-light radii, a galaxy counts as dark. At an index of 4, 4e-5 of the light
 /// lies still farther out.
@@ -46,26 +50,32 @@ impl<T: ConvReal> Simulator<T> {
         Ok((!picked).then_some(SimulationWarning::InterpolatedStamps))
     }
 
-    /// Returns the smallest and the largest flux that a star of flux 1 in the middle of the frame
-    /// gets, at different sub-pixel phases.
-    fn flux_over_phases(&self) -> Result<(f64, f64), PsfieldError> {
-        let (model, shape) = (self.psf().model()?, self.geometry.frame.shape());
-        let middle = |pixels: usize, phase: usize| (pixels / 2) as f64 + phase as f64 / PHASES as f64;
-        let positions: Vec<Position> = (0..PHASES * PHASES)
-            .map(|i| Position::new(middle(shape.nx(), i % PHASES), middle(shape.ny(), i / PHASES)))
-            .collect::<Result<_, _>>()?;
-        let options = EvaluateOptions {
-            grid: OutputGrid::Native,
-            size: None,
-            sub_pixel: true,
-        };
-        let (stamps, _) = evaluate_stamps(model, &positions, options)?;
-        let mut range = (f64::INFINITY, f64::NEG_INFINITY);
-        for (stamp, &position) in stamps.outer_iter().zip(&positions) {
-            let flux = stamp.sum() / model.psf_at(position)?.flux();
-            range = (range.0.min(flux), range.1.max(flux));
-        }
-        Ok(range)
+    /// Measures the errors of stars by the interpolation of stamps, in the middle and the corners of the
+    /// frame. Zero if the PSF is not known there.
+    fn sampling_errors(&self) -> SamplingErrors {
+        let shape = self.geometry.frame.shape();
+        let (last_x, last_y) = (shape.nx() as i64 - 1, shape.ny() as i64 - 1);
+        let pixels = [
+            (last_x / 2, last_y / 2),
+            (0, 0),
+            (last_x, 0),
+            (0, last_y),
+            (last_x, last_y),
+        ];
+        let positions = pixels.map(|(x, y)| Position::of_pixel(x, y));
+        let of_model = |model| SamplingErrors::of_model(model, &positions).ok();
+        let measured = self.sources().ok().and_then(|sources| of_model(&sources.model));
+        measured.unwrap_or_default()
+    }
+
+    /// Returns a warning if the components that the model leaves out change the flux in circles by more
+    /// than the tolerance allows.
+    fn circle_warning(&self) -> Option<SimulationWarning> {
+        let (on, tolerance) = (self.options.tolerance_on, self.options.tolerance);
+        let bounded = on == ToleranceOn::Aperture && self.options.method.has_plan() && tolerance > 0.0;
+        let error = self.psf().record_if_fitted()?.circle_error()?;
+        let warning = SimulationWarning::FluxInCircles { error, tolerance };
+        (bounded && error > tolerance).then_some(warning)
     }
 
     /// Returns warnings about a scene's stars and galaxies, about the PSF at them, and about the plan if
@@ -91,12 +101,20 @@ impl<T: ConvReal> Simulator<T> {
         let off = |v: f64| (v - v.round()).abs() > ON_PIXEL;
         let between = |star: &PointSource| off(star.position().x()) || off(star.position().y());
         let interpolated = scene.stars().iter().any(between) || !scene.galaxies().is_empty();
-        if self.psf().grid().oversampling() < MIN_STAMP_OVERSAMPLING && interpolated {
+        if interpolated {
             // Computed once, because every simulated scene asks for warnings.
-            let flux = || Ok::<_, Infallible>(self.flux_over_phases().ok());
-            let Ok(&flux) = get_or_make(&self.shared.star_flux, flux);
-            warnings.push(SimulationWarning::SourcesBetweenPixels { flux });
+            let errors = || Ok::<_, Infallible>(self.sampling_errors());
+            let Ok(&errors) = get_or_make(&self.shared.sampling_errors, errors);
+            if errors.flux > FLUX_ERROR || errors.fitted_flux.max(errors.position_px) > FIT_ERROR {
+                warnings.push(SimulationWarning::SourcesBetweenPixels(errors));
+            }
         }
+        warnings.extend(self.circle_warning());
+        let fit = self.psf().fit_if_made();
+        warnings.extend(
+            fit.and_then(Fit::warning_of_all_components)
+                .map(SimulationWarning::Fit),
+        );
         let on_cpu = |convolver: &&Convolver<T>| matches!(convolver.placement, Placement::Cpu { .. });
         let convolver = self.convolver.get().filter(on_cpu);
         let engine = convolver.and_then(|convolver| convolver.engine.as_ref());
@@ -126,10 +144,16 @@ pub enum SimulationWarning {
         count: usize,
     },
     /// Stars between pixels or galaxies, and the stamps are too coarse for an accurate interpolation.
-    SourcesBetweenPixels {
-        /// The smallest and the largest flux that a star of flux 1 in the middle of the frame gets
-        /// at different sub-pixel phases. None if the PSF is not known there.
-        flux: Option<(f64, f64)>,
+    SourcesBetweenPixels(SamplingErrors),
+    /// The fit of the samples kept nearly all components: a sentence.
+    Fit(String),
+    /// The components that the PSF model leaves out change the flux in circles about the source by more
+    /// than the tolerance allows ([`ToleranceOn::Aperture`]).
+    FluxInCircles {
+        /// The largest change at the samples of the model, relative to the total flux.
+        error: f64,
+        /// The tolerance.
+        tolerance: f64,
     },
     /// The frame reaches far beyond the range over which the polynomials of the PSF were fitted.
     BeyondPolynomial(Extrapolation),
@@ -150,6 +174,7 @@ impl SimulationWarning {
     pub fn setting(&self) -> Option<&'static str> {
         match self {
             Self::BeyondPolynomial(_) => Some("outside"),
+            Self::FluxInCircles { .. } => Some("rank"),
             Self::MadeAnew { .. } => Some("memory"),
             _ => None,
         }
@@ -167,21 +192,21 @@ impl fmt::Display for SimulationWarning {
                 f,
                 "no light of the stars and galaxies ({count} in all) reaches the frame: check their positions (0-based pixels)"
             ),
-            Self::SourcesBetweenPixels { flux } => {
-                f.write_str(
-                    "stars between pixels and galaxies need interpolated PSF stamps, and the stamps are oversampled by a \
-                     factor below 2: the interpolation has errors of a few percent where the PSF is under-sampled. The tolerance does not \
-                     bound them, and the spot check does not detect them. Stamps with 2 or more pixels per frame pixel avoid them",
-                )?;
-                let Some((least, most)) = flux else {
-                    return Ok(());
-                };
-                write!(
-                    f,
-                    ". In the middle of the frame, the image of a star has {least:.4} to {most:.4} of its flux, depending on \
-                     its position within a pixel"
-                )
-            }
+            Self::SourcesBetweenPixels(errors) => write!(
+                f,
+                "the PSF stamps are too coarse to be interpolated for stars between pixels and for galaxies: depending on its \
+                 position within a pixel, a star has an error of its total flux of up to {:.1e}, in a PSF fit of its flux of \
+                 {:.1e} and of its position of {:.1e} pixel. The tolerance does not bound these errors, and the spot check does \
+                 not detect them. Stamps with more pixels per frame pixel, a whole number, avoid them",
+                errors.flux, errors.fitted_flux, errors.position_px
+            ),
+            Self::Fit(sentence) => f.write_str(sentence),
+            Self::FluxInCircles { error, tolerance } => write!(
+                f,
+                "the PSF model does not keep the tolerance {tolerance:e} for the flux in circles about a source: the components \
+                 that its fit left out change this flux by up to {error:.1e} of the total (fit with more components, or let the \
+                 tolerance bound the L2 error alone)"
+            ),
             Self::BeyondPolynomial(extrapolation) => extrapolation.fmt(f),
             Self::MadeAnew {
                 made_anew,
