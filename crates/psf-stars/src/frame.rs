@@ -413,6 +413,22 @@ mod tests {
     use super::*;
 
     #[test]
+    fn rings_count_as_far_as_they_scatter_by_more_than_noise() {
+        // Levels with the quantiles of a normal distribution of standard deviation `scatter`.
+        let rings = |scatter: f64| -> Vec<(f64, f64)> {
+            let quantiles = [-1.64, -1.04, -0.67, -0.39, -0.13, 0.13, 0.39, 0.67, 1.04, 1.64];
+            quantiles.iter().map(|q| (scatter * q, 1.0)).collect()
+        };
+        assert_eq!(ring_part(&rings(0.9))(2.0, 1.0), 0.0);
+        let half = ring_part(&rings(2f64.sqrt()))(2.0, 1.0);
+        assert!((half - 1.0).abs() < 0.1, "{half}");
+        assert!(ring_part(&rings(30.0))(2.0, 1.0) > 1.99);
+        // Without a ring.
+        assert_eq!(ring_part(&rings(30.0))(0.0, f64::INFINITY), 0.0);
+        assert_eq!(ring_part(&[])(0.0, f64::INFINITY), 0.0);
+    }
+
+    #[test]
     fn neighbours_agree_with_a_full_search() {
         let points: Vec<(f64, f64)> = (0..200u32)
             .map(|k| (f64::from(k * 37 % 101), f64::from(k * 53 % 97)))

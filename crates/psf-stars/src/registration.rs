@@ -109,7 +109,8 @@ impl Registration {
 
     /// Sets the number of stamp pixels per pixel of the frame. The default is 1 for
     /// [`Stamps`](RegistrationMethod::Stamps) of at least 64 stars with a FWHM of at least 2
-    /// pixels. Otherwise it is the smallest number that gives 3 stamp pixels per FWHM, at most 8.
+    /// pixels. Otherwise it is the smallest number that gives 3 stamp pixels per FWHM, or 4 for
+    /// [`Epsf`](RegistrationMethod::Epsf) of enough stars, at most 8.
     ///
     /// # Errors
     /// [`StarError::Setting`] unless it is from 1 to 8.
@@ -231,6 +232,9 @@ pub struct RegistrationReport {
     /// Median over the stars of the root of the reduced chi squared, for an oversampled PSF. It is
     /// 1 if noise explains all residuals.
     pub median_chi: Option<f64>,
+    /// Median over the samples of the noise of their pixels, as a fraction of the sample's norm, for
+    /// stamps of single stars.
+    pub stamp_noise: Option<f64>,
 }
 
 /// Pixels beyond the stamp that enter the spline, so that the spline's boundary hardly affects the

@@ -446,6 +446,17 @@ mod tests {
     }
 
     #[test]
+    fn the_limit_rises_where_bright_stars_are_many() {
+        let limit = |count: usize, snr: f64| Selection::default().snr_limit(vec![snr; count]);
+        assert_eq!(limit(1000, 300.0), 50.0);
+        assert_eq!(limit(1000, 30.0), 30.0);
+        assert_eq!(limit(199, 300.0), 10.0);
+        assert_eq!(limit(1000, 3.0), 10.0);
+        let given = Selection::default().with_snr(4.0).unwrap();
+        assert_eq!(given.snr_limit(vec![300.0; 1000]), 4.0);
+    }
+
+    #[test]
     fn if_all_sources_are_rejected_all_stay_rejected() {
         let mut sources = field();
         let strict = Selection::default().with_snr(1e6).unwrap();

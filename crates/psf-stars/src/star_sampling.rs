@@ -4,7 +4,7 @@ use ndarray::{Array2, Axis, stack};
 use psf_types::{Image, Position, PsfSamples, Real, SamplePositions, StampGrid};
 use rayon::prelude::*;
 
-use crate::background::Spline;
+use crate::background::{Spline, median};
 use crate::epsf::Epsf;
 use crate::frame::{FrameView, Neighbours, Ownership, Star, aperture_px};
 use crate::registration::{FineGrid, own_stamp};
@@ -346,6 +346,7 @@ impl StarSampling {
             undersampled,
             field_degree: is_epsf.then(|| epsf.field_degree()),
             median_chi: is_epsf.then_some(epsf.median_chi),
+            stamp_noise: None,
         };
         let mut samples = Vec::new();
         for (mut star, stamp) in epsf.stars.into_iter().zip(stamps) {
@@ -359,12 +360,27 @@ impl StarSampling {
                 None => sources[star.source].rejected.insert(Rejection::LowSnr),
             }
         }
-        Ok(Registered {
+        let mut registered = Registered {
             samples,
             held_out,
             grid,
             report,
-        })
+        };
+        registered.report.stamp_noise = (!is_epsf).then(|| registered.stamp_noise());
+        Ok(registered)
+    }
+}
+
+impl Registered {
+    /// The median over the samples of the noise of their pixels, as a fraction of the sample's norm.
+    fn stamp_noise(&self) -> f64 {
+        let noise = self.samples.iter().map(|(star, stamp, flux)| {
+            let rms: f64 = star.pixels.iter().map(|p| p.rms).sum::<f64>() / star.pixels.len() as f64;
+            let variance = stamp.len() as f64 * (rms / flux).powi(2);
+            let power: f64 = stamp.iter().map(|v| v * v).sum();
+            (variance / (power - variance).max(variance)).sqrt()
+        });
+        median(&mut noise.collect::<Vec<_>>())
     }
 }
 

@@ -54,8 +54,8 @@ pub(crate) struct SampleArgs {
     /// Also write N PSFs that are not samples to SAMPLES_holdout.fits, for psfield validate
     ///
     /// Telescope: PSFs at random positions between the samples. Frame: N of the stars, with their
-    /// noise. These stars are left out of the samples. The method epsf of --registration cannot
-    /// hold out stars.
+    /// noise. These stars are left out of the samples. Undersampled stars of the method epsf
+    /// (--registration) cannot be held out.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     hold_out: Option<u16>,
     /// Seed that chooses the PSFs of --hold-out
@@ -509,6 +509,9 @@ impl FrameArgs {
     }
 }
 
+/// Noise of samples above this part of their norm is warned of.
+const NOISY_STAMPS: f64 = 0.1;
+
 /// Prints the warnings about the samples of a frame.
 pub(crate) fn warn_of(found: &StarSamples, context: &Context) {
     for warning in found.coverage.warnings() {
@@ -521,6 +524,13 @@ pub(crate) fn warn_of(found: &StarSamples, context: &Context) {
         ));
     }
     let registration = &found.registration;
+    if let Some(noise) = registration.stamp_noise.filter(|noise| *noise > NOISY_STAMPS) {
+        context.warn(&format!(
+            "the samples are the stars' own pixels, half of them with noise above {:.0} % of their norm: a model of them has this \
+             noise, unless many stars share its components (more or brighter stars, or --registration epsf)",
+            100.0 * noise
+        ));
+    }
     if registration.undersampled && registration.field_degree.is_none() {
         context.warn(&format!(
             "the stars are undersampled (FWHM {:.2} pixels) and their pixels are interpolated, which smears the PSF: more stars \

@@ -22,7 +22,9 @@ pub(crate) struct StarArgs {
     pub(crate) extension: Option<HduChoice>,
     #[arg(long, value_name = "X", value_parser = above_zero, help = format!("Detection threshold (sigma) [default: {}]", Detection::DEFAULT_THRESHOLD))]
     pub(crate) detection_threshold: Option<f64>,
-    /// Smallest signal-to-noise ratio of a star [default: 10]
+    /// Smallest signal-to-noise ratio of a star [default: 10 to 50]
+    ///
+    /// The default is the ratio that 200 stars exceed, but at least 10 and at most 50.
     #[arg(long, value_name = "X", value_parser = at_least_zero)]
     snr: Option<f64>,
     /// Value at and above which pixels are saturated [default: the SATURATE card]
@@ -60,16 +62,18 @@ pub(crate) struct StarArgs {
     stamp_size: Option<usize>,
     /// Stamp pixels per frame pixel, 1 to 8
     ///
-    /// Default: 1 for at least 64 stars and a FWHM of at least 2 pixels, unless --registration epsf
-    /// is given. Otherwise enough for 3 stamp pixels per FWHM, at most 8.
+    /// Default of epsf: enough for 4 stamp pixels per FWHM, or 3 if stars are few. Default of stamps: 1
+    /// for at least 64 stars and a FWHM of at least 2 pixels, else enough for 3 stamp pixels per FWHM.
+    /// At most 8.
     #[arg(long, value_name = "N", hide_short_help = true)]
     oversampling: Option<usize>,
     /// Method that makes stamps from stars: epsf, stamps or auto [default: auto]
     ///
     /// epsf: an oversampled PSF that varies over the field as a polynomial, fitted to all stars.
-    /// stamps: each star's own pixels, shifted to a common centre.
-    /// auto: epsf if the FWHM is below 2 pixels and there are at least 12 stars (more for a high
-    /// --oversampling), else stamps.
+    /// stamps: each star's own pixels, shifted to a common centre, with their noise.
+    /// auto: epsf if there are at least 12 stars (more for a high --oversampling), else stamps. If the
+    /// FWHM is at least 2 pixels, stars that are left out decide: stamps if the pixels of the
+    /// nearest stars predict them better.
     #[arg(long, value_name = "METHOD", verbatim_doc_comment)]
     registration: Option<RegistrationMethod>,
     /// Side of a cell of the background mesh (pixels) [default: 64]
