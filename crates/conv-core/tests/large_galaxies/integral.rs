@@ -65,6 +65,8 @@ impl Truth {
 
     /// The flux within the rectangle from `low` to `high`, which holds the centre.
     pub(crate) fn flux_within(&self, low: [f64; 2], high: [f64; 2]) -> f64 {
+        /// Parts between the angles of two corners, each with the nodes of [`GAUSS`].
+        const PARTS: usize = 40;
         let q = self.shape.q;
         // The angles of the corners, as seen in the plane where the isophotes are circles.
         let mut ends: Vec<f64> = [
@@ -92,7 +94,6 @@ impl Truth {
             let exponent = self.b * (radius / self.shape.re).powf(1.0 / self.shape.n);
             gamma_p(2.0 * self.shape.n, exponent)
         };
-        const PARTS: usize = 40;
         let mut sum = 0.0;
         for ends in ends.windows(2) {
             let width = (ends[1] - ends[0]) / PARTS as f64;
