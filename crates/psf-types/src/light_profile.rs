@@ -27,9 +27,6 @@ pub trait LightProfile {
     /// Describes the light on a square of side `2 half_px` around the offset `(dx, dy)`.
     fn around(&self, offset: (f64, f64), half_px: f64) -> Outskirts;
 
-    /// Returns the ratio of the minor to the major axis of the isophotes.
-    fn axis_ratio(&self) -> f64;
-
     /// An upper limit of the flux farther than `distance_px` from the centre, from 0 to 1.
     fn flux_beyond(&self, distance_px: f64) -> f64;
 }

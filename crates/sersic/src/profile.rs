@@ -186,10 +186,6 @@ impl LightProfile for SersicLight {
         self.between(nearest, middle + reach, sine)
     }
 
-    fn axis_ratio(&self) -> f64 {
-        self.q
-    }
-
     fn flux_beyond(&self, distance_px: f64) -> f64 {
         if distance_px <= 0.0 {
             return 1.0;

@@ -39,8 +39,14 @@ const LEAST_LEFT_OUT: f64 = 1e-9;
 /// than this, in pixels. Drawing such blocks takes longer than a larger window.
 const USUAL_BLOCK: f64 = 16.0;
 const LARGE_SIDE: usize = 128;
-/// The least and the largest error of the light outside a window, relative to this light.
-pub(super) const RELATIVE_ERROR: [f64; 2] = [1e-3, 5e-2];
+/// The least and the largest error of the light outside a window, relative to this light. The light
+/// is computed in single precision.
+pub(super) const RELATIVE_ERROR: [f64; 2] = [1e-6, 5e-2];
+/// The relative rounding of the light that the periods of a window bring in from outside.
+const ROUNDING: f64 = 3e-7;
+/// The brightness of this light is at most so many times the galaxy's peak: fewer times if the
+/// tolerance is tight. Then its rounding and the errors of its sum are small beside the peak.
+const BRIGHTEST_REPEATED: [f64; 2] = [1.0, 30.0];
 /// The flux of such an error is at most this part of what it would be without changes of sign.
 const OSCILLATING: f64 = 10.0;
 /// Light is drawn at most up to this distance, in pixels.
@@ -97,12 +103,16 @@ impl Extent {
     /// The error of a galaxy's image that is allowed beside the error of the PSF, per pixel and
     /// for a flux of 1.
     fn allowed(&self, light: &dyn LightProfile) -> f64 {
+        self.accuracy().max(LEAST_ACCURACY) * self.peak_of(light)
+    }
+
+    /// The least peak of a galaxy's image, for a flux of 1.
+    fn peak_of(&self, light: &dyn LightProfile) -> f64 {
         // The peak of the galaxy's image is at least about the light within the PSF's core times
         // the PSF's peak.
         let peak = self.peak;
         let core = (std::f64::consts::TAU * peak).sqrt().recip();
-        let at_peak = peak * (0.5 * (1.0 - light.flux_beyond(core))).max(f64::MIN_POSITIVE);
-        self.accuracy().max(LEAST_ACCURACY) * at_peak
+        peak * (0.5 * (1.0 - light.flux_beyond(core))).max(f64::MIN_POSITIVE)
     }
 
     /// The side of a galaxy's window, and the distance up to which light outside the window is drawn.
@@ -122,15 +132,21 @@ impl Extent {
             ..
         } = *self;
         let allowed = self.allowed(light);
+        let [least, most] = BRIGHTEST_REPEATED;
+        let brightest_repeated = (self.accuracy() / ROUNDING).clamp(least, most) * self.peak_of(light);
         let fits = |side: usize| {
             let distance = nearest_edge(side);
             let room = distance - half;
             if room < 2.0 || peak * edge * light.flux_beyond(room) > allowed {
                 return false;
             }
+            let beyond = light.flux_beyond(distance);
+            if beyond > brightest_repeated * (side * side) as f64 {
+                return false;
+            }
             let outskirts = light.outskirts(distance);
             if side < LARGE_SIDE
-                && light.flux_beyond(distance) > self.left_out()
+                && beyond > self.left_out()
                 && error_of_polynomial(USUAL_BLOCK / outskirts.scale_px) > RELATIVE_ERROR[1]
             {
                 return false;
@@ -171,6 +187,12 @@ impl Extent {
     /// Whether a PSF's centroid and its covariance (xx, xy, yy) lie within the stamp.
     pub(super) fn holds(&self, (x, y): (f64, f64), covariance: [f64; 3]) -> bool {
         x.abs().max(y.abs()) <= self.half && covariance.iter().all(|v| v.abs() <= self.half * self.half)
+    }
+
+    /// The error that is allowed in the flux that the period of a window brings in from outside, for a
+    /// flux of 1.
+    pub(super) fn repeated_error(&self, light: &dyn LightProfile, side: usize) -> f64 {
+        (self.allowed(light) * (side * side) as f64).min(self.left_out())
     }
 
     /// The error that is allowed outside a window of a side, relative to the light there.
