@@ -222,7 +222,7 @@ class ExposureReport(Report):
     below_zero_pixels : int
         Pixels that the converter set to 0 because their count was negative.
     negative_pixels : int
-        Pixels whose expected charge was negative. They get no charge.
+        Pixels whose expected charge was negative. It keeps its sign in the exposure.
     lowest_expected_e : float
         Lowest charge expected in a pixel, in electrons.
     bad_pixels, dead_pixels, hot_pixels, bad_column_pixels : int

@@ -95,7 +95,7 @@ pub mod internals {
 
 pub use engine::{Engine, LowRank, Operation, RowStream, TileCounts};
 pub use error::ConvError;
-pub use galaxies::GalaxyPlan;
+pub use galaxies::{GalaxyErrors, GalaxyPlan};
 pub use image_memory::zeros;
 pub use plan::{Paths, Plan, PlanOptions, PlanSummary};
 pub use reference::{BasisConvolution, ConvolutionMethod, Direct, PatchConvolution};

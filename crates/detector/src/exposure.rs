@@ -55,7 +55,7 @@ impl Detector {
 /// exceeds one count, and the skewness is below 3e-10.
 ///
 /// For the same seed, a [`Detector`] with no setting but `photon_noise` gives the same counts. A
-/// mean below 0 gives 0. The report counts such pixels.
+/// mean below 0 gives minus a deviate of its size, so the mean is kept. The report counts such pixels.
 ///
 /// ```
 /// use psf_detector::PhotonNoise;
@@ -301,7 +301,6 @@ impl<'a> Exposer<'a> {
                 *value = 0.0;
             }
             report.count_expected(*value);
-            *value = value.max(0.0);
         }
         if params.photon_noise {
             add_photon_noise(self.seed, row, &mut values);
@@ -443,7 +442,7 @@ pub struct ExposureReport {
     pub saturated_pixels: usize,
     /// Pixels that the converter set to 0 because their count was negative.
     pub below_zero_pixels: usize,
-    /// Pixels whose expected charge was negative. They get no charge.
+    /// Pixels whose expected charge was negative. It keeps its sign in the exposure.
     pub negative_pixels: usize,
     /// The lowest charge expected in any pixel, in electrons. It may be negative. It is 0 if there
     /// are no pixels.

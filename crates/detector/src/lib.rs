@@ -13,7 +13,7 @@
 //! | response | `S r(x, y)`, `r` normal with mean 1, negative `r` become 0 | `response_rms` |
 //! | dark current | `S + (D + D_hot(x, y)) t` | `dark_e_per_s`, `exposure_s`, `bad_pixels.hot_dark_e_per_s` |
 //! | bad pixels | dead pixels and bad columns hold no charge | `bad_pixels` |
-//! | photon noise | `N ~ Poisson(S)` | `photon_noise` |
+//! | photon noise | `N ~ Poisson(S)`, for negative `S` `-N ~ Poisson(-S)` | `photon_noise` |
 //! | full well | `min(N, W)` | `full_well_e` |
 //! | read noise | `N + R`, `R ~ Normal(0, sigma^2)` | `read_noise_e` |
 //! | amplifier | `N / g + b` in ADU | `gain_e_per_adu`, `bias_adu` |
@@ -42,9 +42,10 @@
 //! between types of machines. Very rarely, this changes a drawn number.
 //!
 //! # Bad values
-//! A pixel with a negative expected charge (from rounding errors of a convolution, or from a PSF
-//! with negative lobes) gets no charge. The [`ExposureReport`] counts such pixels. NaN and
-//! infinities are refused.
+//! A pixel may have a negative expected charge, from rounding errors of a convolution or from a PSF
+//! with negative lobes. It stays negative, as minus a Poisson number of its size if there is photon
+//! noise: without it, the exposure would hold more light than the image. The converter sets negative
+//! counts to 0. The [`ExposureReport`] counts both. NaN and infinities are refused.
 //!
 //! ```
 //! use psf_detector::{Detector, DetectorParams};

@@ -37,11 +37,13 @@ pub(crate) fn apply_response(pattern_seed: u64, row: usize, rms: f64, electrons:
     }
 }
 
-/// Replaces the expected charges of a row, none of them below 0, by Poisson deviates.
+/// Replaces the expected charges of a row by Poisson deviates. A negative charge is replaced by minus a
+/// deviate of its size, so the mean stays what was expected.
 pub(crate) fn add_photon_noise(seed: u64, row: usize, electrons: &mut [f64]) {
     let mut rng = noise_stream(seed, Step::Photons, row);
     for value in electrons {
-        *value = poisson(*value, &mut rng);
+        let deviate = poisson(value.abs(), &mut rng);
+        *value = if *value < 0.0 { 0.0 - deviate } else { deviate };
     }
 }
 

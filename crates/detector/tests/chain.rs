@@ -180,13 +180,11 @@ fn digitisation_adds_the_variance_of_rounding() {
 }
 
 #[test]
-fn negative_light_gives_no_charge_and_is_counted() {
+fn negative_light_keeps_its_mean_and_is_counted() {
     let light = Image::new(array![[-1e-9, 4.0, -0.5], [0.0, 9.0, 2.0]]).unwrap();
-    let ccd = detector(|d| d.photon_noise = true);
-    let exposure = ccd.expose(&light, 1).unwrap();
-    let counts = exposure.counts().pixels();
-    assert_eq!((counts[[0, 0]], counts[[0, 2]], counts[[1, 0]]), (0.0, 0.0, 0.0));
-    let report = exposure.report();
+    let noiseless = detector(|_| {}).expose(&light, 1).unwrap();
+    assert_eq!(noiseless.counts().pixels(), light.pixels());
+    let report = noiseless.report();
     assert_eq!(
         (report.pixels, report.negative_pixels, report.lowest_expected_e),
         (6, 2, -0.5)
@@ -195,6 +193,39 @@ fn negative_light_gives_no_charge_and_is_counted() {
     let sky = detector(|d| d.sky_e = 1.0).expose(&light, 1).unwrap();
     assert_eq!(sky.report().negative_pixels, 0);
     assert_eq!(sky.counts().pixels()[[0, 2]], 0.5);
+
+    // Minus a Poisson number: its mean and its variance are the size of the charge.
+    let ccd = detector(|d| d.photon_noise = true);
+    let faint = Image::new(Array2::from_elem((NY, NX), -0.3)).unwrap();
+    let got = moments(ccd.expose(&faint, 2).unwrap().counts().pixels());
+    assert_within("mean", got.mean, -0.3, (0.3 / PIXELS).sqrt());
+    // The fourth central moment is mean + 3 mean^2.
+    assert_within(
+        "variance",
+        got.variance,
+        0.3,
+        ((0.3 + 2.0 * 0.09) / PIXELS).sqrt(),
+    );
+    // Light of both signs keeps its sum. Clipped at 0, it would be 2.0 per pair.
+    let both = Array2::from_shape_fn((NY, NX), |(_, x)| if x % 2 == 0 { 2.0 } else { -1.9 });
+    let got = moments(
+        ccd.expose(&Image::new(both).unwrap(), 3)
+            .unwrap()
+            .counts()
+            .pixels(),
+    );
+    assert_within("mean of both signs", got.mean, 0.05, (1.95 / PIXELS).sqrt());
+
+    // The converter clips at 0, and the report counts the pixels.
+    let digitised = detector(|d| {
+        d.photon_noise = true;
+        d.bits = Some(16);
+    });
+    let exposure = digitised.expose(&faint, 2).unwrap();
+    assert!(exposure.counts().pixels().iter().all(|count| *count == 0.0));
+    let below = 1.0 - (-0.3_f64).exp();
+    let clipped = exposure.report().below_zero_pixels as f64 / PIXELS;
+    assert_within("clipped", clipped, below, (below * (1.0 - below) / PIXELS).sqrt());
 }
 
 #[test]

@@ -27,6 +27,23 @@ pub trait LightProfile {
     /// Describes the light on a square of side `2 half_px` around the offset `(dx, dy)`.
     fn around(&self, offset: (f64, f64), half_px: f64) -> Outskirts;
 
+    /// Returns the ratio of the minor to the major axis of the isophotes.
+    fn axis_ratio(&self) -> f64;
+
+    /// Returns the radius of the isophote through an offset in pixels: its distance from the centre
+    /// along the major axis.
+    fn radius(&self, dx: f64, dy: f64) -> f64;
+
+    /// Returns the brightness, in flux per pixel, on the isophote of a radius, in double precision.
+    fn brightness(&self, radius_px: f64) -> f64;
+
+    /// Returns the exponent `n` for which the brightness at small radii is a smooth function of the
+    /// `n`-th root of the radius. It is 1 or the index of a Sersic profile.
+    fn index(&self) -> f64;
+
+    /// Returns the integral of the squared brightness, per pixel.
+    fn squared_norm(&self) -> f64;
+
     /// An upper limit of the flux farther than `distance_px` from the centre, from 0 to 1.
     fn flux_beyond(&self, distance_px: f64) -> f64;
 }

@@ -20,9 +20,9 @@ use super::values::{Precision, above_zero, at_least_zero};
 /// asks for it.
 ///
 /// The flux of the image times electrons_per_flux (default 1) is the number of electrons in the
-/// exposure. Counts are in ADU if gain, bias or bits are given, else in electrons. A pixel gets no
-/// charge if the charge expected from light, sky and dark current is negative. The image itself is
-/// never changed.
+/// exposure. Counts are in ADU if gain, bias or bits are given, else in electrons. Where the charge
+/// expected from light, sky and dark current is negative, photon noise is minus a Poisson number of
+/// its size. Only the digitisation clips at 0. The image itself is never changed.
 #[derive(Debug, clap::Args)]
 pub(crate) struct ExposeArgs {
     /// Noise-free image

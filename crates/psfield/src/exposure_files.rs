@@ -165,7 +165,7 @@ pub fn exposure_cards(detector: &Detector, report: &ExposureReport) -> Result<Ve
         Card::new(
             "DETNNEG",
             report.negative_pixels,
-            "pixels with negative expected charge, set to 0",
+            "pixels with negative expected charge",
         )?,
         Card::new("DETNBAD", report.bad_pixels, "bad pixels")?,
     ]);

@@ -1,5 +1,6 @@
 //! Checks an image against the direct sum, at random pixels and around random sources.
 
+use conv_core::GalaxyErrors;
 use psf_io::{Card, CardError};
 use psf_types::{FrameShape, Real};
 use rand::{RngExt, SeedableRng};
@@ -29,13 +30,16 @@ const AROUND: usize = 7;
 ///    most the same sum over the sources that light the pixel. This follows because an error in one
 ///    pixel is at most the error of the whole PSF.
 /// 3. **R.m.s.** The r.m.s. of the differences at these pixels is at most the r.m.s. of the tolerance
-///    times the norm of the PSF times `sqrt(sum of light^2)`. This follows from the Cauchy-Schwarz
-///    inequality if the error of the PSF is nearly the same for all sources that light a pixel, and
-///    on average if the errors of different sources are independent.
+///    times the norm of the PSF times `sqrt(sum of light^2)`, where the light of stars in one pixel of
+///    the frame is one term. This follows from the Cauchy-Schwarz inequality if the error of the PSF
+///    is nearly the same for all sources that light a pixel, and on average if the errors of different
+///    sources are independent.
 ///
-/// To each limit, rounding is added. A galaxy also has an error of its window (see
-/// [`conv_core::GalaxyPlan`]). The check measures the error that the engine adds to the model. It
-/// does not measure the error of the model itself, nor the error of stamps that are too coarse to be
+/// To each limit, rounding is added. A galaxy is compared with an integral on the sky, which shares
+/// nothing with its drawing. Its limits are lower, because its light is spread over many pixels, and
+/// they include the error of its image (see [`conv_core::GalaxyPlan`]). In the r.m.s., galaxies add up
+/// as in single pixels. The check measures the error that the engine adds to the model. It does not
+/// measure the error of the model itself, nor the error of stamps that are too coarse to be
 /// interpolated.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 #[non_exhaustive]
@@ -68,20 +72,63 @@ pub struct SpotCheck {
     pub passed: Option<bool>,
 }
 
-/// The errors that the sources of a pixel may have: their sum, and the sum of their squares.
+/// The relative r.m.s. rounding error that is accepted.
+pub(crate) fn rounding_of<T: Real>() -> f64 {
+    if size_of::<T>() == 4 {
+        ROUNDING_F32
+    } else {
+        ROUNDING_F64
+    }
+}
+
+/// The errors that a pixel may have because of its sources.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Allowed {
+    /// The sum of all errors.
     pub(crate) sum: f64,
-    pub(crate) squares: f64,
+    /// The part of `sum` that each pixel may have.
+    pub(crate) each: f64,
+    /// Errors as roots of sums of squares over all pixels, added over the sources.
+    pub(crate) norm: f64,
+    /// The error that is expected if the PSFs of different places add up like random numbers.
+    pub(crate) root: f64,
 }
 
 /// Values of pixels by the direct sum, and the errors that a method promises for them.
 pub(crate) type Exact = (Vec<f64>, Option<Vec<Allowed>>);
 
 impl Allowed {
-    pub(crate) fn add(&mut self, error: f64) {
+    /// Adds the error of a PSF. `root` is the root of the sum of the squared errors of this kind of
+    /// source in the pixel, to which it is added.
+    pub(crate) fn add_psf(&mut self, error: f64, root: &mut f64) {
         self.sum += error;
-        self.squares += error * error;
+        self.norm += error;
+        *root = root.hypot(error);
+    }
+
+    /// Adds the errors of a galaxy. The error of its PSF is limited in each pixel or, if that is less,
+    /// by its norm.
+    pub(crate) fn add_galaxy(&mut self, errors: GalaxyErrors) {
+        let error = errors.psf + errors.image;
+        self.sum += error;
+        if errors.psf * (AROUND as f64) < errors.psf_norm {
+            self.each += error;
+        } else {
+            self.each += errors.image;
+            self.norm += errors.psf_norm;
+        }
+        // Galaxies that overlap see the same part of the PSF's error.
+        self.root += error;
+    }
+}
+
+/// The root of the sum of the squares, of values whose squares may overflow.
+fn norm(values: impl Iterator<Item = f64> + Clone) -> f64 {
+    let largest = values.clone().fold(0.0, |largest: f64, v| largest.max(v.abs()));
+    if largest > 0.0 && largest.is_finite() {
+        largest * values.map(|v| (v / largest).powi(2)).sum::<f64>().sqrt()
+    } else {
+        largest
     }
 }
 
@@ -114,13 +161,10 @@ impl SpotCheck {
         let (exact, allowed) = exact(&pixels)?;
         let index = |p: &PickedPixel| places.partition_point(|&place| place < (p.row, p.column));
         let difference = |p: &PickedPixel| (p.value - exact[index(p)]).abs();
-        let sum_of_squares = |values: &mut dyn Iterator<Item = f64>| values.map(|v| v * v).sum::<f64>();
-        let rms = |values: &mut dyn Iterator<Item = f64>| {
-            (sum_of_squares(values) / picked.len().max(1) as f64).sqrt()
-        };
+        let root_of_count = (picked.len().max(1) as f64).sqrt();
         let max_abs = picked.iter().map(difference).fold(0.0, f64::max);
-        let found = rms(&mut picked.iter().map(difference));
-        let whole = rms(&mut picked.iter().map(|p| exact[index(p)]));
+        let found = norm(picked.iter().map(difference)) / root_of_count;
+        let whole = norm(picked.iter().map(|p| exact[index(p)])) / root_of_count;
         let mut check = Self {
             pixels: picked.len(),
             seed,
@@ -134,11 +178,7 @@ impl SpotCheck {
         let Some(allowed) = allowed else {
             return Ok(check);
         };
-        let rounding = if size_of::<T>() == 4 {
-            ROUNDING_F32
-        } else {
-            ROUNDING_F64
-        };
+        let rounding = rounding_of::<T>();
         let of_pixel = LARGEST_OVER_RMS * rounding * peak;
         let over = |difference: f64, limit: f64| {
             if difference == 0.0 {
@@ -154,12 +194,14 @@ impl SpotCheck {
         let worst_source = squares
             .iter()
             .map(|square| {
-                let found = sum_of_squares(&mut square.iter().map(difference)).sqrt();
-                let allowed = square.iter().map(|p| allowed[index(p)].sum).fold(0.0, f64::max);
+                let found = norm(square.iter().map(difference));
+                let of = |p: &PickedPixel| allowed[index(p)];
+                let together = square.iter().map(|p| of(p).norm).fold(0.0, f64::max);
+                let allowed = together + norm(square.iter().map(|p| of(p).each));
                 over(found, allowed + of_pixel * (square.len() as f64).sqrt())
             })
             .fold(0.0, f64::max);
-        let limit = rms(&mut picked.iter().map(|p| allowed[index(p)].squares.sqrt())) / whole + rounding;
+        let limit = norm(picked.iter().map(|p| allowed[index(p)].root)) / root_of_count / whole + rounding;
         check.worst_pixel = Some(worst_pixel);
         check.worst_source = Some(worst_source);
         check.limit = (whole > 0.0).then_some(limit);

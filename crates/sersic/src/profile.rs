@@ -186,6 +186,29 @@ impl LightProfile for SersicLight {
         self.between(nearest, middle + reach, sine)
     }
 
+    fn axis_ratio(&self) -> f64 {
+        self.q
+    }
+
+    fn radius(&self, dx: f64, dy: f64) -> f64 {
+        let (u, v) = self.turned(dx, dy);
+        (u * u + v * v).sqrt()
+    }
+
+    fn brightness(&self, radius_px: f64) -> f64 {
+        self.central * (-self.exponent(radius_px * radius_px)).exp()
+    }
+
+    fn index(&self) -> f64 {
+        self.index
+    }
+
+    fn squared_norm(&self) -> f64 {
+        // The square is a Sersic profile with twice the constant b. The flux of a profile is its
+        // central brightness times a factor that is proportional to b^(-2 n).
+        self.central * (-2.0 * self.index).exp2()
+    }
+
     fn flux_beyond(&self, distance_px: f64) -> f64 {
         if distance_px <= 0.0 {
             return 1.0;

@@ -1,26 +1,56 @@
 //! The light of galaxies with the PSFs of all components, in f64, and the errors that a plan allows.
 
 use ndarray::{Array1, Array2, Axis};
-use psf_types::{Anchor, FrameShape, LightProfile, PixelRegion, Position, Progress, SersicSource};
+use psf_types::{
+    Anchor, FrameShape, LightProfile, PixelRegion, Position, Progress, SersicSource, ToleranceOn,
+};
 use rayon::prelude::*;
 
-use super::extent::{FRACTION, RELATIVE_ERROR};
-use super::far_field::{BlockWeights, farthest_edge};
+use super::far_field::farthest_edge;
 use super::galaxy_plan::{Catalogue, GalaxyPlan, Light, Window, window_at};
 use super::kernels::Kernels;
 use super::power_spectrum::Outline;
+use super::real_space::{Integrator, Sky, radius_of};
 use super::window::{Drawn, Spectra, WindowDrawer};
 use crate::stars::StarVectors;
 use crate::{ConvError, ConvReal};
 
+/// A spot check ignores this part of the light that may be left out of an image.
+const IGNORED: f64 = 0.1;
+/// Interpolated stamps hold light that counts up to about this many stamp pixels beyond their edges, on
+/// both sides together.
+const BEYOND: f64 = 6.0;
+/// The least error of a galaxy's image beside that of its PSF, relative to its peak. Windows are not
+/// enlarged below it.
+const LEAST_ERROR: f64 = 3e-8;
+/// The errors of all pixels add up to the tolerance times the flux at most. So on the ellipse through a
+/// pixel, the mean error is at most that divided by the ellipse's area. An error in one pixel is at most
+/// this many times larger: up to 2 times in images of galaxies of all shapes.
+const CONCENTRATED: f64 = 5.0;
+/// The error of the transform of a profile, relative to the flux.
+const TRANSFORM: f64 = 3e-7;
 /// Galaxies whose light in single pixels is computed before it is added.
 const GALAXIES_AT_ONCE: usize = 256;
 /// The L2 norm of a PSF over the frame's pixels depends on the sub-pixel position. It is at most
 /// about this multiple of the norm over all pixels of the stamp, divided by the oversampling.
 const OF_PHASES: f64 = 1.5;
 
+/// The largest errors of a galaxy in a pixel.
+#[derive(Debug, Clone, Copy)]
+pub struct GalaxyErrors {
+    /// Because of the PSF. The root of the sum of the squared errors of all pixels is at most this.
+    pub psf_norm: f64,
+    /// Because of the PSF, in this pixel.
+    pub psf: f64,
+    /// Because of windows, light that is left out, and the transform of the profile.
+    pub image: f64,
+}
+
 impl<T: ConvReal> GalaxyPlan<T> {
-    /// Computes single pixels `(column, row)` of the frame, in f64, with the PSFs of all components.
+    /// Computes single pixels `(column, row)` of the frame, in f64, with the PSFs of all components, by
+    /// integration on the sky. The time grows with the number of pairs of a galaxy and a pixel: about a
+    /// millisecond if the galaxy's centre lies on the stamp around the pixel, and microseconds if it is
+    /// farther away.
     ///
     /// # Errors
     /// The errors of [`draw_into`](Self::draw_into), without those of an image.
@@ -39,11 +69,15 @@ impl<T: ConvReal> GalaxyPlan<T> {
             progress,
         };
         let mut sums = vec![0.0; pixels.len()];
+        if galaxies.is_empty() {
+            return Ok(sums);
+        }
+        let integrator = Integrator::new(&self.model, self.shared.size);
         let all: Vec<usize> = (0..galaxies.len()).collect();
         for some in all.chunks(GALAXIES_AT_ONCE) {
             let parts: Vec<Vec<f64>> = some
                 .par_iter()
-                .map(|&index| self.exact_at(catalogue, index, pixels))
+                .map(|&index| self.integrals(&integrator, catalogue, index, pixels))
                 .collect::<Result<_, _>>()?;
             for part in &parts {
                 sums.iter_mut().zip(part).for_each(|(sum, v)| *sum += v);
@@ -52,9 +86,69 @@ impl<T: ConvReal> GalaxyPlan<T> {
         Ok(sums)
     }
 
-    /// The largest errors that the images of galaxies may have in a pixel, because of the tolerance
-    /// and of windows and outskirts. For each galaxy and each pixel `(column, row)` of the frame
-    /// that the galaxy lights, gives the index of the pixel and the error to `take`.
+    /// The light of one galaxy in pixels of the frame. Empty if it reaches none of them.
+    fn integrals(
+        &self,
+        integrator: &Integrator<'_>,
+        catalogue: Catalogue<'_>,
+        index: usize,
+        pixels: &[(usize, usize)],
+    ) -> Result<Vec<f64>, ConvError> {
+        catalogue.progress.check_cancelled()?;
+        let galaxy = &catalogue.galaxies[index];
+        if galaxy.flux() == 0.0 {
+            return Ok(Vec::new());
+        }
+        let light = (catalogue.light)(galaxy);
+        let (x, y) = catalogue.position(index);
+        let sky = Sky::new(light.as_ref(), IGNORED * self.shared.extent.left_out());
+        let offset = |&(column, row): &(usize, usize)| (column as f64 - x, row as f64 - y);
+        let lit: Vec<usize> = (0..pixels.len())
+            .filter(|&pixel| integrator.reaches(&sky, offset(&pixels[pixel])))
+            .collect();
+        if lit.is_empty() {
+            return Ok(Vec::new());
+        }
+        let mut values = vec![0.0; pixels.len()];
+        // With the PSF of each pixel, or that of the galaxy outside its window.
+        let window = window_at((x, y), self.shared.extent.side_and_reach(light.as_ref()).0);
+        let (of_pixels, of_galaxy): (Vec<usize>, Vec<usize>) = lit.into_iter().partition(|&pixel| {
+            self.shared.options.anchor() == Anchor::Output && is_in(window, pixels[pixel])
+        });
+        if !of_galaxy.is_empty() {
+            let psf = match integrator.psf(Position::new(x, y).map_err(ConvError::Result)?) {
+                Ok(psf) => psf,
+                Err(error) => {
+                    // An image leaves out so faint light, and needs no PSF for it.
+                    let drawn = Sky::new(light.as_ref(), self.shared.extent.left_out());
+                    let needs = |&pixel: &usize| integrator.reaches(&drawn, offset(&pixels[pixel]));
+                    return if of_galaxy.iter().any(needs) {
+                        Err(error.into())
+                    } else {
+                        Ok(Vec::new())
+                    };
+                }
+            };
+            let offsets: Vec<(f64, f64)> = of_galaxy.iter().map(|&pixel| offset(&pixels[pixel])).collect();
+            for (pixel, value) in of_galaxy.into_iter().zip(psf.images(&sky, &offsets)?) {
+                values[pixel] = value * galaxy.flux();
+            }
+        }
+        for pixel in of_pixels {
+            let (column, row) = pixels[pixel];
+            let psf = integrator.psf(Position::of_pixel(column as i64, row as i64))?;
+            values[pixel] = psf.images(&sky, &[offset(&pixels[pixel])])?[0] * galaxy.flux();
+        }
+        Ok(values)
+    }
+
+    /// The largest errors that galaxies may have in pixels `(column, row)` of the frame. For each galaxy
+    /// and each pixel that the galaxy lights, gives the index of the pixel and the errors to `take`.
+    /// `rounding` is the relative rounding error of a PSF.
+    ///
+    /// The error of the PSF, `d`, adds at most `|c| |sum d| + |d| |I - c|` to a pixel, for the light `I`
+    /// on the stamp and any constant `c` (Cauchy-Schwarz inequality). Both parts of `d` are within the
+    /// tolerance: its L2 norm, and its flux if the tolerance holds on apertures.
     ///
     /// # Errors
     /// [`ConvError`] if the PSF has no value at a galaxy that lights one of the pixels.
@@ -62,36 +156,70 @@ impl<T: ConvReal> GalaxyPlan<T> {
         &self,
         galaxies: &[SersicSource],
         light: &dyn Fn(&SersicSource) -> Light,
-        frame: PixelRegion,
-        pixels: &[(usize, usize)],
-        mut take: impl FnMut(usize, f64),
+        (frame, pixels): (PixelRegion, &[(usize, usize)]),
+        rounding: f64,
+        mut take: impl FnMut(usize, GalaxyErrors),
     ) -> Result<(), ConvError> {
+        let (extent, tolerance) = (&self.shared.extent, self.shared.tolerance);
+        let on_apertures = self.shared.options.tolerance_on() == ToleranceOn::Aperture;
+        let grid = self.model.grid();
+        let [width, height] = [grid.nx(), grid.ny()].map(|n| (n as f64 + BEYOND) / grid.oversampling());
         for galaxy in galaxies.iter().filter(|galaxy| galaxy.flux() != 0.0) {
             let at = galaxy.position();
             let (x, y) = (at.x() - frame.x0() as f64, at.y() - frame.y0() as f64);
-            let light = light(galaxy);
-            let (side, reach) = self.shared.extent.side_and_reach(light.as_ref());
-            let reach = reach.unwrap_or(farthest_edge(side));
-            let mut of_window = None;
+            let (light, flux) = (light(galaxy), galaxy.flux().abs());
+            let farthest = radius_of(light.as_ref(), IGNORED * extent.left_out());
+            let drawn = radius_of(light.as_ref(), extent.left_out());
+            let window = farthest_edge(extent.side_and_reach(light.as_ref()).0);
+            let corner = 0.5 * light.radius(width, height).max(light.radius(width, -height));
+            let mut of_galaxy = None;
             for (index, &(column, row)) in pixels.iter().enumerate() {
                 let (dx, dy) = (column as f64 - x, row as f64 - y);
-                let distance = dx.abs().max(dy.abs());
-                if distance > reach {
+                let radius = light.radius(dx, dy);
+                if radius - corner > farthest {
                     continue;
                 }
-                let error = if distance <= farthest_edge(side) {
-                    let norm = match of_window {
-                        Some(norm) => norm,
-                        None => self.psf_norm(Position::new(x, y).map_err(ConvError::Result)?)?,
-                    };
-                    of_window = Some(norm);
-                    (1.0 + FRACTION) * self.shared.tolerance * norm
-                } else {
-                    let mut brightness = [0.0];
-                    light.add_blurred([0.0; 3], 1.0, &[[dx as f32, dy as f32]], &mut brightness);
-                    RELATIVE_ERROR[1] * brightness[0] + self.shared.extent.left_out() / reach.powi(2)
+                let (norm, psf_flux, peak) = match of_galaxy {
+                    Some(known) => known,
+                    None => {
+                        let position = Position::new(x, y).map_err(ConvError::Result)?;
+                        let (norm, psf_flux) = match self.norm_and_flux(position) {
+                            Err(_) if radius - corner > drawn => continue,
+                            known => known?,
+                        };
+                        // The peak of a Gaussian PSF with this norm.
+                        let peak = norm.min(2.0 * norm * norm / psf_flux);
+                        *of_galaxy.insert((norm, psf_flux, peak))
+                    }
                 };
-                take(index, error * galaxy.flux().abs());
+                let [most, least] =
+                    [(radius - corner).max(0.0), radius + corner].map(|radius| light.brightness(radius));
+                // The root of the number of pixels on the stamp.
+                let side = (width * height).sqrt();
+                let mut of_light = norm * light.squared_norm().sqrt().min(most * side);
+                if on_apertures {
+                    let around_mean =
+                        psf_flux * f64::midpoint(most, least) + norm * 0.5 * (most - least) * side;
+                    of_light = of_light.min(around_mean);
+                }
+                // The peak of the galaxy: the light within the core of the PSF.
+                let core = (std::f64::consts::TAU * peak * light.axis_ratio()).sqrt().recip();
+                let in_core = 1.0 - light.flux_beyond(core);
+                let at_peak = peak * (2.0 * in_core).min(1.0);
+                let spread = CONCENTRATED / (std::f64::consts::PI * light.axis_ratio() * radius * radius);
+                let mut image = tolerance.max(LEAST_ERROR) * at_peak.min(spread);
+                if dx.abs().max(dy.abs()) > window {
+                    image = image.min(psf_flux * most);
+                }
+                let relative = tolerance + rounding;
+                take(
+                    index,
+                    GalaxyErrors {
+                        psf_norm: relative * norm * flux,
+                        psf: relative * norm.min(of_light) * flux,
+                        image: (image + TRANSFORM * peak) * flux,
+                    },
+                );
             }
         }
         Ok(())
@@ -103,66 +231,18 @@ impl<T: ConvReal> GalaxyPlan<T> {
     /// # Errors
     /// [`ConvError`] if the PSF has no value at the position.
     pub fn psf_norm(&self, position: Position) -> Result<f64, ConvError> {
-        let mut vectors = StarVectors::new(&self.model, self.space());
-        let scale = vectors.set(position)?;
-        Ok(OF_PHASES * vectors.norm() * scale / self.model.grid().oversampling())
+        Ok(self.norm_and_flux(position)?.0)
     }
 
-    /// The light of one galaxy in pixels of the frame. Empty if it reaches none of them.
-    fn exact_at(
-        &self,
-        catalogue: Catalogue<'_>,
-        index: usize,
-        pixels: &[(usize, usize)],
-    ) -> Result<Vec<f64>, ConvError> {
-        catalogue.progress.check_cancelled()?;
-        let galaxy = &catalogue.galaxies[index];
-        let light = (catalogue.light)(galaxy);
-        let (x, y) = catalogue.position(index);
-        let (side, reach) = self.shared.extent.side_and_reach(light.as_ref());
-        let farthest = reach.unwrap_or(farthest_edge(side));
-        let near = |&(column, row): &(usize, usize)| {
-            (column as f64 - x).abs() <= farthest && (row as f64 - y).abs() <= farthest
-        };
-        if galaxy.flux() == 0.0 || !pixels.iter().any(near) {
-            return Ok(Vec::new());
-        }
-        let position = Position::new(x, y).map_err(ConvError::Result)?;
-        let window = window_at((x, y), side);
+    /// The norm of [`psf_norm`](Self::psf_norm), and the size of the PSF's flux.
+    fn norm_and_flux(&self, position: Position) -> Result<(f64, f64), ConvError> {
         let mut vectors = StarVectors::new(&self.model, self.space());
-        let scale = vectors.set(position)? * galaxy.flux();
-        let psf = vectors.psf * scale;
-        let place = |&(column, row): &(usize, usize)| {
-            let inside =
-                |at: usize, first: i64| usize::try_from(at as i64 - first).ok().filter(|&i| i < side);
-            Some((inside(row, window.1)?, inside(column, window.0)?))
-        };
-        let mut drawn = None;
-        if pixels.iter().any(|pixel| place(pixel).is_some()) {
-            let centre = (x - window.0 as f64, y - window.1 as f64);
-            let frame = catalogue.frame.shape();
-            drawn = Some(self.exact_window(&psf, galaxy.flux(), light.as_ref(), window, centre, frame)?);
-        }
-        let outside = reach.and_then(|reach| {
-            let moments = self.stamps().moments_of(psf.view());
-            self.far_light(moments, light, (x, y), window, reach)
-        });
-        if let (Some(values), Some(outside)) = (&mut drawn, &outside) {
-            outside.subtract_repeated(&BlockWeights::new(side), 0, values);
-        }
-        Ok(pixels
-            .iter()
-            .map(|pixel| match (place(pixel), &drawn, &outside) {
-                (Some(place), Some(values), _) => values[place],
-                (None, _, Some(outside)) if near(pixel) => {
-                    let mut value = [0.0];
-                    let offset = outside.offset((pixel.0 as f64, pixel.1 as f64));
-                    outside.add_at(&[offset], &mut value);
-                    value[0]
-                }
-                _ => 0.0,
-            })
-            .collect())
+        let scale = vectors.set(position)?;
+        let flux = (vectors.psf.dot(&self.space().fluxes) * scale).abs();
+        Ok((
+            OF_PHASES * vectors.norm() * scale / self.model.grid().oversampling(),
+            flux,
+        ))
     }
 
     /// Draws a galaxy on its window with the PSF of all components, given as a vector of
@@ -229,4 +309,9 @@ impl<T: ConvReal> GalaxyPlan<T> {
         }
         Ok(values)
     }
+}
+
+fn is_in((x0, y0, side): Window, (column, row): (usize, usize)) -> bool {
+    let within = |at: usize, first: i64| (first..first + side as i64).contains(&(at as i64));
+    within(column, x0) && within(row, y0)
 }

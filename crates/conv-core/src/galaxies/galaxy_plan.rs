@@ -47,7 +47,7 @@ pub(super) struct Shared<T> {
     /// The models whose PSFs the local bases represent.
     models: Vec<PsfModel>,
     pub(super) options: PlanOptions,
-    size: Option<usize>,
+    pub(super) size: Option<usize>,
     /// Made when the first galaxy is drawn.
     space: OnceLock<PsfSpace>,
     stamps: Arc<OnceLock<Stamps>>,

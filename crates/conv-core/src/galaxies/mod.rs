@@ -9,8 +9,9 @@
 //! window's pixels, is transformed back ([`window`]). Wavenumbers without light are left out
 //! ([`power_spectrum`]). The PSF is a combination of the few stamps of
 //! a block of the field ([`kernels`]), as for stars. Outside the window, the light is nearly the
-//! image ([`far_field`]). The window is as small as the tolerance allows ([`extent`]). Single pixels
-//! and galaxies beyond the tolerance use all components ([`all_components`]).
+//! image ([`far_field`]). The window is as small as the tolerance allows ([`extent`]). Galaxies
+//! beyond the tolerance use all components ([`all_components`]). The spot check computes single pixels
+//! by integration on the sky ([`real_space`]).
 
 mod all_components;
 mod extent;
@@ -18,7 +19,9 @@ mod far_field;
 mod galaxy_plan;
 mod kernels;
 mod power_spectrum;
+mod real_space;
 mod spectrum;
 mod window;
 
+pub use all_components::GalaxyErrors;
 pub use galaxy_plan::GalaxyPlan;

@@ -23,7 +23,7 @@ pub(super) const POLE: f64 = -0.267_949_192_431_122_7;
 
 /// The largest [`Kernel::CubicSpline`] reach, in pixels. Farther out, less than 1e-7 of the light
 /// of the outermost pixels is left.
-pub(super) const MOST_REACH: usize = 12;
+pub(crate) const MOST_REACH: usize = 12;
 
 /// The most coefficients that contribute to an interpolated value along one axis.
 pub(crate) const MOST_TAPS: usize = 6;

@@ -8,7 +8,7 @@ use ndarray::{Array2, Array3, ArrayView2};
 use psf_types::{DataError, PsfSamples, StampGrid};
 
 pub use edge::{edge_reach, edge_reach_of};
-use kernel::MOST_REACH;
+pub(crate) use kernel::MOST_REACH;
 pub(crate) use kernel::{Kernel, MOST_TAPS, Taps};
 pub use scene_pixel::ScenePixelFilter;
 

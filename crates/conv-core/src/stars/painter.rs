@@ -8,7 +8,7 @@ use rayon::prelude::*;
 
 use super::phases::Star;
 use crate::overlap::{Piece, add_in_order, region};
-use crate::stamp_interpolator::{Kernel, StampInterpolator, edge_reach_of, grid_reaching};
+use crate::stamp_interpolator::{Kernel, MOST_TAPS, StampInterpolator, edge_reach_of, grid_reaching};
 use crate::{ConvError, ConvReal};
 
 /// The number of sources that one task draws.
@@ -125,22 +125,32 @@ impl<'a> StarPainter<'a> {
         Ok(values)
     }
 
-    /// Gives every source that may light some pixels `(column, row)` of the frame to `take`, with
-    /// the indices of these pixels.
-    pub fn lit_pixels<'s>(
+    /// Gives the index of every source that may light some pixels `(column, row)` of the frame to `take`,
+    /// with the indices of these pixels, and whether they lie on the source's stamp. Pixels that do not lie up to
+    /// 6 pixels beyond it, where a [`StarPlan`](crate::StarPlan) may keep some light.
+    pub fn lit_pixels(
         &self,
-        sources: &'s [PointSource],
+        sources: &[PointSource],
         pixels: &[(usize, usize)],
-        mut take: impl FnMut(&'s PointSource, &mut dyn Iterator<Item = usize>),
+        mut take: impl FnMut(usize, &mut dyn Iterator<Item = (usize, bool)>),
     ) {
         let sorted = SortedPixels::new(pixels);
-        for source in sources.iter().filter(|source| self.reaches(source)) {
+        for (number, source) in sources.iter().enumerate() {
+            let lit = self.lit(source);
+            let (nx, ny) = (lit.shape().nx(), lit.shape().ny());
+            let more = MOST_TAPS;
+            let around = region(
+                lit.x0() - more as i64,
+                lit.y0() - more as i64,
+                (nx + 2 * more, ny + 2 * more),
+            );
+            let on = |at: usize, count: usize| (more..more + count).contains(&at);
             let mut lit = sorted
-                .within(self.lit(source))
-                .map(|(index, ..)| index)
+                .within(around)
+                .map(|(index, j, i)| (index, on(j, ny) && on(i, nx)))
                 .peekable();
             if lit.peek().is_some() {
-                take(source, &mut lit);
+                take(number, &mut lit);
             }
         }
     }

@@ -326,7 +326,9 @@ fn negative_light_is_counted() {
         ),
         (Some(1), Some(-0.25))
     );
-    assert_eq!(desk.image("raw.fits")[[4, 3]], 0.0);
+    // Minus a Poisson number.
+    let count = desk.image("raw.fits")[[4, 3]];
+    assert!(count <= 0.0 && count.fract() == 0.0, "{count}");
 }
 
 #[test]

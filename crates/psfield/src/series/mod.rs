@@ -49,8 +49,9 @@ pub struct Series {
 ///   The catalogue gives their positions at time 0.
 /// - **Light curves**: the flux is the catalogue's times the mean factor of the light curve.
 ///
-/// A source has the PSF of its mean position on the detector, or of each point of its trail. Changes of
-/// the PSF, of the flux and of the pointing within an exposure are averaged separately.
+/// A source at rest on the sky has the PSF of its mean position on the detector, a moving source the PSF
+/// of each point of its trail. Changes of the PSF, of the flux and of the pointing within an exposure are
+/// averaged separately.
 ///
 /// ```
 /// use ndarray::Array3;

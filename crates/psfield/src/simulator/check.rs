@@ -1,8 +1,8 @@
 //! Checks images against the direct sum.
 
-use conv_core::{ConvError, ConvReal, Direct, RowStream, ScenePixelFilter};
+use conv_core::{ConvError, ConvReal, Direct, GalaxyErrors, RowStream, ScenePixelFilter};
 use ndarray::{Array2, ArrayView2, s};
-use psf_types::{Image, Position, Progress};
+use psf_types::{Image, PointSource, Position, Progress};
 use rand::seq::IteratorRandom;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -10,12 +10,15 @@ use rand_chacha::ChaCha8Rng;
 use super::Simulator;
 use super::sources::{has_sources, light_of};
 use super::stream::SceneRows;
-use crate::spot_check::Allowed;
+use crate::spot_check::{Allowed, rounding_of};
 use crate::{Method, PixelPicker, PsfieldError, Scene, ScenePixels, SpotCheck};
 
 /// A spot check compares the pixels around at most this many stars, galaxies, and pixels of the
 /// scene's image.
 const SOURCES: usize = 32;
+/// Stars that are spread over planes keep the light beyond the reach of their stamps, up to this part of
+/// their flux ([`conv_core::edge_reach_of`]). Stars that are drawn one by one do not.
+const BEYOND_STAMPS: f64 = 5e-7;
 /// The largest number of image rows whose light a streamed check keeps in memory at once.
 const BAND: usize = 512;
 
@@ -268,13 +271,15 @@ impl<T: ConvReal> Simulator<T> {
                 .unwrap_or(f64::INFINITY);
             // An error in one pixel of the frame may be all of the error on the finer pixels.
             let error = tolerance * norm * of_filter * oversample as f64;
+            let mut root = 0.0;
             for &light in light
                 .slice(s![rows, columns])
                 .iter()
                 .filter(|light| **light != T::zero())
             {
-                allowed.add(error * light.as_f64().abs());
+                allowed.add_psf(error * light.as_f64().abs(), &mut root);
             }
+            allowed.root += root;
         }
         Ok(())
     }
@@ -290,25 +295,41 @@ impl<T: ConvReal> Simulator<T> {
             return Ok(());
         }
         let (of_frame, sources, tolerance) = (self.of_frame(pixels), self.sources()?, self.tolerance()?);
-        let (galaxies, frame) = (&sources.galaxies, self.geometry.frame);
-        if tolerance > 0.0 {
-            let mut failed = None;
-            let painter = self.painter(&sources.model)?;
-            painter.lit_pixels(scene.stars(), &of_frame, |star, lit| {
-                let (x, y) = (star.position().x(), star.position().y());
-                let at = Position::new(x - frame.x0() as f64, y - frame.y0() as f64);
-                match at.map_err(ConvError::Result).and_then(|at| galaxies.psf_norm(at)) {
-                    Ok(norm) => {
-                        let error = tolerance * norm * star.flux().abs();
-                        lit.for_each(|pixel| allowed[pixel].add(error));
+        let (galaxies, frame, rounding) = (&sources.galaxies, self.geometry.frame, rounding_of::<T>());
+        let places = stars_by_place(scene.stars());
+        let first_stars: Vec<PointSource> = places.iter().map(|place| place.first).collect();
+        let mut roots = vec![0.0; pixels.len()];
+        let mut failed = None;
+        let painter = self.painter(&sources.model)?;
+        painter.lit_pixels(&first_stars, &of_frame, |number, lit| {
+            let place = &places[number];
+            let (x, y) = (place.first.position().x(), place.first.position().y());
+            let at = Position::new(x - frame.x0() as f64, y - frame.y0() as f64);
+            match at.map_err(ConvError::Result).and_then(|at| galaxies.psf_norm(at)) {
+                Ok(norm) => {
+                    // Numbers of equal size that are added in one pixel may all be rounded in one
+                    // direction.
+                    let added = 0.25 * place.count as f64 * T::epsilon().as_f64();
+                    let error = (tolerance + rounding + added) * norm * place.light;
+                    for (pixel, is_on_stamp) in lit {
+                        if is_on_stamp {
+                            allowed[pixel].add_psf(error, &mut roots[pixel]);
+                        } else if tolerance > 0.0 {
+                            let left = (BEYOND_STAMPS * place.light).min(error);
+                            allowed[pixel].add_psf(left, &mut roots[pixel]);
+                        }
                     }
-                    Err(error) => failed = Some(error),
                 }
-            });
-            failed.map_or(Ok(()), Err)?;
+                Err(error) => failed = Some(error),
+            }
+        });
+        failed.map_or(Ok(()), Err)?;
+        for (allowed, root) in allowed.iter_mut().zip(roots) {
+            allowed.root += root;
         }
-        let take = |pixel: usize, error| allowed[pixel].add(error);
-        Ok(galaxies.errors_at_pixels(scene.galaxies(), &light_of, frame, &of_frame, take)?)
+        let of_pixels = (frame, of_frame.as_slice());
+        let take = |pixel: usize, errors: GalaxyErrors| allowed[pixel].add_galaxy(errors);
+        Ok(galaxies.errors_at_pixels(scene.galaxies(), &light_of, of_pixels, rounding, take)?)
     }
 
     /// Converts pixels of the image to pixels of the frame.
@@ -317,6 +338,34 @@ impl<T: ConvReal> Simulator<T> {
         let (x0, y0) = (region.x0() as usize, region.y0() as usize);
         pixels.iter().map(|&(x, y)| (x + x0, y + y0)).collect()
     }
+}
+
+/// The stars in one pixel.
+struct Place {
+    first: PointSource,
+    /// The sum of their absolute fluxes.
+    light: f64,
+    count: usize,
+}
+
+/// The stars of each pixel, sorted by rows.
+fn stars_by_place(stars: &[PointSource]) -> Vec<Place> {
+    let pixel = |star: &PointSource| {
+        (
+            star.position().y().round() as i64,
+            star.position().x().round() as i64,
+        )
+    };
+    let mut sorted = stars.to_vec();
+    sorted.sort_by_key(pixel);
+    sorted
+        .chunk_by(|a, b| pixel(a) == pixel(b))
+        .map(|stars| Place {
+            first: stars[0],
+            light: stars.iter().map(|star| star.flux().abs()).sum(),
+            count: stars.len(),
+        })
+        .collect()
 }
 
 /// A scene with the stars and galaxies of several scenes.
