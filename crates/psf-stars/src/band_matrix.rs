@@ -20,8 +20,11 @@ impl BandMatrix {
         &self.values[row * self.width..(row + 1) * self.width]
     }
 
-    /// Adds to a value at or left of the diagonal.
+    /// Adds to a value at or left of the diagonal. A value left of the band is dropped.
     pub(crate) fn add(&mut self, row: usize, column: usize, amount: f64) {
+        if row - column >= self.width {
+            return;
+        }
         self.values[(row + 1) * self.width - 1 + column - row] += amount;
     }
 

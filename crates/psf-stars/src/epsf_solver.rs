@@ -15,6 +15,9 @@ use crate::surface::SurfaceGrid;
 /// coefficients' own noise is larger than the error that this leaves.
 const CONVERGED: f64 = 1e-3;
 const MOST_ITERATIONS: usize = 300;
+/// With more coefficients along each side, the preconditioner is the diagonal alone, which takes less
+/// memory and more iterations.
+const LARGEST_BAND: usize = 100;
 /// The number of partial sums of the normal matrix.
 const MATRICES: usize = 16;
 /// Number of stars over which one task sums. These partial sums are added in a fixed order, so that
@@ -285,7 +288,11 @@ impl Equations<'_> {
 
     /// The solver of each plane alone.
     fn solvers<'s>(&self, surface: SurfaceGrid, sums: &'s PhaseSums) -> Vec<PlaneSolver<'s>> {
-        let empty = || BandMatrix::new(self.size, 3 * surface.side() + 4);
+        let width = match surface.side() {
+            side if side <= LARGEST_BAND => 3 * side + 4,
+            _ => 1,
+        };
+        let empty = || BandMatrix::new(self.size, width);
         let pieces: Vec<BandMatrix> = self
             .rows
             .par_chunks(self.rows.len().div_ceil(MATRICES).max(1))

@@ -15,7 +15,8 @@ use crate::{Rejection, Source, StarError};
 ///
 /// * Signal-to-noise ratio above a limit. By default, the limit is as low as it takes to keep 200
 ///   stars, but at least 10 (Bai, Jia et al. 2025, AJ, eq. 6) and at most 50: where bright stars are
-///   many, faint ones only add the light of their neighbours.
+///   many, faint ones only add the light of their neighbours. If more than 2000 stars exceed 50, the
+///   brightest 2000 are kept.
 /// * Room for the stamp: the centre is at least [`with_edge_px`](Self::with_edge_px) from the
 ///   frame's edge.
 /// * Isolation: no other source within a radius has more than a fraction of the star's flux.
@@ -40,6 +41,8 @@ impl Selection {
     pub const LEAST_SNR: f64 = 10.0;
     /// The highest default signal-to-noise ratio that a star must exceed.
     pub const AMPLE_SNR: f64 = 50.0;
+    /// By default, at most this number of stars are kept, the brightest.
+    pub const MANY_STARS: usize = 2000;
     /// The number of stars for which the default signal-to-noise ratio is lowered.
     pub const ENOUGH_STARS: usize = 200;
     /// Default fraction of a star's flux that a neighbour may have.
@@ -93,8 +96,9 @@ impl Selection {
     fn snr_limit(&self, mut of_stars: Vec<f64>) -> f64 {
         self.snr.unwrap_or_else(|| {
             of_stars.sort_unstable_by(|a, b| b.total_cmp(a));
-            let last = of_stars.get(Self::ENOUGH_STARS).copied();
-            last.unwrap_or(0.0).clamp(Self::LEAST_SNR, Self::AMPLE_SNR)
+            let of = |count: usize| of_stars.get(count).copied().unwrap_or(0.0);
+            let enough = of(Self::ENOUGH_STARS).clamp(Self::LEAST_SNR, Self::AMPLE_SNR);
+            enough.max(of(Self::MANY_STARS))
         })
     }
 
@@ -452,6 +456,7 @@ mod tests {
         assert_eq!(limit(1000, 30.0), 30.0);
         assert_eq!(limit(199, 300.0), 10.0);
         assert_eq!(limit(1000, 3.0), 10.0);
+        assert_eq!(limit(2001, 300.0), 300.0);
         let given = Selection::default().with_snr(4.0).unwrap();
         assert_eq!(given.snr_limit(vec![300.0; 1000]), 4.0);
     }

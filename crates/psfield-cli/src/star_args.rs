@@ -24,7 +24,8 @@ pub(crate) struct StarArgs {
     pub(crate) detection_threshold: Option<f64>,
     /// Smallest signal-to-noise ratio of a star [default: 10 to 50]
     ///
-    /// The default is the ratio that 200 stars exceed, but at least 10 and at most 50.
+    /// The default is the ratio that 200 stars exceed, but at least 10 and at most 50. If more than 2000
+    /// stars exceed 50, it is the ratio that 2000 stars exceed.
     #[arg(long, value_name = "X", value_parser = at_least_zero)]
     snr: Option<f64>,
     /// Value at and above which pixels are saturated [default: the SATURATE card]
