@@ -179,19 +179,18 @@ impl<T: ConvReal> GalaxyPlan<T> {
                 if radius - corner > farthest {
                     continue;
                 }
-                let (norm, psf_flux, peak) = match of_galaxy {
-                    Some(known) => known,
-                    None => {
-                        let position = Position::new(x, y).map_err(ConvError::Result)?;
-                        let (norm, psf_flux) = match self.norm_and_flux(position) {
-                            Err(_) if radius - corner > drawn => continue,
-                            known => known?,
-                        };
-                        // The peak of a Gaussian PSF with this norm.
-                        let peak = norm.min(2.0 * norm * norm / psf_flux);
-                        *of_galaxy.insert((norm, psf_flux, peak))
-                    }
+                if of_galaxy.is_none() {
+                    let position = Position::new(x, y).map_err(ConvError::Result)?;
+                    of_galaxy = match self.norm_and_flux(position) {
+                        Err(_) if radius - corner > drawn => continue,
+                        known => Some(known?),
+                    };
+                }
+                let Some((norm, psf_flux)) = of_galaxy else {
+                    continue;
                 };
+                // The peak of a Gaussian PSF with this norm.
+                let peak = norm.min(2.0 * norm * norm / psf_flux);
                 let [most, least] =
                     [(radius - corner).max(0.0), radius + corner].map(|radius| light.brightness(radius));
                 // The root of the number of pixels on the stamp.
