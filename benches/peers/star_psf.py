@@ -115,7 +115,8 @@ def report(label, stamps, truth):
     size = np.sqrt(np.mean((a[:, 0] / b[:, 0] - 1) ** 2))
     shear = np.sqrt(np.mean(np.sum((a[:, 1:] - b[:, 1:]) ** 2, axis=1)))
     print(
-        f"{label:18s} L2 {np.median(errors):.4f} / {max(errors):.4f}  size {100 * size:.2f} %  shear {shear:.4f}",
+        f"{label:18s} L2 {np.median(errors):.4f} / {max(errors):.4f}  "
+        f"size {100 * size:.2f} %  shear {shear:.4f}",
         flush=True,
     )
 
@@ -149,7 +150,8 @@ def psfield_stamps(arguments, frame, at, grid="native"):
 
 def psfex_stamps(work, at):
     (work / "columns").write_text(
-        "VIGNET(35,35)\nX_IMAGE\nY_IMAGE\nFLUX_RADIUS\nSNR_WIN\nFLUX_APER(1)\nFLUXERR_APER(1)\nELONGATION\nFLAGS\n"
+        "VIGNET(35,35)\nX_IMAGE\nY_IMAGE\nFLUX_RADIUS\nSNR_WIN\n"
+        "FLUX_APER(1)\nFLUXERR_APER(1)\nELONGATION\nFLAGS\n"
     )
     (work / "kernel").write_text("CONV NORM\n1 2 1\n2 4 2\n1 2 1\n")
     detect = "-CATALOG_NAME frame.ldac -CATALOG_TYPE FITS_LDAC -PARAMETERS_NAME columns -FILTER_NAME kernel "
