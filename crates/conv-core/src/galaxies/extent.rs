@@ -100,10 +100,9 @@ impl Extent {
         FRACTION * self.tolerance
     }
 
-    /// The error of a galaxy's image that is allowed beside the error of the PSF, per pixel and
-    /// for a flux of 1.
-    fn allowed(&self, light: &dyn LightProfile) -> f64 {
-        self.accuracy().max(LEAST_ACCURACY) * self.peak_of(light)
+    /// The error of a galaxy's image, relative to its peak, for which windows are chosen.
+    fn least_accuracy(&self) -> f64 {
+        self.accuracy().max(LEAST_ACCURACY)
     }
 
     /// The least peak of a galaxy's image, for a flux of 1.
@@ -131,9 +130,10 @@ impl Extent {
             spread,
             ..
         } = *self;
-        let allowed = self.allowed(light);
+        let at_peak = self.peak_of(light);
+        let allowed = self.least_accuracy() * at_peak;
         let [least, most] = BRIGHTEST_REPEATED;
-        let brightest_repeated = (self.accuracy() / ROUNDING).clamp(least, most) * self.peak_of(light);
+        let brightest_repeated = (self.accuracy() / ROUNDING).clamp(least, most) * at_peak;
         let fits = |side: usize| {
             let distance = nearest_edge(side);
             let room = distance - half;
@@ -189,20 +189,34 @@ impl Extent {
         x.abs().max(y.abs()) <= self.half && covariance.iter().all(|v| v.abs() <= self.half * self.half)
     }
 
-    /// The error that is allowed in the flux that the period of a window brings in from outside, for a
-    /// flux of 1.
-    pub(super) fn repeated_error(&self, light: &dyn LightProfile, side: usize) -> f64 {
-        (self.allowed(light) * (side * side) as f64).min(self.left_out())
-    }
-
-    /// The error that is allowed outside a window of a side, relative to the light there.
-    pub(super) fn relative_error(&self, light: &dyn LightProfile, side: usize) -> f64 {
+    /// The light of a galaxy outside a window of a side, and the errors that are allowed there.
+    pub(super) fn outside(&self, light: &dyn LightProfile, side: usize) -> Outside {
         let edge = nearest_edge(side);
-        let of_peak = self.allowed(light) / light.outskirts(edge).brightness;
+        let (flux, brightness) = (light.flux_beyond(edge), light.outskirts(edge).brightness);
+        let allowed = self.least_accuracy() * self.peak_of(light);
         // The error of a polynomial changes its sign several times on a block.
-        let of_flux = OSCILLATING * self.left_out() / light.flux_beyond(edge);
-        of_peak.min(of_flux).clamp(RELATIVE_ERROR[0], RELATIVE_ERROR[1])
+        let of_flux = OSCILLATING * self.left_out() / flux;
+        let [least, most] = RELATIVE_ERROR;
+        Outside {
+            flux,
+            brightness,
+            relative_error: (allowed / brightness).min(of_flux).clamp(least, most),
+            repeated_error: (allowed * (side * side) as f64).min(self.left_out()),
+        }
     }
+}
+
+/// The light of a galaxy of unit flux outside its window, and its errors.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Outside {
+    /// An upper limit of the flux outside the window.
+    pub(super) flux: f64,
+    /// The largest brightness at the window's edge.
+    pub(super) brightness: f64,
+    /// Largest error of the polynomial of a block relative to the brightest light in it.
+    pub(super) relative_error: f64,
+    /// Largest error of the flux that the period of the window brings in from outside.
+    pub(super) repeated_error: f64,
 }
 
 /// Sets the values of a stamp to 0 that lie outside a square of `size` frame pixels.

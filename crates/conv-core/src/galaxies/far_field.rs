@@ -7,6 +7,7 @@ use ndarray::{Array2, ArrayViewMut2};
 use psf_types::{LightProfile, Progress};
 use rayon::prelude::*;
 
+use super::extent::Outside;
 use crate::overlap::{Piece, add_pieces};
 use crate::simd::vectorized;
 use crate::{ConvError, ConvReal};
@@ -42,10 +43,7 @@ pub(super) struct FarLight {
     pub(super) reach: f64,
     /// Light below this brightness, for a flux of 1, is left out.
     pub(super) faintest: f64,
-    /// Largest error of the polynomial of a block relative to the brightest light in it.
-    pub(super) relative_error: f64,
-    /// Largest error of the flux that the period of the window brings in from outside, for a flux of 1.
-    pub(super) repeated_error: f64,
+    pub(super) outside: Outside,
 }
 
 impl FarLight {
@@ -78,19 +76,17 @@ impl FarLight {
     ) {
         let (x0, y0, side) = self.window;
         let mut square = Square::new(x0, y0, weights);
-        let (edge, area) = (nearest_edge(side), (side * side) as f64);
-        let flux = self.light.flux_beyond(edge);
+        let (outside, area) = (&self.outside, (side * side) as f64);
         square.repeated = Some(Repeated {
-            edge: self.light.outskirts(edge).brightness,
-            mean: flux / area,
-            error: self.repeated_error / flux,
-            faintest: SHARE * self.repeated_error / area,
+            edge: outside.brightness,
+            mean: outside.flux / area,
+            error: outside.repeated_error / outside.flux,
+            faintest: SHARE * outside.repeated_error / area,
         });
         // The periods end where hardly any light is left.
-        let mut count = 1;
-        while count < MOST_PERIODS
-            && self.light.flux_beyond(0.5 * (count * side as i64) as f64) > self.repeated_error
-        {
+        let mut count = GROUPS;
+        let end = |count: i64| 0.5 * (count * side as i64) as f64;
+        while count < MOST_PERIODS && self.light.flux_beyond(end(count)) > outside.repeated_error {
             count *= GROUPS;
         }
         square.add_periods(self, (0, 0), count);
@@ -354,7 +350,7 @@ impl<'a, T: ConvReal> Square<'a, T> {
                 return;
             }
             let error = around.brightness * error_of_polynomial(size as f64 / around.scale_px);
-            error <= galaxy.relative_error * around.brightness.max(edge)
+            error <= galaxy.outside.relative_error * around.brightness.max(edge)
         } else {
             false
         };

@@ -456,8 +456,7 @@ impl<T: ConvReal> GalaxyPlan<T> {
             covariance,
             window,
             faintest: self.shared.extent.left_out() / (2.0 * reach).powi(2),
-            relative_error: self.shared.extent.relative_error(light.as_ref(), window.2),
-            repeated_error: self.shared.extent.repeated_error(light.as_ref(), window.2),
+            outside: self.shared.extent.outside(light.as_ref(), window.2),
             reach,
             light,
         })

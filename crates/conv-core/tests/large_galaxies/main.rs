@@ -67,7 +67,7 @@ fn gaussian() -> Psf {
 
 fn moffat() -> Psf {
     Psf::new("Moffat", 82, 2.0, |x, y| {
-        (1.0 + (x * x + 1.2 * y * y) / 3.0).powf(-2.5)
+        over_pixel(x, y, |x, y| (1.0 + (x * x + 1.2 * y * y) / 3.0).powf(-2.5))
     })
 }
 
