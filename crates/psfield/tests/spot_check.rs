@@ -122,6 +122,21 @@ fn correct_images_pass_in_f64() {
 }
 
 /// Squares of such fluxes are beyond the range of double precision.
+/// Large galaxies, and galaxies with much light far out: the drawing and the check share no window.
+#[test]
+fn large_galaxies_pass() {
+    for profile in [(500.0, 1.0, 1.0), (120.0, 8.0, 0.2), (30.0, 4.0, 0.7)] {
+        let scene = Scene::dark().with_galaxies(vec![galaxy((80.3, 77.6), 1e4, profile)]);
+        let simulator = simulator::<f64>(1e-4);
+        let image = simulator.simulate(&scene).unwrap();
+        assert_eq!(
+            failures(&simulator, &scene, &image),
+            Vec::<u64>::new(),
+            "{profile:?}"
+        );
+    }
+}
+
 #[test]
 fn squares_of_fluxes_may_overflow() {
     for flux in [1e200, 1e-200] {
