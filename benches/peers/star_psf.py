@@ -135,7 +135,7 @@ def psfield_stamps(arguments, frame, at, grid="native"):
         arguments.psfield, "sample", work / "frame.fits", "-o", work / "samples.fits", "--overwrite"
     )
     run(arguments.psfield, "fit", work / "samples.fits", "-o", model, "--overwrite")
-    places = ("--at", work / "at.csv", "--grid", grid, "--sub-pixel")
+    places = ("--at", work / "at.csv", "--pixels", grid, "--sub-pixel")
     run(
         arguments.psfield,
         "evaluate",

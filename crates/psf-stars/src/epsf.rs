@@ -177,17 +177,19 @@ impl Epsf {
     /// The fit has less noise, but errs where the PSF does.
     pub(crate) fn flux_with(&self, star: &Star, sum: f64) -> f64 {
         let coefficients = self.psf.at(star);
+        let of_psf = self.psf.surface.flux(&coefficients);
         let (mut power, mut variance_of_sum) = (0.0, 0.0);
         for pixel in star.pixels.iter().filter(|p| p.trust > 0.0) {
             if let Some(place) = self.psf.surface.place(pixel.x - star.x, pixel.y - star.y) {
-                let value = self.psf.surface.value(&coefficients, &place);
+                let value = self.psf.surface.value(&coefficients, &place) / of_psf;
                 power += value * value / pixel.rms.powi(2);
                 variance_of_sum += pixel.rms.powi(2);
             }
         }
-        let variance_of_fit = power.recip() + (FLUX_ACCURACY * star.flux).powi(2);
+        let fitted = star.flux * of_psf;
+        let variance_of_fit = power.recip() + (FLUX_ACCURACY * fitted).powi(2);
         let weights = [variance_of_fit.recip(), variance_of_sum.recip()];
-        (weights[0] * star.flux + weights[1] * sum) / (weights[0] + weights[1])
+        (weights[0] * fitted + weights[1] * sum) / (weights[0] + weights[1])
     }
 
     /// Fits the PSF to a star that was not part of its fit. Returns the star's position and flux,

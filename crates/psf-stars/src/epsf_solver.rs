@@ -36,14 +36,15 @@ pub(crate) fn combined(planes: &[Vec<f64>], terms: &[f64]) -> Vec<f64> {
 }
 
 /// The condition that the pixels around a star hold all its light wherever in a pixel it lies: the
-/// sum of the PSF over the nodes of each pixel phase has a given value. A cubic spline through nodes
-/// with equal sums has this sum at every phase between them, too.
+/// sums of the PSF over the nodes of each pixel phase are equal. A cubic spline through nodes with
+/// equal sums has this sum at every phase between them, too. Their common value is free. The stars'
+/// fluxes, which are held while the PSF is fitted, determine it.
 ///
 /// A PSF with the pixel's response fulfils it, because pixels tile the plane (apart from light that
 /// leaves the stamp). The stars' pixels alone cannot tell: a larger sum at one phase and smaller
 /// fluxes of all stars at this phase give the same pixels.
 struct PhaseSums {
-    /// The weights of the coefficients in each sum.
+    /// For each phase but the last, the weights of the coefficients in its sum minus the mean sum.
     weights: Vec<Vec<f64>>,
 }
 
@@ -52,11 +53,20 @@ impl PhaseSums {
         let along = surface.phase_weights();
         let of = |wy: &[f64], wx: &[f64]| wy.iter().flat_map(|y| wx.iter().map(move |x| x * y)).collect();
         let weights = along.iter().flat_map(|wy| along.iter().map(move |wx| of(wy, wx)));
-        Self {
-            weights: weights.collect(),
+        let mut weights: Vec<Vec<f64>> = weights.collect();
+        let mut mean = vec![0.0; surface.len()];
+        for of_phase in &weights {
+            add_to(&mut mean, (weights.len() as f64).recip(), of_phase);
         }
+        // The differences of all phases add up to 0.
+        weights.pop();
+        for of_phase in &mut weights {
+            add_to(of_phase, -1.0, &mean);
+        }
+        Self { weights }
     }
 
+    /// The differences of the sums from their mean.
     fn of(&self, coefficients: &[f64]) -> DVector<f64> {
         DVector::from_iterator(
             self.weights.len(),
@@ -70,10 +80,10 @@ impl PhaseSums {
 struct PlaneSolver<'a> {
     matrix: BandMatrix,
     sums: &'a PhaseSums,
-    /// For each sum, the solution for its weights.
+    /// For each difference of sums, the solution for its weights.
     responses: Vec<Vec<f64>>,
-    /// The sums of these solutions.
-    coupling: Cholesky<f64, Dyn>,
+    /// The differences of sums of these solutions. None without a condition: with one phase.
+    coupling: Option<Cholesky<f64, Dyn>>,
 }
 
 impl<'a> PlaneSolver<'a> {
@@ -86,20 +96,25 @@ impl<'a> PlaneSolver<'a> {
         };
         let responses: Vec<Vec<f64>> = sums.weights.iter().map(solved).collect();
         let columns: Vec<DVector<f64>> = responses.iter().map(|r| sums.of(r)).collect();
-        let coupling = DMatrix::from_columns(&columns).cholesky();
+        let coupling = (!columns.is_empty()).then(|| {
+            let coupling = DMatrix::from_columns(&columns).cholesky();
+            coupling.expect("the sums are independent and the matrix is positive")
+        });
         Self {
-            coupling: coupling.expect("the sums are independent and the matrix is positive"),
+            coupling,
             matrix,
             sums,
             responses,
         }
     }
 
-    /// Solves for coefficients with the sums `wanted`.
+    /// Solves for coefficients whose sums have the differences `wanted`.
     fn with_sums(&self, mut right: Vec<f64>, wanted: &DVector<f64>) -> Vec<f64> {
         self.matrix.solve(&mut right);
-        let missing = wanted - self.sums.of(&right);
-        let factors = self.coupling.solve(&missing);
+        let Some(coupling) = &self.coupling else {
+            return right;
+        };
+        let factors = coupling.solve(&(wanted - self.sums.of(&right)));
         for (response, factor) in self.responses.iter().zip(factors.iter()) {
             add_to(&mut right, *factor, response);
         }
@@ -152,8 +167,8 @@ impl Bend {
     }
 }
 
-/// Fits the planes `E_j` to the stars' pixels, with the stars' positions and fluxes fixed. The
-/// constant term has [`PhaseSums`] of 1, the other terms have sums of 0.
+/// Fits the planes `E_j` to the stars' pixels, with the stars' positions and fluxes fixed. All
+/// planes have equal [`PhaseSums`].
 ///
 /// Minimises `sum w (d / F - E)^2 + |(E - prior) / spread|^2 + |D (E - prior) / bend|^2` by projected
 /// conjugate gradients with a preconditioner that keeps the sums (Gould, Hribar and Nocedal 2001,
@@ -198,7 +213,7 @@ pub(crate) fn solve(
     let of_prior = sums.of(&prior.mean);
     for (j, (plane, solver)) in found.iter_mut().zip(&solvers).enumerate() {
         let missing = match j {
-            0 => (&of_prior + sums.of(plane)).map(|sum| 1.0 - sum),
+            0 => -(&of_prior + sums.of(plane)),
             _ => -sums.of(plane),
         };
         add_to(plane, 1.0, &solver.with_sums(vec![0.0; size], &missing));

@@ -19,9 +19,9 @@ use crate::error::check;
 #[non_exhaustive]
 pub enum RegistrationMethod {
     /// [`Epsf`](Self::Epsf) if there are enough stars, else [`Stamps`](Self::Stamps). If the FWHM is
-    /// at least 2 pixels, stars that are left out decide: where the nearest stars' own pixels
-    /// predict them better than the oversampled PSF, the PSF varies too fast for a polynomial, and
-    /// the method is [`Stamps`](Self::Stamps).
+    /// at least 2 pixels, enough stars are 64, and stars that are left out decide: where the nearest
+    /// stars' own pixels predict them better than the oversampled PSF, the PSF varies too fast for a
+    /// polynomial, and the method is [`Stamps`](Self::Stamps).
     #[default]
     Auto,
     /// One oversampled PSF that varies over the field as a polynomial, fitted to the pixels of all
@@ -77,10 +77,11 @@ impl Registration {
     /// The default distance from a stamp's centre to its edge, in FWHM.
     const REACH_FWHM: f64 = 3.0;
     const LEAST_REACH: usize = 5;
-    /// With at least this number of well-sampled stars, stamps have one pixel per pixel of the
-    /// frame. With fewer stars, a fit cannot separate the stars' noise from their shapes, and a
-    /// finer grid preserves the shapes better.
-    const MIN_STARS_FOR_FRAME_PIXELS: usize = 64;
+    /// With at least this number of well-sampled stars, the method `auto` may choose an oversampled PSF,
+    /// and stamps have one pixel per pixel of the frame. With fewer stars, a few that differ from
+    /// the others would rule the PSF, a fit of stamps cannot separate the stars' noise from their
+    /// shapes, and a finer grid preserves the shapes better.
+    const MIN_WELL_SAMPLED_STARS: usize = 64;
 
     /// Sets the method.
     #[must_use]
@@ -152,7 +153,7 @@ impl Registration {
             let (least, fine) = (of(Self::PIXELS_PER_FWHM), of(Self::PIXELS_PER_FWHM_OF_MANY));
             let well_sampled = !Self::is_undersampled(fwhm_px);
             match method {
-                RegistrationMethod::Stamps if well_sampled && stars >= Self::MIN_STARS_FOR_FRAME_PIXELS => 1,
+                RegistrationMethod::Stamps if well_sampled && stars >= Self::MIN_WELL_SAMPLED_STARS => 1,
                 RegistrationMethod::Epsf if stars >= Self::needed_for_epsf(fine) => fine,
                 _ => least,
             }
@@ -168,19 +169,21 @@ impl Registration {
         Self::LEAST_FOR_EPSF.max(3 * scale * scale)
     }
 
-    /// Returns whether an oversampled PSF can serve as samples, for a number of stars and the grid's
-    /// number of stamp pixels per pixel of the frame.
+    /// Returns whether an oversampled PSF may serve as samples, for a number of stars of the given FWHM
+    /// and the grid's number of stamp pixels per pixel of the frame.
     ///
     /// # Errors
     /// [`StarError::NoSamples`] when the method was requested and there are too few stars.
-    pub(crate) fn may_be_epsf(&self, stars: usize, scale: usize) -> Result<bool, StarError> {
+    pub(crate) fn may_be_epsf(&self, fwhm_px: f64, stars: usize, scale: usize) -> Result<bool, StarError> {
         let need = Self::needed_for_epsf(scale);
         match self.method {
             RegistrationMethod::Epsf if stars < need => Err(StarError::NoSamples(format!(
                 "an oversampled PSF (method epsf) with an oversampling of {scale} needs at least {need} stars, but the cuts accepted only {stars}: use the method stamps, reduce the oversampling, or relax the cuts"
             ))),
             RegistrationMethod::Stamps => Ok(false),
-            _ => Ok(stars >= need),
+            RegistrationMethod::Epsf => Ok(true),
+            RegistrationMethod::Auto if Self::is_undersampled(fwhm_px) => Ok(stars >= need),
+            RegistrationMethod::Auto => Ok(stars >= need.max(Self::MIN_WELL_SAMPLED_STARS)),
         }
     }
 

@@ -282,7 +282,7 @@ impl StarSampling {
         let coarse = self
             .registration
             .grid(RegistrationMethod::Stamps, fwhm_px, accepted);
-        let may_be_epsf = self.registration.may_be_epsf(accepted, fine.scale)?;
+        let may_be_epsf = self.registration.may_be_epsf(fwhm_px, accepted, fine.scale)?;
         let undersampled = Registration::is_undersampled(fwhm_px);
         if self.hold_out.0 > 0 && may_be_epsf && undersampled {
             return Err(StarError::NoSamples(

@@ -72,9 +72,9 @@ pub(crate) struct StarArgs {
     ///
     /// epsf: an oversampled PSF that varies over the field as a polynomial, fitted to all stars.
     /// stamps: each star's own pixels, shifted to a common centre, with their noise.
-    /// auto: epsf if there are at least 12 stars (more for a high --oversampling), else stamps. If the
-    /// FWHM is at least 2 pixels, stars that are left out decide: stamps if the pixels of the
-    /// nearest stars predict them better.
+    /// auto: if the FWHM is below 2 pixels, epsf for at least 12 stars (more for a high --oversampling),
+    /// else stamps. If it is at least 2 pixels, epsf for at least 64 stars, unless the pixels of the
+    /// nearest stars predict stars better that are left out.
     #[arg(long, value_name = "METHOD", verbatim_doc_comment)]
     registration: Option<RegistrationMethod>,
     /// Side of a cell of the background mesh (pixels) [default: 64]
