@@ -29,6 +29,8 @@ const LEAST_ERROR: f64 = 3e-8;
 const CONCENTRATED: f64 = 5.0;
 /// The error of the transform of a profile, relative to the flux.
 const TRANSFORM: f64 = 3e-7;
+/// No PSF holds more than this multiple of a source's light.
+const LARGEST_PSF_FLUX: f64 = 2.0;
 /// Galaxies whose light in single pixels is computed before it is added.
 const GALAXIES_AT_ONCE: usize = 256;
 /// The L2 norm of a PSF over the frame's pixels depends on the sub-pixel position. It is at most
@@ -176,7 +178,17 @@ impl<T: ConvReal> GalaxyPlan<T> {
             for (index, &(column, row)) in pixels.iter().enumerate() {
                 let (dx, dy) = (column as f64 - x, row as f64 - y);
                 let radius = light.radius(dx, dy);
-                if radius - corner > farthest {
+                let in_window = dx.abs().max(dy.abs()) <= window;
+                if radius - corner > farthest && !in_window {
+                    // Here a galaxy may be left out of the image, but the integral has its light.
+                    take(
+                        index,
+                        GalaxyErrors {
+                            psf_norm: 0.0,
+                            psf: 0.0,
+                            image: LARGEST_PSF_FLUX * light.brightness(radius - corner) * flux,
+                        },
+                    );
                     continue;
                 }
                 let (norm, psf_flux, peak) = if let Some(known) = of_galaxy {
@@ -207,7 +219,7 @@ impl<T: ConvReal> GalaxyPlan<T> {
                 let at_peak = peak * (2.0 * in_core).min(1.0);
                 let spread = CONCENTRATED / (std::f64::consts::PI * light.axis_ratio() * radius * radius);
                 let mut image = tolerance.max(LEAST_ERROR) * at_peak.min(spread);
-                if dx.abs().max(dy.abs()) > window {
+                if !in_window {
                     image = image.min(psf_flux * most);
                 }
                 let relative = tolerance + rounding;
