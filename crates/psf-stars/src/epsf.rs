@@ -28,8 +28,8 @@ pub(crate) struct Epsf {
     /// degree.
     pub(crate) left_out: Option<LeftOut>,
     psf: FieldPsf,
-    /// The width of the expected PSF in nodes.
-    width_nodes: f64,
+    /// The width of the expected PSF in nodes, for well-sampled stars.
+    width_nodes: Option<f64>,
 }
 
 /// The prediction of stars by PSFs to which they did not contribute.

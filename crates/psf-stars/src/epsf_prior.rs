@@ -2,9 +2,9 @@
 
 use psf_types::maths::FWHM_PER_SIGMA;
 
-use crate::Camera;
 use crate::frame::Star;
 use crate::surface::SurfaceGrid;
+use crate::{Camera, Registration};
 
 /// The accuracy of the PSF model, as a fraction of the star's flux in a pixel. It limits the weight
 /// of bright stars (PSFEx's PSF_ACCURACY).
@@ -41,8 +41,8 @@ pub(crate) struct Prior {
     pub(crate) spread: Vec<f64>,
     /// Standard deviations of the true coefficients of each other term.
     pub(crate) field_spread: Vec<f64>,
-    /// The standard deviation of the stars' light profile, in nodes.
-    pub(crate) width_nodes: f64,
+    /// The standard deviation of the stars' light profile in nodes, for well-sampled stars.
+    pub(crate) width_nodes: Option<f64>,
 }
 
 /// The standard deviation of a coefficient is the sum of two parts. The first is this fraction of
@@ -56,13 +56,13 @@ const FIELD_PEAK_PART: f64 = 0.001;
 /// term.
 const FIELD_PART: f64 = 0.5;
 
-/// The standard deviation of a second difference of neighbouring coefficients is this multiple of
-/// their own standard deviation, divided by the squared width of the stars in nodes: the light of a
-/// star has no structure much finer than the star. This keeps noise out of fine grids.
-const BEND_PART: f64 = 9.0;
-/// [`BEND_PART`] for the terms that vary over the field. The Gaussian that is expected for the
-/// constant term lacks the structure of the mean PSF, but the other terms are expected to be 0.
-const FIELD_BEND_PART: f64 = 1.0;
+/// For the terms that vary over the field, the standard deviation of a second difference of
+/// neighbouring coefficients is this multiple of their own standard deviation, divided by the squared
+/// width of the stars in nodes: the changes of well-sampled light have no structure much finer than
+/// the star. This keeps noise out of fine grids. It does not hold for the constant term, because the
+/// Gaussian that is expected lacks the structure of the mean PSF, and not for undersampled stars, whose
+/// pixels' edges are finer than the star.
+const BEND_PART: f64 = 1.0;
 
 /// For a star's own PSF, this fraction replaces [`OWN_PART`]. It allows for the star's colour and
 /// for local distortion.
@@ -74,7 +74,7 @@ impl Prior {
         // A B-spline is wider than its coefficients by a variance of a third of a squared node
         // distance.
         let scale = surface.grid.scale as f64;
-        let width_nodes = scale * sigma2.sqrt();
+        let width_nodes = (!Registration::is_undersampled(fwhm_px)).then(|| scale * sigma2.sqrt());
         let narrowed = (sigma2 - 1.0 / (3.0 * scale * scale)).max(0.3 * sigma2);
         let mut mean: Vec<f64> = surface
             .offsets()
@@ -126,11 +126,12 @@ impl Prior {
         Self::about(mean, OWN_PART, width_nodes)
     }
 
-    /// The factor between the certainties of a coefficient and of its second differences, for the
-    /// constant term and for the others.
+    /// The factor between the certainties of a coefficient and of its second differences.
     pub(crate) fn bend_certainty(&self, is_constant: bool) -> f64 {
-        let part = if is_constant { BEND_PART } else { FIELD_BEND_PART };
-        (part / self.width_nodes.powi(2)).powi(-2)
+        match self.width_nodes {
+            Some(width) if !is_constant => (BEND_PART / (width * width)).powi(-2),
+            _ => 0.0,
+        }
     }
 
     /// The largest expected coefficient.
@@ -140,7 +141,7 @@ impl Prior {
 
     /// The prior with the expected coefficients `mean`, from which the true ones may differ by
     /// `part` of their size and by [`PEAK_PART`] of the peak.
-    fn about(mean: Vec<f64>, part: f64, width_nodes: f64) -> Self {
+    fn about(mean: Vec<f64>, part: f64, width_nodes: Option<f64>) -> Self {
         let peak = mean.iter().copied().fold(0.0, f64::max);
         let spread = |of_peak: f64| mean.iter().map(move |v| part * v.abs() + of_peak * peak);
         Self {
@@ -153,7 +154,7 @@ impl Prior {
 
     /// The prior for a star's own PSF: the PSF of the field at the star, from which it may differ a
     /// little.
-    pub(crate) fn local(mean: Vec<f64>, width_nodes: f64) -> Self {
+    pub(crate) fn local(mean: Vec<f64>, width_nodes: Option<f64>) -> Self {
         Self::about(mean, LOCAL_PART, width_nodes)
     }
 }
