@@ -444,8 +444,8 @@ class Plan:
         PsfieldWarning
             There are galaxies, or stars between pixels, and the stamps are too coarse to be
             interpolated for them. Or the model does not keep the tolerance for the flux in circles
-            about a source. Or the catalogue has no sources, or none whose light reaches the frame. Or the
-            plan exceeds its memory, so that each call makes parts of it again.
+            about a source. Or the catalogue has no sources, or none whose light reaches the frame.
+            Or the plan exceeds its memory, so that each call makes parts of it again.
 
         Examples
         --------
