@@ -184,7 +184,6 @@ def test_catalogue(model, scene) -> None:
     assert relative_l2(image, expected) < ROUNDING["f32"]
 
 
-@pytest.mark.filterwarnings("ignore:stars between pixels and galaxies:psfield.PsfieldWarning")
 def test_galaxies(model) -> None:
     catalog = {
         "x": [20.0, 99.0, 149.5],
