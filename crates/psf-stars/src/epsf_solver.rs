@@ -101,10 +101,10 @@ impl<'a> PlaneSolver<'a> {
             coupling.expect("the sums are independent and the matrix is positive")
         });
         Self {
-            coupling,
             matrix,
             sums,
             responses,
+            coupling,
         }
     }
 
