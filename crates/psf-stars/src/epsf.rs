@@ -256,7 +256,7 @@ impl FieldPsf {
 
     fn refine_one(&self, star: &mut Star) -> f64 {
         let (surface, coefficients, start) = (self.surface, self.at(star), star.start);
-        let peak = coefficients.iter().copied().fold(0.0, f64::max);
+        let peak = SurfaceGrid::peak(&coefficients);
         let mut chi = f64::INFINITY;
         for step in 0..=STEPS {
             let (mut normal, mut gradient) = (Matrix3::zeros(), Vector3::zeros());

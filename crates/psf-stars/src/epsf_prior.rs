@@ -136,13 +136,13 @@ impl Prior {
 
     /// The largest expected coefficient.
     pub(crate) fn peak(&self) -> f64 {
-        self.mean.iter().copied().fold(0.0, f64::max)
+        SurfaceGrid::peak(&self.mean)
     }
 
     /// The prior with the expected coefficients `mean`, from which the true ones may differ by
     /// `part` of their size and by [`PEAK_PART`] of the peak.
     fn about(mean: Vec<f64>, part: f64, width_nodes: Option<f64>) -> Self {
-        let peak = mean.iter().copied().fold(0.0, f64::max);
+        let peak = SurfaceGrid::peak(&mean);
         let spread = |of_peak: f64| mean.iter().map(move |v| part * v.abs() + of_peak * peak);
         Self {
             spread: spread(PEAK_PART).collect(),

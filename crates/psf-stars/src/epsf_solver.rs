@@ -174,7 +174,8 @@ impl Bend {
 /// conjugate gradients with a preconditioner that keeps the sums (Gould, Hribar and Nocedal 2001,
 /// SIAM J. Sci. Comput. 23, 1376). Here `d` are the values of the pixels above the background around
 /// their star, `F` is the star's flux, `w` are the weights of the pixels, and `D` takes second
-/// differences ([`Prior::bend_certainty`]). The iteration begins with the planes `before` if they belong to the same terms.
+/// differences ([`Prior::bend_certainty`]). The iteration begins with the planes `before` if they
+/// belong to the same terms.
 pub(crate) fn solve(
     stars: &[Star],
     prior: &Prior,

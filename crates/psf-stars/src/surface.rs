@@ -104,6 +104,11 @@ impl SurfaceGrid {
         })
     }
 
+    /// The largest coefficient, about the PSF's peak.
+    pub(crate) fn peak(coefficients: &[f64]) -> f64 {
+        coefficients.iter().copied().fold(0.0, f64::max)
+    }
+
     /// The flux of a PSF: the sum over its nodes divided by the number of nodes per pixel.
     pub(crate) fn flux(self, coefficients: &[f64]) -> f64 {
         self.at_nodes(coefficients).sum() / (self.grid.scale * self.grid.scale) as f64

@@ -34,7 +34,7 @@ const GAUSS: [(f64, f64); NODES] = [
     (0.898_333_238_706_813_4, 0.111_190_517_226_687_24),
     (0.980_144_928_248_768_1, 0.050_614_268_145_188_13),
 ];
-/// The same with fewer nodes, for the whole stamp far from a galaxy.
+/// Four nodes and weights of the rule, for the whole stamp far from a galaxy.
 const GAUSS_4: [(f64, f64); 4] = [
     (0.069_431_844_202_973_71, 0.173_927_422_568_726_93),
     (0.330_009_478_207_571_87, 0.326_072_577_431_273_07),
@@ -279,7 +279,7 @@ impl CellPsf<'_> {
     }
 }
 
-/// How the light varies on a rectangle.
+/// The variation of the light on a rectangle.
 enum Variation {
     Dark,
     /// A polynomial through 4 points along each axis is enough.

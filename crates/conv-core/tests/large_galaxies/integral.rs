@@ -142,7 +142,7 @@ pub(crate) struct Cells {
     side: f64,
     /// The values of a cell at 0, 1/3, 2/3 and 1 of its side, rows first.
     values: Array2<[[f64; 4]; 4]>,
-    /// The same stamp as points `(x, y, weight)`, for light that is smooth.
+    /// The stamp as points `(x, y, weight)`, for light that is smooth.
     points: Array2<[[f64; 3]; 9]>,
 }
 
