@@ -18,7 +18,7 @@ import psfield
 
 shape = (512, 768)
 model = psfield.PsfModel.from_telescope(
-    "survey-2m", field_shape=shape, stamp_size=32, oversampling=4
+    "survey-2m", field_shape=shape, stamp_size=32, oversampling=4, rank="full"
 )
 y, x = (axis.ravel() + 0.3 for axis in np.mgrid[31:512:50, 34:768:50])
 image = psfield.simulate({"x": x, "y": y, "flux": 1000.0}, model, tolerance=1e-5)

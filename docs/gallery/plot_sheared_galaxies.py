@@ -14,7 +14,7 @@ import psfield
 from psfield.metrics import measure
 
 shears, step = np.linspace(-0.4, 0.4, 5), 64
-model = psfield.PsfModel.from_telescope("survey-2m", field_shape=(320, 320), oversampling=2)
+model = psfield.PsfModel.from_telescope("survey-2m", field_shape=(320, 320), oversampling=4)
 columns, rows = np.meshgrid(np.arange(5), np.arange(5))
 galaxies = {
     "x": step * columns.ravel() + step / 2,

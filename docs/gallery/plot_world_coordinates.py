@@ -29,7 +29,7 @@ stars = {"ra": ra, "dec": dec, "flux": 100 * (1 - rng.uniform(0, 1, 400)) ** -1.
 
 v, u = np.indices(shape)
 nebula = 3 * np.exp(-((u - 260) ** 2 + 2 * (v - 170) ** 2) / 20000)
-model = psfield.PsfModel.from_telescope("survey-2m", field_shape=shape, oversampling=2)
+model = psfield.PsfModel.from_telescope("survey-2m", field_shape=shape, oversampling=4)
 frame = psfield.simulate(CCDData(nebula, unit="electron", wcs=wcs), model, catalog=stars)
 
 ax = plt.figure(figsize=(8, 5.4), layout="constrained").add_subplot(projection=frame.wcs)

@@ -35,7 +35,7 @@ from psfield.plot import plot_shapes
 folder = Path(tempfile.mkdtemp())
 shape = (500, 700)
 telescope = psfield.PsfModel.from_telescope(
-    "survey-2m", field_shape=shape, stamp_size=32, oversampling=2
+    "survey-2m", field_shape=shape, stamp_size=32, oversampling=4
 )
 for note in telescope.write(folder / "survey.psf", format="psfex", degree=4):
     print(note)
@@ -106,6 +106,7 @@ assert np.isclose(sources["flux"].max(), brightest)
 # ------------
 #
 # The light first, without noise. A ``CCDData`` gives the image its unit and its world coordinates.
+# psfield warns of the error that the interpolation of PSFEx files (Lanczos-4) adds between pixels.
 
 blank = CCDData(np.zeros(shape), unit="electron", wcs=wcs)
 light = psfield.simulate(blank, model, catalog=sources)

@@ -36,7 +36,7 @@ import psfield
 # GalSim returns the flux in a stamp pixel, and psfield takes the flux in a detector pixel centred
 # there, hence the factor. The pupil is sampled coarsely (``pupil_bin=8``) to save time.
 
-detector, oversampling, size = 7, 3, 60 * 3 + 1
+detector, oversampling, size = 7, 4, 60 * 4 + 1
 shape = (galsim.roman.n_pix, galsim.roman.n_pix)
 scale = galsim.roman.pixel_scale
 warnings.simplefilter("ignore", galsim.GalSimWarning)

@@ -143,6 +143,6 @@ def example(shape: tuple[int, int] = (512, 768)) -> tuple[dict[str, Any], PsfMod
         "angle": rng.uniform(0, 180, count),
     }
     model = PsfModel.from_telescope(
-        "survey-2m", field_shape=(ny, nx), samples=(7, 7), stamp_size=48, oversampling=2
+        "survey-2m", field_shape=(ny, nx), samples=(7, 7), stamp_size=48, oversampling=4
     )
     return catalog, model

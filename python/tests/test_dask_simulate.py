@@ -184,6 +184,7 @@ def test_catalogue(model, scene) -> None:
     assert relative_l2(image, expected) < ROUNDING["f32"]
 
 
+@pytest.mark.filterwarnings("ignore:the PSF stamps are too coarse:psfield.PsfieldWarning")
 def test_galaxies(model) -> None:
     catalog = {
         "x": [20.0, 99.0, 149.5],

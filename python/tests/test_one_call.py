@@ -14,7 +14,7 @@ STARS = {"x": [20.0, 50.5], "y": [30.0, 10.25], "flux": [1000.0, 500.0]}
 def model() -> psfield.PsfModel:
     """Return the PSF of the survey telescope over a small frame."""
     return psfield.PsfModel.from_telescope(
-        "survey-2m", field_shape=(60, 80), samples=(3, 4), stamp_size=24, oversampling=2
+        "survey-2m", field_shape=(60, 80), samples=(3, 4), stamp_size=24, oversampling=4
     )
 
 
@@ -79,7 +79,7 @@ def test_the_example_is_always_the_same_and_right() -> None:
 
 
 def test_a_telescope_has_the_field_and_the_stamps_that_are_asked(model: psfield.PsfModel) -> None:
-    assert (model.field_shape, model.stamp_shape, model.oversampling) == ((60, 80), (48, 48), 2.0)
+    assert (model.field_shape, model.stamp_shape, model.oversampling) == ((60, 80), (96, 96), 4.0)
     assert model.positions.min(axis=0).tolist() == [0.0, 0.0]
     assert model.positions.max(axis=0).tolist() == [79.0, 59.0]
     lens = psfield.PsfModel.from_telescope("wide-field-lens", samples=(2, 2))

@@ -510,6 +510,8 @@ fn point_sources<'a>(
 
 #[cfg(test)]
 mod tests {
+    use psf_stars::{Registration, RegistrationMethod};
+
     use super::*;
 
     const SIDE: usize = 320;
@@ -608,7 +610,9 @@ mod tests {
             rank: psfield::psf_basis::RankSelection::Full,
             ..FitOptions::default()
         };
+        let stamps = Registration::default().with_method(RegistrationMethod::Stamps);
         let options = RoundTripOptions {
+            sampling: StarSampling::default().with_registration(stamps),
             fit,
             realisations: 1,
             ..RoundTripOptions::default()
