@@ -343,7 +343,7 @@ impl Fit {
 
     /// A sentence for a fit that chose nearly all components by itself and found no noise: then the model
     /// probably contains the noise of the samples.
-    pub(crate) fn warning_of_all_components(&self) -> Option<String> {
+    fn warning_of_all_components(&self) -> Option<String> {
         let spectrum = self.spectrum.as_ref()?;
         let (rank, samples) = (self.record.basis().rank(), self.norms.len());
         let chosen = self.selection == RankSelection::Auto && spectrum.noise_sigma.is_none();
@@ -368,6 +368,32 @@ impl Fit {
                 100.0 * median
             )
         })
+    }
+
+    /// The sentences of [`FitReport::warnings`].
+    pub(crate) fn warnings(&self) -> Result<Vec<String>, PsfieldError> {
+        Ok(self.warnings_of(&self.leave_one_out()?))
+    }
+
+    fn warnings_of(&self, left_out: &LeaveOneOutReport) -> Vec<String> {
+        let of_interpolation = self.warning_of_interpolation(left_out);
+        of_interpolation
+            .into_iter()
+            .chain(self.warning_of_all_components())
+            .collect()
+    }
+
+    /// Predicts every sample from all others.
+    fn leave_one_out(&self) -> Result<LeaveOneOutReport, PsfieldError> {
+        let record = &self.record;
+        let interpolation = coeff_field::interpolation(record.interpolation())?;
+        let left_out =
+            coeff_field::leave_one_out(record.coefficients(), interpolation.as_ref(), record.outside())?;
+        Ok(LeaveOneOutReport::new(
+            left_out.outcomes(),
+            &self.norms,
+            &self.errors,
+        ))
     }
 
     /// The root mean square of the truncation errors.
@@ -442,14 +468,7 @@ impl Fit {
     /// [`ErrorKind::Fit`](crate::ErrorKind::Fit) when the interpolation does not suit the samples.
     pub fn report(&self) -> Result<FitReport, PsfieldError> {
         let record = &self.record;
-        let interpolation = coeff_field::interpolation(record.interpolation())?;
-        let left_out =
-            coeff_field::leave_one_out(record.coefficients(), interpolation.as_ref(), record.outside())?;
-        let left_out = LeaveOneOutReport::new(left_out.outcomes(), &self.norms, &self.errors);
-        let warnings = self
-            .warning_of_interpolation(&left_out)
-            .into_iter()
-            .chain(self.warning_of_all_components());
+        let left_out = self.leave_one_out()?;
         let spectrum = self.spectrum.as_ref();
         let states = record.coefficients().positions().states();
         Ok(FitReport {
@@ -466,7 +485,7 @@ impl Fit {
             rms_error: self.rms_error(),
             errors: self.errors.clone(),
             circle_error: record.circle_error(),
-            warnings: warnings.collect(),
+            warnings: self.warnings_of(&left_out),
             leave_one_out: left_out,
             singular_values: self.singular_values().to_vec(),
             cumulative_weights: spectrum.map(|s| s.cumulative_weights.clone()).unwrap_or_default(),

@@ -56,6 +56,7 @@ struct Inner {
     origin: Origin,
     source: SourceFile,
     fit: OnceLock<Fit>,
+    fit_warnings: OnceLock<Vec<String>>,
     models: OnceLock<Vec<PsfModel>>,
 }
 
@@ -165,6 +166,7 @@ impl Psf {
             origin,
             source,
             fit: OnceLock::new(),
+            fit_warnings: OnceLock::new(),
             models: OnceLock::new(),
         }))
     }
@@ -271,8 +273,17 @@ impl Psf {
     }
 
     /// The fit of the samples, if it exists already.
-    pub(crate) fn fit_if_made(&self) -> Option<&Fit> {
+    fn fit_if_made(&self) -> Option<&Fit> {
         self.0.fit.get()
+    }
+
+    /// Sentences on samples that do not determine the model ([`FitReport`](crate::FitReport)). None for a
+    /// PSF without samples, and before the fit.
+    pub(crate) fn fit_warnings(&self) -> &[String] {
+        let Some(fit) = self.fit_if_made() else {
+            return &[];
+        };
+        get_or_make(&self.0.fit_warnings, || fit.warnings()).map_or(&[], Vec::as_slice)
     }
 
     /// The model in the form that a file stores, if it exists already. Unlike

@@ -267,6 +267,27 @@ fn warnings_tell_of_coarse_stamps() {
     }
 }
 
+#[test]
+fn samples_that_do_not_determine_the_psf_are_warned_of() {
+    // The light of each sample is on another pixel.
+    let stamps = Array3::from_shape_fn((25, 5, 5), |(j, y, x)| f64::from(u8::from(5 * y + x == j)));
+    let at = (0..25)
+        .map(|j| Position::of_pixel(j % 5 * 10, j / 5 * 10))
+        .collect();
+    let positions = SamplePositions::new(at, None).unwrap();
+    let psf: Psf = PsfSamples::new(stamps, positions, StampGrid::new(5, 5).unwrap())
+        .unwrap()
+        .into();
+    let simulator: Simulator<f64> = psf.simulator((50, 50)).device(Device::Cpu).build().unwrap();
+    let scene = Scene::dark().with_stars(vec![star(7.0, 4.0, 1.0)]);
+    simulator.simulate(&scene).unwrap();
+    let warnings = simulator.warnings(&scene);
+    let [SimulationWarning::Fit(sentence)] = &warnings[..] else {
+        panic!("{warnings:?}");
+    };
+    assert!(sentence.contains("do not determine"), "{sentence}");
+}
+
 /// A PSFEx model of a frame of 60 x 90 pixels, with stars at x = 3 to 56 and y = 3 to 86.
 fn psfex(sampling: f64, sigma_px: f64) -> Psf {
     let axis = |name, pixels: f64| psf_io::PsfexAxis::new(name, (pixels - 1.0) / 2.0, pixels - 7.0).unwrap();

@@ -9,7 +9,6 @@ use psf_types::{PointSource, Position, ToleranceOn};
 use super::stamp_sampling::SamplingErrors;
 use super::{Convolver, Simulator};
 use crate::device::Placement;
-use crate::fit::Fit;
 use crate::psf::get_or_make;
 use crate::{Extrapolation, PsfieldError, Scene};
 
@@ -110,11 +109,8 @@ impl<T: ConvReal> Simulator<T> {
             }
         }
         warnings.extend(self.circle_warning());
-        let fit = self.psf().fit_if_made();
-        warnings.extend(
-            fit.and_then(Fit::warning_of_all_components)
-                .map(SimulationWarning::Fit),
-        );
+        let of_fit = self.psf().fit_warnings().iter().cloned();
+        warnings.extend(of_fit.map(SimulationWarning::Fit));
         let on_cpu = |convolver: &&Convolver<T>| matches!(convolver.placement, Placement::Cpu { .. });
         let convolver = self.convolver.get().filter(on_cpu);
         let engine = convolver.and_then(|convolver| convolver.engine.as_ref());
@@ -145,7 +141,7 @@ pub enum SimulationWarning {
     },
     /// Stars between pixels or galaxies, and the stamps are too coarse for an accurate interpolation.
     SourcesBetweenPixels(SamplingErrors),
-    /// The fit of the samples kept nearly all components: a sentence.
+    /// The samples do not determine the model, or its fit kept nearly all components: a sentence.
     Fit(String),
     /// The components that the PSF model leaves out change the flux in circles about the source by more
     /// than the tolerance allows ([`ToleranceOn::Aperture`]).
