@@ -14,7 +14,7 @@ STARS = {"x": [20.0, 50.5], "y": [30.0, 10.25], "flux": [1000.0, 500.0]}
 def model() -> psfield.PsfModel:
     """Return the PSF of the survey telescope over a small frame."""
     return psfield.PsfModel.from_telescope(
-        "survey-2m", field_shape=(60, 80), samples=(3, 4), stamp_size=24, oversampling=4
+        "survey-2m", field_shape=(60, 80), samples=(7, 7), stamp_size=24, oversampling=4
     )
 
 

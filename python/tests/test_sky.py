@@ -47,7 +47,7 @@ def sky(request):
 def model():
     """Return an oversampled PSF, for stars between pixels."""
     return psfield.PsfModel.from_telescope(
-        field_shape=(96, 128), samples=(3, 3), stamp_size=16, oversampling=4
+        field_shape=(96, 128), samples=(7, 7), stamp_size=16, oversampling=4
     )
 
 
