@@ -177,7 +177,7 @@ impl Psf {
             Origin::Samples(..) => Origin::Record(self.record()?.clone()),
             Origin::Record(_) | Origin::Model(..) => return Ok(self.clone()),
         };
-        Ok(Self::with_source(origin, self.0.source.clone()))
+        Ok(Self::with_source(origin, self.0.source.clone()).with_fit_warnings_of(self))
     }
 
     /// The samples and the options of their fit. None for a PSF that was not made from samples.
@@ -278,12 +278,21 @@ impl Psf {
     }
 
     /// Sentences on samples that do not determine the model ([`FitReport`](crate::FitReport)). None for a
-    /// PSF without samples, and before the fit.
+    /// PSF that does not come from samples, and before the fit.
     pub(crate) fn fit_warnings(&self) -> &[String] {
-        let Some(fit) = self.fit_if_made() else {
-            return &[];
-        };
-        get_or_make(&self.0.fit_warnings, || fit.warnings()).map_or(&[], Vec::as_slice)
+        match (self.0.fit_warnings.get(), self.fit_if_made()) {
+            (Some(kept), _) => kept,
+            (None, None) => &[],
+            (None, Some(fit)) => {
+                get_or_make(&self.0.fit_warnings, || fit.warnings()).map_or(&[], Vec::as_slice)
+            }
+        }
+    }
+
+    /// This PSF with the [`fit_warnings`](Self::fit_warnings) of the one from which it was made.
+    fn with_fit_warnings_of(self, other: &Self) -> Self {
+        self.0.fit_warnings.get_or_init(|| other.fit_warnings().to_vec());
+        self
     }
 
     /// The model in the form that a file stores, if it exists already. Unlike

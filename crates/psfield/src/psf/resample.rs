@@ -177,6 +177,7 @@ impl Psf {
     /// This PSF with another record.
     pub(super) fn with_record(&self, record: PsfModelRecord) -> Self {
         self.with_origin(Origin::Record(record))
+            .with_fit_warnings_of(self)
     }
 
     /// Returns this PSF with every stamp changed.

@@ -286,6 +286,8 @@ fn samples_that_do_not_determine_the_psf_are_warned_of() {
         panic!("{warnings:?}");
     };
     assert!(sentence.contains("do not determine"), "{sentence}");
+    // PSFs that are made from this one hold it, too.
+    assert_eq!(psf.fitted().unwrap().fit_warnings(), [sentence.as_str()]);
 }
 
 /// A PSFEx model of a frame of 60 x 90 pixels, with stars at x = 3 to 56 and y = 3 to 86.
