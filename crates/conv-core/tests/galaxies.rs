@@ -1,27 +1,19 @@
 //! Galaxies drawn through a PSF, compared with closed forms and with a direct integral.
 
+#[allow(dead_code, reason = "each test binary uses a part")]
+mod common;
+
 use std::f64::consts::TAU;
 use std::sync::Arc;
 
+use common::model_of_stamp;
 use conv_core::{ConvError, GalaxyPlan, PlanOptions, StampInterpolator};
-use ndarray::{Array2, Array3};
+use ndarray::Array2;
 use psf_types::{
     Anchor, CoefficientField, FieldError, FrameShape, LightProfile, NoProgress, Normalisation, PixelRegion,
     Position, PsfBasis, PsfModel, SersicProfile, SersicSource, StampGrid, StampInterpolation,
 };
 use sersic::SersicLight;
-
-/// No component at all: the mean stamp everywhere.
-#[derive(Debug)]
-struct Constant;
-impl CoefficientField for Constant {
-    fn component_count(&self) -> usize {
-        0
-    }
-    fn evaluate_into(&self, _: Position, _: &mut [f64]) -> Result<(), FieldError> {
-        Ok(())
-    }
-}
 
 fn model(size: usize, oversampling: f64, psf: impl Fn(f64, f64) -> f64) -> PsfModel {
     let grid = StampGrid::new(size, size).and_then(|grid| grid.with_oversampling(oversampling));
@@ -37,9 +29,7 @@ fn model_on(grid: StampGrid, psf: impl Fn(f64, f64) -> f64) -> PsfModel {
             (y as f64 - grid.centre_y()) / oversampling,
         )
     });
-    let components = Array3::zeros((0, grid.ny(), grid.nx()));
-    let basis = PsfBasis::new(Some(stamp), components, grid).unwrap();
-    PsfModel::new(&basis, Arc::new(Constant), Normalisation::Keep, None).unwrap()
+    model_of_stamp(stamp, grid)
 }
 
 fn light(galaxy: &SersicSource) -> Box<dyn LightProfile + Send + Sync> {

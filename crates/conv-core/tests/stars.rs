@@ -5,7 +5,7 @@ mod common;
 
 use std::sync::Arc;
 
-use common::{Waves, drawn, largest_difference, peak, region};
+use common::{Waves, drawn, largest_difference, model_of_stamp, peak, region};
 use conv_core::{ConvError, ConvReal, PlanOptions, StarPainter, StarPlan};
 use ndarray::{Array2, Array3};
 use psf_types::{
@@ -362,17 +362,6 @@ fn a_star_without_pixels_is_an_error() {
 /// A star may lose this fraction of its flux at the edges of its stamp.
 const LOST: f64 = 1e-6;
 
-#[derive(Debug)]
-struct Nothing;
-impl CoefficientField for Nothing {
-    fn component_count(&self) -> usize {
-        0
-    }
-    fn evaluate_into(&self, _: Position, _: &mut [f64]) -> Result<(), FieldError> {
-        Ok(())
-    }
-}
-
 /// Stars are drawn beyond stamps whose edges are bright, so that no light is lost. The sums over
 /// every `s`-th pixel of these stamps are equal, so the flux does not depend on the sub-pixel
 /// position.
@@ -390,12 +379,7 @@ fn no_star_loses_light_at_the_edges_of_its_stamp() {
         let stamp = Array2::from_shape_fn((n, n), |(y, x)| bell(y) * bell(x));
         let grid = StampGrid::new(n, n).and_then(|g| g.with_oversampling(s)).unwrap();
         let whole = grid.flux_of_sum(stamp.sum());
-        let basis = PsfBasis::new(
-            Some(stamp / whole),
-            Array3::zeros((0, n, n)),
-            grid.with_interpolation(kernel),
-        );
-        let model = PsfModel::new(&basis.unwrap(), Arc::new(Nothing), Normalisation::Keep, None).unwrap();
+        let model = model_of_stamp(stamp / whole, grid.with_interpolation(kernel));
         for (x, y) in [(44.0, 44.0), (44.000_001, 44.0), (44.4, 43.7), (44.5, 44.000_001)] {
             let star = [PointSource::new(Position::new(x, y).unwrap(), 1.0).unwrap()];
             for image in [

@@ -1,7 +1,7 @@
 //! The flux of stamps in circles about the source.
 
 use faer::MatRef;
-use ndarray::{Array2, ArrayView1, ArrayView2, Axis};
+use ndarray::{Array2, ArrayView1, ArrayView2};
 use psf_types::StampGrid;
 use rayon::prelude::*;
 
@@ -23,7 +23,8 @@ const DEVIATIONS: f64 = 5.0;
 pub(crate) struct Circles {
     /// For every pixel of a stamp, the number of the smallest circle that contains it.
     smallest: Vec<u32>,
-    count: usize,
+    /// The number of pixels in every circle.
+    pixels: Vec<f64>,
 }
 
 impl Circles {
@@ -35,12 +36,17 @@ impl Circles {
             .map(|pixel| (PER_PIXEL * radius(pixel)).ceil() as u32)
             .collect();
         let count = smallest.iter().max().map_or(0, |&last| last as usize + 1);
-        Self { smallest, count }
+        let mut circles = Self {
+            smallest,
+            pixels: vec![0.0; count],
+        };
+        circles.pixels = circles.sums(std::iter::repeat_n(&1.0, grid.pixel_count()));
+        circles
     }
 
     /// The sum of a stamp's pixels in every circle.
     fn sums<'a>(&self, stamp: impl Iterator<Item = &'a f64>) -> Vec<f64> {
-        let mut sums = vec![0.0; self.count];
+        let mut sums = vec![0.0; self.pixels.len()];
         for (&circle, value) in self.smallest.iter().zip(stamp) {
             sums[circle as usize] += value;
         }
@@ -54,19 +60,18 @@ impl Circles {
 
     /// The sums of every row `[stamp, pixel]` in every circle, `[stamp, circle]`.
     pub(crate) fn sums_of_rows(&self, rows: ArrayView2<'_, f64>) -> Array2<f64> {
-        let rows: Vec<_> = rows.axis_iter(Axis(0)).collect();
-        let sums: Vec<_> = rows.par_iter().map(|row| self.sums(row.iter())).collect();
-        Array2::from_shape_vec((sums.len(), self.count), sums.concat()).expect("one row for each stamp")
+        self.stacked(rows.nrows(), |k| self.sums(rows.row(k).iter()))
     }
 
     /// The sums of the columns `[pixel, stamp]` in every circle, `[stamp, circle]`.
     fn sums_of_columns(&self, columns: MatRef<'_, f64>) -> Array2<f64> {
-        let numbers: Vec<usize> = (0..columns.ncols()).collect();
-        let sums: Vec<_> = numbers
-            .par_iter()
-            .map(|&k| self.sums(columns.col(k).iter()))
-            .collect();
-        Array2::from_shape_vec((sums.len(), self.count), sums.concat()).expect("one row for each stamp")
+        self.stacked(columns.ncols(), |k| self.sums(columns.col(k).iter()))
+    }
+
+    /// The sums of `count` stamps, `[stamp, circle]`.
+    fn stacked(&self, count: usize, sums_of: impl Fn(usize) -> Vec<f64> + Sync + Send) -> Array2<f64> {
+        let sums: Vec<_> = (0..count).into_par_iter().map(sums_of).collect();
+        Array2::from_shape_vec((count, self.pixels.len()), sums.concat()).expect("one row for each stamp")
     }
 
     /// The largest flux of a residual in any circle, relative to the flux of its sample. If the samples
@@ -77,15 +82,10 @@ impl Circles {
             return flux.relative(largest(&sums));
         }
         let mean_square = residual.dot(&residual) / residual.len() as f64;
-        let mut pixels = vec![0.0; self.count];
-        for &circle in &self.smallest {
-            pixels[circle as usize] += 1.0;
-        }
-        let mut inside = 0.0;
-        let beyond = sums.iter().zip(&pixels).map(|(sum, pixels)| {
-            inside += pixels;
-            (sum.abs() - DEVIATIONS * (mean_square * inside).sqrt()).max(0.0)
-        });
+        let beyond = sums
+            .iter()
+            .zip(&self.pixels)
+            .map(|(sum, pixels)| (sum.abs() - DEVIATIONS * (mean_square * pixels).sqrt()).max(0.0));
         flux.relative(beyond.fold(0.0, f64::max))
     }
 

@@ -3,6 +3,7 @@
 use std::f64::consts::{LN_2, PI};
 
 use ndarray::ArrayViewMut2;
+use psf_types::maths::gauss_legendre;
 use psf_types::{FrameShape, Position, PsfSource, SourceError, StampGrid};
 
 use crate::error::require;
@@ -40,13 +41,8 @@ impl ProfileShape {
     }
 }
 
-/// Positive nodes and their weights of the 8-point Gauss-Legendre rule on [-1, 1].
-const GAUSS_LEGENDRE: [(f64, f64); 4] = [
-    (0.183_434_642_495_649_8, 0.362_683_783_378_362),
-    (0.525_532_409_916_329, 0.313_706_645_877_887_3),
-    (0.796_666_477_413_626_7, 0.222_381_034_453_374_5),
-    (0.960_289_856_497_536_3, 0.101_228_536_290_376_3),
-];
+/// Nodes and weights for a pixel.
+const GAUSS_LEGENDRE: [(f64, f64); 8] = gauss_legendre();
 
 /// Field, grid and shape of a profile.
 #[derive(Debug, Clone)]
@@ -141,11 +137,7 @@ impl ProfileField {
 
 /// The integral of `f` over `-1/2 <= a, b <= 1/2`.
 fn over_pixel(f: impl Fn(f64, f64) -> f64) -> f64 {
-    let nodes = || {
-        GAUSS_LEGENDRE
-            .iter()
-            .flat_map(|&(t, w)| [(t / 2.0, w / 2.0), (-t / 2.0, w / 2.0)])
-    };
+    let nodes = || GAUSS_LEGENDRE.iter().map(|&(t, w)| (t - 0.5, w));
     nodes()
         .map(|(b, w)| w * nodes().map(|(a, v)| v * f(a, b)).sum::<f64>())
         .sum()

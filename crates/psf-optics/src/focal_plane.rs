@@ -66,7 +66,7 @@ impl FocalPlane {
         let cell_correction = (0..length)
             .map(|m| {
                 let signed = m.min(length - m) as f64 / length as f64;
-                crate::sinc(signed).powi(-2)
+                psf_types::maths::sinc(signed).powi(-2)
             })
             .collect();
         Self {

@@ -90,9 +90,3 @@ pub use wavefront::Zernike;
 pub(crate) fn arcsec_to_rad(arcsec: f64) -> f64 {
     (arcsec / 3600.0).to_radians()
 }
-
-/// `sin(pi x) / (pi x)`.
-pub(crate) fn sinc(x: f64) -> f64 {
-    let z = std::f64::consts::PI * x;
-    if z.abs() < 1e-8 { 1.0 } else { z.sin() / z }
-}

@@ -131,7 +131,7 @@ impl Telescope {
         });
         let pixel = |lag: usize| {
             if params.detector.pixel_integration {
-                crate::sinc(lag as f64 * cycles_per_pixel)
+                psf_types::maths::sinc(lag as f64 * cycles_per_pixel)
             } else {
                 1.0
             }

@@ -190,7 +190,9 @@ pub(crate) fn solve(
         .map(|star| StarRows::new(star, prior, surface, terms, camera));
     let equations = Equations {
         rows: rows.collect(),
-        prior,
+        certainties: [&prior.spread, &prior.field_spread]
+            .map(|spread| spread.iter().map(|s| s.powi(-2)).collect()),
+        of_bends: [true, false].map(|is_constant| prior.bend_certainty(is_constant)),
         bends: Bend::all_of(surface),
         count,
         size,
@@ -246,9 +248,12 @@ pub(crate) fn solve(
 }
 
 /// The normal equations of all planes together.
-struct Equations<'a> {
+struct Equations {
     rows: Vec<StarRows>,
-    prior: &'a Prior,
+    /// The inverse variances of the coefficients before the fit, of the constant term and of the others.
+    certainties: [Vec<f64>; 2],
+    /// The factors between these and the inverse variances of second differences.
+    of_bends: [f64; 2],
     bends: Vec<Bend>,
     /// The number of planes.
     count: usize,
@@ -256,7 +261,7 @@ struct Equations<'a> {
     size: usize,
 }
 
-impl Equations<'_> {
+impl Equations {
     /// The sum over the stars of `of(star)`, multiplied by each of the star's terms.
     fn summed(&self, of: &(dyn Fn(&StarRows) -> Vec<f64> + Sync)) -> Vec<Vec<f64>> {
         let pieces = self.rows.par_chunks(PIECE).map(|piece| {
@@ -277,26 +282,26 @@ impl Equations<'_> {
         total
     }
 
-    /// The inverse variances of the coefficients of a plane before the fit, and the factor for their
-    /// second differences.
-    fn certainties(&self, plane: usize) -> (Vec<f64>, f64) {
-        let spread = match plane {
-            0 => &self.prior.spread,
-            _ => &self.prior.field_spread,
-        };
-        let certainties = spread.iter().map(|s| s.powi(-2)).collect();
-        (certainties, self.prior.bend_certainty(plane == 0))
+    /// The inverse variances of the coefficients of a plane before the fit, and those of its second
+    /// differences that the prior limits.
+    fn certainties(&self, plane: usize) -> (&[f64], impl Iterator<Item = (&Bend, f64)>) {
+        let (certainties, factor) = (&self.certainties[plane.min(1)], self.of_bends[plane.min(1)]);
+        let bends = self.bends.iter().filter(move |_| factor > 0.0);
+        (
+            certainties,
+            bends.map(move |bend| (bend, factor * certainties[bend.middle])),
+        )
     }
 
     /// The normal matrix times planes.
     fn apply(&self, planes: &[Vec<f64>]) -> Vec<Vec<f64>> {
         let mut result = self.summed(&|row| row.normal(&combined(planes, &row.terms)));
         for (j, (result, plane)) in result.iter_mut().zip(planes).enumerate() {
-            let (certainties, of_bends) = self.certainties(j);
-            let prior = plane.iter().zip(&certainties).map(|(v, c)| v * c);
+            let (certainties, bends) = self.certainties(j);
+            let prior = plane.iter().zip(certainties).map(|(v, c)| v * c);
             result.iter_mut().zip(prior).for_each(|(r, p)| *r += p);
-            for bend in &self.bends {
-                bend.add_to(result, of_bends * certainties[bend.middle] * bend.of(plane));
+            for (bend, certainty) in bends {
+                bend.add_to(result, certainty * bend.of(plane));
             }
         }
         result
@@ -328,14 +333,14 @@ impl Equations<'_> {
         let solver = |j: usize| {
             let power = |row: &StarRows| row.terms[j].powi(2) * row.importance();
             let mean = self.rows.iter().map(power).sum::<f64>() / all.max(f64::MIN_POSITIVE);
-            let (certainties, of_bends) = self.certainties(j);
+            let (certainties, bends) = self.certainties(j);
             let mut matrix = normal.clone();
             matrix.values.iter_mut().for_each(|v| *v *= mean);
             for (k, certainty) in certainties.iter().enumerate() {
                 matrix.add(k, k, *certainty);
             }
-            for bend in &self.bends {
-                bend.add_power(&mut matrix, of_bends * certainties[bend.middle]);
+            for (bend, certainty) in bends {
+                bend.add_power(&mut matrix, certainty);
             }
             PlaneSolver::new(matrix, sums)
         };

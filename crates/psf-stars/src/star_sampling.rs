@@ -311,13 +311,10 @@ impl StarSampling {
         };
         let own_stamps =
             || -> Vec<Option<StampAndFlux>> { epsf.stars.par_iter().map(|star| own(star, coarse)).collect() };
-        let mut stamps = if may_be_epsf { None } else { Some(own_stamps()) };
-        if may_be_epsf && self.registration.is_open(fwhm_px) {
-            let found = own_stamps();
-            if neighbours_predict_better(&epsf, &found, coarse) {
-                stamps = Some(found);
-            }
-        }
+        let may_be_stamps = !may_be_epsf || self.registration.is_open(fwhm_px);
+        let stamps = may_be_stamps
+            .then(own_stamps)
+            .filter(|found| !may_be_epsf || neighbours_predict_better(&epsf, found, coarse));
         let (method, grid) = match stamps {
             None => (RegistrationMethod::Epsf, fine),
             Some(_) => (RegistrationMethod::Stamps, coarse),

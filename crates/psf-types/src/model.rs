@@ -564,12 +564,15 @@ struct RawPsfModelRecord {
 impl TryFrom<RawPsfModelRecord> for PsfModelRecord {
     type Error = DataError;
     fn try_from(raw: RawPsfModelRecord) -> Result<Self, DataError> {
-        let (choices, error) = (
-            (raw.interpolation, raw.outside, raw.normalisation),
-            raw.circle_error,
-        );
-        let record = Self::new(raw.basis, raw.coefficients, choices.0, choices.1, choices.2)?;
-        Ok(record.with_circle_error(error))
+        let (basis, coefficients) = (raw.basis, raw.coefficients);
+        let record = Self::new(
+            basis,
+            coefficients,
+            raw.interpolation,
+            raw.outside,
+            raw.normalisation,
+        )?;
+        Ok(record.with_circle_error(raw.circle_error))
     }
 }
 

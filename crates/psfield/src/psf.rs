@@ -173,11 +173,10 @@ impl Psf {
 
     /// This PSF as a model: its samples are fitted.
     pub(crate) fn fitted(&self) -> Result<Self, PsfieldError> {
-        let origin = match &self.0.origin {
-            Origin::Samples(..) => Origin::Record(self.record()?.clone()),
-            Origin::Record(_) | Origin::Model(..) => return Ok(self.clone()),
-        };
-        Ok(Self::with_source(origin, self.0.source.clone()).with_fit_warnings_of(self))
+        Ok(match &self.0.origin {
+            Origin::Samples(..) => self.derived(self.record()?.clone(), self.0.source.clone()),
+            Origin::Record(_) | Origin::Model(..) => self.clone(),
+        })
     }
 
     /// The samples and the options of their fit. None for a PSF that was not made from samples.
@@ -272,33 +271,30 @@ impl Psf {
         }
     }
 
-    /// The fit of the samples, if it exists already.
-    fn fit_if_made(&self) -> Option<&Fit> {
-        self.0.fit.get()
-    }
-
     /// Sentences on samples that do not determine the model ([`FitReport`](crate::FitReport)). None for a
     /// PSF that does not come from samples, and before the fit.
     pub(crate) fn fit_warnings(&self) -> &[String] {
-        match (self.0.fit_warnings.get(), self.fit_if_made()) {
-            (Some(kept), _) => kept,
-            (None, None) => &[],
-            (None, Some(fit)) => {
-                get_or_make(&self.0.fit_warnings, || fit.warnings()).map_or(&[], Vec::as_slice)
-            }
+        let kept = &self.0.fit_warnings;
+        match self.0.fit.get() {
+            Some(fit) => get_or_make(kept, || fit.warnings()).map_or(&[], Vec::as_slice),
+            None => kept.get().map_or(&[], Vec::as_slice),
         }
     }
 
-    /// This PSF with the [`fit_warnings`](Self::fit_warnings) of the one from which it was made.
-    fn with_fit_warnings_of(self, other: &Self) -> Self {
-        self.0.fit_warnings.get_or_init(|| other.fit_warnings().to_vec());
-        self
+    /// A PSF with a record that was made from this one's. It keeps the warnings of the fit.
+    fn derived(&self, record: PsfModelRecord, source: SourceFile) -> Self {
+        let derived = Self::with_source(Origin::Record(record), source);
+        derived
+            .0
+            .fit_warnings
+            .get_or_init(|| self.fit_warnings().to_vec());
+        derived
     }
 
     /// The model in the form that a file stores, if it exists already. Unlike
     /// [`record`](Self::record), this never starts a fit.
     pub fn record_if_fitted(&self) -> Option<&PsfModelRecord> {
-        self.stored().or_else(|| self.fit_if_made().map(Fit::record))
+        self.stored().or_else(|| self.0.fit.get().map(Fit::record))
     }
 
     /// The model on the stamps' own grid, made when it is first needed.

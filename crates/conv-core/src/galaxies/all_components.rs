@@ -10,7 +10,7 @@ use super::far_field::farthest_edge;
 use super::galaxy_plan::{Catalogue, GalaxyPlan, Light, Window, window_at};
 use super::kernels::Kernels;
 use super::power_spectrum::Outline;
-use super::real_space::{Integrator, Sky, radius_of};
+use super::real_space::{Integrator, Sky, corner_radius, radius_of};
 use super::window::{Drawn, Spectra, WindowDrawer};
 use crate::stars::StarVectors;
 use crate::{ConvError, ConvReal};
@@ -173,7 +173,7 @@ impl<T: ConvReal> GalaxyPlan<T> {
             let farthest = radius_of(light.as_ref(), IGNORED * extent.left_out());
             let drawn = radius_of(light.as_ref(), extent.left_out());
             let window = farthest_edge(extent.side_and_reach(light.as_ref()).0);
-            let corner = 0.5 * light.radius(width, height).max(light.radius(width, -height));
+            let corner = corner_radius(light.as_ref(), 0.5 * width, 0.5 * height);
             let mut of_galaxy = None;
             for (index, &(column, row)) in pixels.iter().enumerate() {
                 let (dx, dy) = (column as f64 - x, row as f64 - y);

@@ -14,6 +14,7 @@
 //! by integration on the sky ([`real_space`]).
 
 mod all_components;
+mod cells;
 mod extent;
 mod far_field;
 mod galaxy_plan;

@@ -13,34 +13,21 @@ use std::collections::BTreeSet;
 use std::sync::OnceLock;
 
 use ndarray::{Array2, ArrayView2, s};
+use psf_types::maths::gauss_legendre;
 use psf_types::{FieldError, LightProfile, Position, PsfModel, StampGrid};
 use rayon::prelude::*;
 use rustc_hash::FxHashMap;
 
+use super::cells::{Cell, integrals, product};
 use super::extent::truncate;
-use crate::stamp_interpolator::{Kernel, MOST_REACH, MOST_TAPS};
+use crate::stamp_interpolator::{Kernel, MOST_REACH};
 
 /// Number of nodes along each axis of a block.
 const NODES: usize = 8;
-/// The nodes and weights of Gauss and Legendre's rule on 0 to 1 (Abramowitz and Stegun 1964, table
-/// 25.4).
-const GAUSS: [(f64, f64); NODES] = [
-    (0.019_855_071_751_231_856, 0.050_614_268_145_188_13),
-    (0.101_666_761_293_186_64, 0.111_190_517_226_687_24),
-    (0.237_233_795_041_835_5, 0.156_853_322_938_943_65),
-    (0.408_282_678_752_175_1, 0.181_341_891_689_181),
-    (0.591_717_321_247_825, 0.181_341_891_689_181),
-    (0.762_766_204_958_164_5, 0.156_853_322_938_943_65),
-    (0.898_333_238_706_813_4, 0.111_190_517_226_687_24),
-    (0.980_144_928_248_768_1, 0.050_614_268_145_188_13),
-];
-/// Four nodes and weights of the rule, for the whole stamp far from a galaxy.
-const GAUSS_4: [(f64, f64); 4] = [
-    (0.069_431_844_202_973_71, 0.173_927_422_568_726_93),
-    (0.330_009_478_207_571_87, 0.326_072_577_431_273_07),
-    (0.669_990_521_792_428_1, 0.326_072_577_431_273_07),
-    (0.930_568_155_797_026_3, 0.173_927_422_568_726_93),
-];
+/// The nodes and weights of a block.
+const GAUSS: [(f64, f64); NODES] = gauss_legendre();
+/// Those of the whole stamp far from a galaxy.
+const GAUSS_4: [(f64, f64); 4] = gauss_legendre();
 /// A block is at least this multiple of its own radius away from the centre of the galaxy, as the
 /// isophotes measure it. Then the error of the polynomial is below 1e-7 of the light on the block.
 const AWAY: f64 = 3.0;
@@ -135,6 +122,13 @@ pub(super) fn radius_of(light: &dyn LightProfile, fraction: f64) -> f64 {
     high.exp()
 }
 
+/// The largest radius in a rectangle around the centre of a galaxy, which is that of a corner.
+pub(super) fn corner_radius(light: &dyn LightProfile, half_width: f64, half_height: f64) -> f64 {
+    light
+        .radius(half_width, half_height)
+        .max(light.radius(half_width, -half_height))
+}
+
 impl<'a> Integrator<'a> {
     /// For the PSFs of a model, with stamps that are truncated to `size` frame pixels if it is given.
     pub(super) fn new(model: &'a PsfModel, size: Option<usize>) -> Self {
@@ -222,11 +216,7 @@ impl<'a> Integrator<'a> {
         // The offset of the middle of the stamp.
         let middle = |axis: usize, centre: f64| half(axis) - (centre + self.kernel.reach()) / s;
         let (x, y) = (dx - middle(0, grid.centre_x()), dy - middle(1, grid.centre_y()));
-        let light = sky.light;
-        let corner = light
-            .radius(half(0), half(1))
-            .max(light.radius(half(0), -half(1)));
-        light.radius(x, y) - corner <= sky.farthest
+        sky.light.radius(x, y) - corner_radius(sky.light, half(0), half(1)) <= sky.farthest
     }
 
     /// The PSF at a position, in pixels of the frame.
@@ -335,10 +325,7 @@ impl<'a> PixelIntegral<'a> {
         let light = self.sky.light;
         let [dx, dy] = self.offset([x + 0.5 * width, y + 0.5 * height]);
         let half = [0.5 * width / self.per_pixel, 0.5 * height / self.per_pixel];
-        let corner = light
-            .radius(half[0], half[1])
-            .max(light.radius(half[0], -half[1]));
-        (light.radius(dx, dy), corner)
+        (light.radius(dx, dy), corner_radius(light, half[0], half[1]))
     }
 
     fn variation(&self, first: [f64; 2], size: [f64; 2]) -> Variation {
@@ -526,77 +513,6 @@ impl<'a> PixelIntegral<'a> {
         }
         cross * sum
     }
-}
-
-/// A cell of the interpolated stamp, and the coefficients that contribute to it.
-struct Cell {
-    kernel: Kernel,
-    first: [f64; 2],
-    coefficients: [[f64; MOST_TAPS]; MOST_TAPS],
-}
-
-impl Cell {
-    fn new(kernel: Kernel, coefficients: &Array2<f64>, [x, y]: [usize; 2]) -> Self {
-        let mut own = [[0.0; MOST_TAPS]; MOST_TAPS];
-        for (j, row) in own.iter_mut().enumerate().take(kernel.tap_count()) {
-            for (i, value) in row.iter_mut().enumerate().take(kernel.tap_count()) {
-                *value = coefficients[[y + j, x + i]];
-            }
-        }
-        Self {
-            kernel,
-            first: [x as f64, y as f64],
-            coefficients: own,
-        }
-    }
-
-    /// The weights of the coefficients along an axis. The functions of the cell continue beyond it.
-    fn kernel_weights(&self, axis: usize, at: f64) -> [f64; MOST_TAPS] {
-        self.kernel.weights(at - self.first[axis])
-    }
-
-    /// The coefficients along the row `y`.
-    fn line(&self, y: f64) -> [f64; MOST_TAPS] {
-        let mut line = [0.0; MOST_TAPS];
-        for (weight, row) in self.kernel_weights(1, y).iter().zip(&self.coefficients) {
-            for (sum, c) in line.iter_mut().zip(row) {
-                *sum += weight * c;
-            }
-        }
-        line
-    }
-
-    /// The stamp's value at a point, per pixel of the frame.
-    fn at(&self, [x, y]: [f64; 2]) -> f64 {
-        product(&self.kernel_weights(0, x), &self.line(y))
-    }
-}
-
-fn product(a: &[f64; MOST_TAPS], b: &[f64; MOST_TAPS]) -> f64 {
-    a.iter().zip(b).map(|(a, b)| a * b).sum()
-}
-
-/// The integrals of the nodes' Lagrange polynomials on a block of `length` cells times the kernels of
-/// the coefficients, `[node, coefficient]`.
-fn integrals(kernel: Kernel, length: usize, rule: &[(f64, f64)]) -> Array2<f64> {
-    let taps = kernel.tap_count();
-    let mut integrals = Array2::zeros((rule.len(), length + taps - 1));
-    for cell in 0..length {
-        for (at, weight) in GAUSS {
-            let weights = kernel.weights(at);
-            let place = (cell as f64 + at) / length as f64;
-            for (k, (node, _)) in rule.iter().enumerate() {
-                let others = rule.iter().enumerate().filter(|&(j, _)| j != k);
-                let polynomial: f64 = others
-                    .map(|(_, (other, _))| (place - other) / (node - other))
-                    .product();
-                for (tap, kernel) in weights.iter().enumerate().take(taps) {
-                    integrals[[k, cell + tap]] += weight * polynomial * kernel;
-                }
-            }
-        }
-    }
-    integrals
 }
 
 #[cfg(test)]

@@ -14,6 +14,7 @@ use std::ops::{Range, RangeInclusive};
 use std::sync::Arc;
 
 use ndarray::{Array2, ArrayView2};
+use psf_types::maths::gauss_legendre;
 use psf_types::{StampGrid, StampInterpolation};
 use rustfft::num_complex::{Complex, Complex64};
 use rustfft::{Fft, FftPlanner};
@@ -212,6 +213,9 @@ pub(super) fn discrete_transform(
     planes
 }
 
+/// Nodes and weights for a piece of a kernel.
+const GAUSS: [(f64, f64); 16] = gauss_legendre();
+
 /// The transform of an interpolation kernel of unit spacing, at `w` radians per stamp pixel.
 pub(super) fn kernel_transform(interpolation: StampInterpolation, w: f64) -> f64 {
     match interpolation {
@@ -222,9 +226,9 @@ pub(super) fn kernel_transform(interpolation: StampInterpolation, w: f64) -> f64
                 rule.weights(t.fract())[(-rule.first_tap() - t as i64) as usize]
             };
             let piece = |first: f64| -> f64 {
-                GAUSS_8
+                GAUSS
                     .iter()
-                    .flat_map(|&(node, weight)| [(first + 0.5 + node, weight), (first + 0.5 - node, weight)])
+                    .map(|&(node, weight)| (first + node, weight))
                     .map(|(t, weight)| weight * kernel(t) * (w * t).cos())
                     .sum()
             };
@@ -234,19 +238,6 @@ pub(super) fn kernel_transform(interpolation: StampInterpolation, w: f64) -> f64
         _ => sinc(0.5 * w).powi(4) * 3.0 / (2.0 + w.cos()),
     }
 }
-
-/// Half of the 16 Gauss-Legendre nodes on an interval of length 1 around 0 (the other nodes are
-/// their negatives), with their weights.
-const GAUSS_8: [(f64, f64); 8] = [
-    (0.047_506_254_918_818_72, 0.094_725_305_227_534_25),
-    (0.140_801_775_389_629_46, 0.091_301_707_522_461_79),
-    (0.229_008_388_828_613_7, 0.084_578_259_697_501_27),
-    (0.308_938_122_201_321_9, 0.074_797_994_408_288_37),
-    (0.377_702_204_177_501_5, 0.062_314_485_627_766_94),
-    (0.432_815_601_193_915_9, 0.047_579_255_841_246_39),
-    (0.472_287_511_536_616_3, 0.031_126_761_969_323_946),
-    (0.494_700_467_495_825, 0.013_576_229_705_877_047),
-];
 
 fn sinc(x: f64) -> f64 {
     if x == 0.0 { 1.0 } else { x.sin() / x }

@@ -1,11 +1,9 @@
 //! Interpolation kernels of stamps along one axis, and the weights with which coefficients
 //! contribute to interpolated values.
 
-use std::f64::consts::PI;
-
 use ndarray::{Array2, ArrayView2, Axis, s};
 use psf_types::StampInterpolation;
-use psf_types::maths::spline_weights;
+use psf_types::maths::{gauss_legendre, sinc, spline_weights};
 
 /// A rule of interpolation, along one axis. Pixels beyond the outermost ones count as 0.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -150,10 +148,6 @@ fn spline_filter(line: &mut [f64], margin: usize) {
     }
 }
 
-fn sinc(t: f64) -> f64 {
-    if t == 0.0 { 1.0 } else { (PI * t).sin() / (PI * t) }
-}
-
 /// The coefficients that contribute to each of several values: their indices and weights. No
 /// coefficient contributes to a value at a coordinate outside [`Kernel::domain`].
 #[derive(Debug)]
@@ -162,14 +156,9 @@ pub(crate) struct Taps {
     taps: Vec<(usize, f64)>,
 }
 
-/// Gauss-Legendre nodes and weights on [-1, 1]: exact for the pieces of a cubic spline, and
-/// accurate to 1e-7 for the pieces of a Lanczos kernel.
-const GAUSS: [(f64, f64); 4] = [
-    (-0.861_136_311_594_052_6, 0.347_854_845_137_453_86),
-    (-0.339_981_043_584_856_26, 0.652_145_154_862_546_1),
-    (0.339_981_043_584_856_26, 0.652_145_154_862_546_1),
-    (0.861_136_311_594_052_6, 0.347_854_845_137_453_86),
-];
+/// Nodes and weights on 0 to 1: exact for the pieces of a cubic spline, and accurate to 1e-7 for the
+/// pieces of a Lanczos kernel.
+const GAUSS: [(f64, f64); 4] = gauss_legendre();
 
 impl Taps {
     /// The taps of `count` values at the coordinates that `coordinate` returns, along a stamp of
@@ -226,9 +215,9 @@ impl Taps {
         let mut piece = from;
         while piece < to {
             let end = (piece.floor() + 1.0).min(to);
-            let (middle, half) = (f64::midpoint(piece, end), (end - piece) / 2.0);
+            let part = end - piece;
             for (node, weight) in GAUSS {
-                self.push_point(kernel, length, middle + half * node, weight * half / width);
+                self.push_point(kernel, length, piece + part * node, weight * part / width);
             }
             piece = end;
         }

@@ -126,7 +126,7 @@ impl<'a> StarPainter<'a> {
     }
 
     /// Gives the index of every source that may light some pixels `(column, row)` of the frame to `take`,
-    /// with the indices of these pixels, and whether they lie on the source's stamp. Pixels that do not lie up to
+    /// with the indices of these pixels, and whether they lie on the source's stamp. The others lie up to
     /// 6 pixels beyond it, where a [`StarPlan`](crate::StarPlan) may keep some light.
     pub fn lit_pixels(
         &self,

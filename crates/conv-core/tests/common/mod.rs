@@ -180,6 +180,26 @@ impl CoefficientField for Constant {
     }
 }
 
+/// No component at all: the mean stamp everywhere.
+#[derive(Debug)]
+struct MeanAlone;
+
+impl CoefficientField for MeanAlone {
+    fn component_count(&self) -> usize {
+        0
+    }
+    fn evaluate_into(&self, _: Position, _: &mut [f64]) -> Result<(), FieldError> {
+        Ok(())
+    }
+}
+
+/// The model whose PSF is one stamp everywhere.
+pub(crate) fn model_of_stamp(stamp: Array2<f64>, grid: StampGrid) -> PsfModel {
+    let components = Array3::zeros((0, grid.ny(), grid.nx()));
+    let basis = PsfBasis::new(Some(stamp), components, grid).unwrap();
+    PsfModel::new(&basis, Arc::new(MeanAlone), Normalisation::Keep, None).unwrap()
+}
+
 pub(crate) fn noise(ny: usize, nx: usize, seed: u64) -> Array2<f64> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     Array2::from_shape_simple_fn((ny, nx), || rng.random_range(-1.0..1.0))

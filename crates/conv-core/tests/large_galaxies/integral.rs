@@ -7,6 +7,7 @@ use std::f64::consts::{PI, TAU};
 use conv_core::StampInterpolator;
 use ndarray::{Array2, ArrayView2};
 use psf_types::StampGrid;
+use psf_types::maths::gauss_legendre;
 
 /// A profile of unit flux: half-light radius along the major axis, index, axis ratio, angle.
 #[derive(Debug, Clone, Copy)]
@@ -98,9 +99,9 @@ impl Truth {
         for ends in ends.windows(2) {
             let width = (ends[1] - ends[0]) / PARTS as f64;
             for part in 0..PARTS {
-                let middle = ends[0] + (part as f64 + 0.5) * width;
+                let first = ends[0] + part as f64 * width;
                 for (node, weight) in GAUSS {
-                    sum += width * weight * within(middle + node * width);
+                    sum += width * weight * within(first + node * width);
                 }
             }
         }
@@ -181,9 +182,9 @@ impl Cells {
             let corner = (first.0 + i as f64 * side, first.1 + j as f64 * side);
             std::array::from_fn(|k| {
                 let ((x, wx), (y, wy)) = (GAUSS_3[k % 3], GAUSS_3[k / 3]);
-                let h = polynomial(&values[[j, i]], x + 0.5, y + 0.5);
+                let h = polynomial(&values[[j, i]], x, y);
                 let weight = wx * wy * side * side * h;
-                [corner.0 + (x + 0.5) * side, corner.1 + (y + 0.5) * side, weight]
+                [corner.0 + x * side, corner.1 + y * side, weight]
             })
         });
         Self {
@@ -250,7 +251,7 @@ fn divided(
     let mut sum = 0.0;
     for (node_y, weight_y) in GAUSS {
         for (node_x, weight_x) in GAUSS {
-            let (u, v) = (corner.0 + (0.5 + node_x) * size, corner.1 + (0.5 + node_y) * size);
+            let (u, v) = (corner.0 + node_x * size, corner.1 + node_y * size);
             let (dx, dy) = at(u, v);
             sum += weight_x * weight_y * polynomial(values, u, v) * light.brightness(dx, dy);
         }
@@ -276,19 +277,9 @@ fn polynomial(values: &[[f64; 4]; 4], x: f64, y: f64) -> f64 {
         .sum()
 }
 
-/// The Gauss-Legendre nodes and weights on an interval of length 1 around 0.
-const GAUSS: [(f64, f64); 5] = [
-    (-0.453_089_922_969_332, 0.118_463_442_528_094_54),
-    (-0.269_234_655_052_841_55, 0.239_314_335_249_683_23),
-    (0.0, 0.284_444_444_444_444_45),
-    (0.269_234_655_052_841_55, 0.239_314_335_249_683_23),
-    (0.453_089_922_969_332, 0.118_463_442_528_094_54),
-];
-const GAUSS_3: [(f64, f64); 3] = [
-    (-0.387_298_334_620_741_7, 5.0 / 18.0),
-    (0.0, 8.0 / 18.0),
-    (0.387_298_334_620_741_7, 5.0 / 18.0),
-];
+/// Nodes and weights on an interval of length 1.
+const GAUSS: [(f64, f64); 5] = gauss_legendre();
+const GAUSS_3: [(f64, f64); 3] = gauss_legendre();
 
 /// The regularised lower incomplete gamma function: its series, or Lentz's continued fraction of the
 /// upper one (Abramowitz and Stegun 6.5.29 and 6.5.31).

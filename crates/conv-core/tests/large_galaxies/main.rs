@@ -1,31 +1,21 @@
 //! Galaxies much larger than their PSF, compared with integrals in real space.
 
+#[allow(dead_code, reason = "each test binary uses a part")]
+#[path = "../common/mod.rs"]
+mod common;
 mod integral;
 
 use std::f64::consts::PI;
-use std::sync::Arc;
 
+use common::model_of_stamp;
 use conv_core::{ConvReal, GalaxyPlan, PlanOptions};
 use integral::{Cells, Shape, Truth};
-use ndarray::{Array2, Array3};
+use ndarray::Array2;
 use psf_types::{
-    CoefficientField, FieldError, FrameShape, LightProfile, NoProgress, Normalisation, Position, PsfBasis,
-    PsfModel, SersicProfile, SersicSource, StampGrid,
+    FrameShape, LightProfile, NoProgress, Position, PsfModel, SersicProfile, SersicSource, StampGrid,
 };
 use rayon::prelude::*;
 use sersic::SersicLight;
-
-/// No component at all: the mean stamp everywhere.
-#[derive(Debug)]
-struct Constant;
-impl CoefficientField for Constant {
-    fn component_count(&self) -> usize {
-        0
-    }
-    fn evaluate_into(&self, _: Position, _: &mut [f64]) -> Result<(), FieldError> {
-        Ok(())
-    }
-}
 
 /// A PSF of unit flux: its model, and the same stamp for the integrals.
 struct Psf {
@@ -45,8 +35,7 @@ impl Psf {
         });
         stamp /= stamp.sum() / (oversampling * oversampling);
         let cells = Cells::new(stamp.view(), grid);
-        let basis = PsfBasis::new(Some(stamp), Array3::zeros((0, side, side)), grid).unwrap();
-        let model = PsfModel::new(&basis, Arc::new(Constant), Normalisation::Keep, None).unwrap();
+        let model = model_of_stamp(stamp, grid);
         Self { name, model, cells }
     }
 }

@@ -1,6 +1,7 @@
 //! PSFs of exposures during which the light moves over the frame.
 
 use ndarray::{Array2, ArrayView2};
+use psf_types::maths::gauss_legendre;
 use psf_types::{SamplePositions, StampGrid};
 use rustfft::num_complex::Complex64;
 
@@ -26,14 +27,8 @@ pub struct Motion {
     jitter_px: f64,
 }
 
-/// Nodes and weights of the Gauss-Legendre quadrature with five points on the interval 0 to 1.
-pub(crate) const QUADRATURE: [(f64, f64); 5] = [
-    (0.046_910_077_030_668, 0.118_463_442_528_094_5),
-    (0.230_765_344_947_158_45, 0.239_314_335_249_683_24),
-    (0.5, 0.284_444_444_444_444_44),
-    (0.769_234_655_052_841_6, 0.239_314_335_249_683_24),
-    (0.953_089_922_969_332, 0.118_463_442_528_094_5),
-];
+/// Nodes and weights for a part of a line.
+pub(crate) const QUADRATURE: [(f64, f64); 5] = gauss_legendre();
 
 /// The longest motion in a straight line, in frame pixels.
 const LONGEST: f64 = 1e5;

@@ -165,19 +165,17 @@ impl Psf {
         }
     }
 
-    /// Another PSF, with the name of this one's file for messages.
-    fn with_origin(&self, origin: Origin) -> Self {
-        let source = SourceFile {
+    /// The name of this PSF's file, for messages on another PSF.
+    fn named_source(&self) -> SourceFile {
+        SourceFile {
             path: self.0.source.path.clone(),
             ..SourceFile::default()
-        };
-        Self::with_source(origin, source)
+        }
     }
 
     /// This PSF with another record.
     pub(super) fn with_record(&self, record: PsfModelRecord) -> Self {
-        self.with_origin(Origin::Record(record))
-            .with_fit_warnings_of(self)
+        self.derived(record, self.named_source())
     }
 
     /// Returns this PSF with every stamp changed.
@@ -194,7 +192,10 @@ impl Psf {
                 let stamps = change.stamps(samples.stamps(), samples.grid());
                 let positions = change.positions(samples.positions())?;
                 let samples = PsfSamples::new(stamps, positions, target)?;
-                Ok(self.with_origin(Origin::Samples(samples, *options)))
+                Ok(Self::with_source(
+                    Origin::Samples(samples, *options),
+                    self.named_source(),
+                ))
             }
             Origin::Record(record) => {
                 let (basis, nodes) = (record.basis(), record.coefficients());

@@ -3,7 +3,7 @@
 use ndarray::{Array2, ArrayView2, Axis, concatenate};
 use psf_types::{DataError, PsfModelRecord, PsfSamples, SamplePositions, SampleStates, StateKind};
 
-use super::{Origin, Psf};
+use super::Psf;
 use crate::fit::models_on;
 use crate::{ErrorKind, PsfieldError};
 
@@ -116,8 +116,7 @@ impl Psf {
         )?;
         // The error of a mixture is at most the largest error of its parts.
         let mixture = mixture.with_circle_error(record.circle_error());
-        let mixed = Self::with_source(Origin::Record(mixture), self.0.source.clone());
-        let mixed = mixed.with_fit_warnings_of(self);
+        let mixed = self.derived(mixture, self.0.source.clone());
         // If the models of the states exist, the new ones share their stamps.
         if let Some([first, ..]) = self.0.models.get().map(Vec::as_slice) {
             let models = models_on(mixed.record()?, first, 0)?;

@@ -2,6 +2,7 @@
 
 use conv_core::StampInterpolator;
 use ndarray::{Array1, Array2, Zip, s};
+use psf_types::maths::sinc;
 use psf_types::{DataError, Position, PsfModel, StampGrid};
 
 /// The largest distance from the source, in stamp pixels, of the part of a stamp that is judged. The
@@ -182,11 +183,6 @@ impl Axes {
         }
         largest
     }
-}
-
-fn sinc(t: f64) -> f64 {
-    let angle = std::f64::consts::PI * t;
-    if angle == 0.0 { 1.0 } else { angle.sin() / angle }
 }
 
 /// The derivative of [`sinc`].
