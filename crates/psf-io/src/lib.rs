@@ -67,13 +67,14 @@ mod output;
 mod psf;
 mod units;
 
-pub use catalogue::columns::{CatalogColumns, CatalogOptions};
+pub use catalogue::columns::{CatalogColumns, CatalogOptions, column_units};
 pub use catalogue::curves::read_curve;
+pub use catalogue::number_table::NumberTable;
 pub use catalogue::sky_coordinates::SkyCoordinates;
 pub use catalogue::table_file::{read_columns, write_csv};
 pub use catalogue::world_header::WorldCoordinatesError;
 pub use catalogue::{
-    Catalog, SourceColours, read_catalog, read_catalog_with, read_positions, read_positions_with,
+    Catalog, SourceColours, catalog_of, read_catalog, read_catalog_with, read_positions, read_positions_with,
 };
 pub use error::{CardError, IoError, IoErrorKind, Place, Row};
 pub use fits::card::{Card, CardValue};

@@ -1,4 +1,4 @@
-//! Units of wavelengths and times in files.
+//! Units of wavelengths, times and angles in files.
 
 /// A unit of wavelengths, in micrometres. None for any other unit.
 pub(crate) fn wavelength_in_um(unit: &str) -> Option<f64> {
@@ -29,6 +29,19 @@ pub(crate) fn time_in_s(unit: &str) -> Option<f64> {
         "min" => Some(60.0),
         "h" => Some(3600.0),
         "d" | "day" => Some(86400.0),
+        _ => None,
+    }
+}
+
+/// A unit of angles, in degrees. None for any other unit.
+pub(crate) fn angle_in_deg(unit: &str) -> Option<f64> {
+    match unit.trim().to_ascii_lowercase().as_str() {
+        "deg" | "degree" | "degrees" => Some(1.0),
+        "arcmin" => Some(1.0 / 60.0),
+        "arcsec" => Some(1.0 / 3600.0),
+        "mas" => Some(1.0 / 3.6e6),
+        "rad" | "radian" | "radians" => Some(1.0_f64.to_degrees()),
+        "hourangle" | "hour" | "hr" | "h" => Some(15.0),
         _ => None,
     }
 }

@@ -392,3 +392,154 @@ fn spectra_are_read_from_fits_tables() {
     let error = read_catalog_with(&path, &CatalogOptions::new().with_colours(true)).unwrap_err();
     assert!(error.to_string().contains("texts are needed"), "{error}");
 }
+
+/// A table of one galaxy, with a value and a unit in one column, as ECSV, FITS and SExtractor write it.
+fn one_galaxy(changed: &str, value: f64, unit: &str) -> [Vec<u8>; 3] {
+    let columns = [
+        ("x", 3.0),
+        ("y", 4.0),
+        ("flux", 5.0),
+        ("re", 2.0),
+        ("n", 1.0),
+        ("q", 0.5),
+        ("angle", 30.0),
+    ]
+    .map(|(name, plain)| {
+        if name == changed {
+            (name, value)
+        } else {
+            (name, plain)
+        }
+    });
+    let unit_of = |name: &str| if name == changed { unit } else { "" };
+    let values = columns.map(|(_, value)| value);
+    let row = values.map(|value| value.to_string()).join(" ");
+    let names = columns.map(|(name, _)| name);
+    let entry = |name: &str| match unit_of(name) {
+        "" => format!("# - {{name: {name}, datatype: float64}}\n"),
+        unit => format!("# - {{name: {name}, unit: {unit}, datatype: float64}}\n"),
+    };
+    let ecsv = format!(
+        "# %ECSV 1.0\n# ---\n# datatype:\n{}# schema: astropy-2.0\n{}\n{row}\n",
+        names.map(entry).concat(),
+        names.join(" ")
+    );
+    let mut numbered = names.iter().zip(1..);
+    let cards: Vec<String> = numbered
+        .clone()
+        .filter(|(name, _)| !unit_of(name).is_empty())
+        .map(|(name, number)| format!("TUNIT{number}  = '{}'", unit_of(name)))
+        .collect();
+    let cards: Vec<&str> = cards.iter().map(String::as_str).collect();
+    let binary = table("STARS", &names.map(|name| (name, "D")), 1, &cards, &f64s(&values));
+    let comment = |(name, number): (&&str, i32)| match unit_of(name) {
+        "" => format!("# {number} {name} a column\n"),
+        unit => format!("# {number} {name} a column [{unit}]\n"),
+    };
+    let ascii = format!("{}{row}\n", numbered.by_ref().map(comment).collect::<String>());
+    [ecsv.into_bytes(), fits(&[binary]), ascii.into_bytes()]
+}
+
+#[test]
+fn units_are_converted_or_refused_in_every_kind_of_table() {
+    let scratch = Scratch::new();
+    let flux = |catalog: &Catalog| catalog.galaxies()[0].flux();
+    let angle = |catalog: &Catalog| catalog.galaxies()[0].profile().angle_deg();
+    type Read = fn(&Catalog) -> f64;
+    let cases: [(&str, f64, &str, Option<(Read, f64)>); 9] = [
+        ("angle", 0.5, "rad", Some((angle, 0.5_f64.to_degrees()))),
+        ("angle", 600.0, "arcmin", Some((angle, 10.0))),
+        ("angle", 1.0, "m", None),
+        ("flux", 5.0, "mJy", Some((flux, 5e-3))),
+        ("flux", 5.0, "Jy", Some((flux, 5.0))),
+        ("flux", 5.0, "electron", None),
+        ("re", 2.0, "arcsec", None),
+        ("x", 3.0, "arcsec", None),
+        ("n", 1.0, "pix", None),
+    ];
+    let options = CatalogOptions::new().with_flux_unit("Jy");
+    for (column, value, unit, expected) in cases {
+        for (kind, bytes) in ["ecsv", "fits", "cat"]
+            .into_iter()
+            .zip(one_galaxy(column, value, unit))
+        {
+            let path = scratch.put(&format!("table.{kind}"), &bytes);
+            let read = read_catalog_with(&path, &options);
+            let Some((of, wanted)) = expected else {
+                let error = read.unwrap_err();
+                let place = Place::Column(column.to_owned());
+                assert!(
+                    error.place() == Some(&place) && error.to_string().contains(unit),
+                    "{kind}: {error}"
+                );
+                continue;
+            };
+            let found = of(&read.unwrap());
+            assert!(
+                (found / wanted - 1.0).abs() < 1e-14,
+                "{kind}, {column} in {unit}: {found}"
+            );
+        }
+    }
+    // Without the unit of an image, fluxes keep theirs, but logarithms are no fluxes.
+    for (unit, fits) in [("mJy", true), ("mag", false)] {
+        for bytes in one_galaxy("flux", 5.0, unit) {
+            let path = scratch.put("table", &bytes);
+            assert_eq!(
+                read_catalog_with(&path, &CatalogOptions::new()).is_ok(),
+                fits,
+                "{unit}"
+            );
+        }
+    }
+}
+
+#[test]
+fn positions_on_the_sky_have_units_too() {
+    let ecsv = |ra: &str, dec: &str, values: &str| {
+        format!(
+            "# %ECSV 1.0\n# ---\n# datatype:\n# - {{name: ra, unit: {ra}, datatype: float64}}\n\
+             # - {{name: dec, unit: {dec}, datatype: float64}}\n# - {{name: flux, datatype: float64}}\nra dec flux\n{values}\n"
+        )
+    };
+    let options = CatalogOptions::new().with_sky(sky());
+    for (ra, dec, values) in [
+        ("hourangle", "deg", "10 2 1"),
+        ("arcsec", "arcmin", "540000 120 1"),
+        ("mas", "deg", "5.4e8 2 1"),
+    ] {
+        let catalog = read(&ecsv(ra, dec, values), &options).unwrap();
+        let at = catalog.stars()[0].position();
+        assert!(at.x().hypot(at.y()) < 1e-6, "{ra}, {dec}: {at}");
+    }
+    let error = read(&ecsv("pix", "deg", "1 2 3"), &options).unwrap_err();
+    assert_eq!(error.place(), Some(&Place::Column("ra".to_owned())));
+}
+
+#[test]
+fn masked_values_are_missing_and_no_numbers() {
+    let ecsv = "# %ECSV 1.0\n# ---\n# datatype:\n# - {name: id, datatype: string}\n# - {name: x, datatype: float64}\n\
+                # - {name: y, datatype: float64}\n# - {name: flux, datatype: float64}\nid x y flux\n\
+                \"a b\" 1.0 2.0 3.0\nc 1.0 2.0 \"\"\n\"\" 1.0 2.0 5.0\n";
+    let csv = "id,x,y,flux\n\"a b\",1.0,2.0,3.0\nc,1.0,2.0,\n,1.0,2.0,5.0\n";
+    for text in [ecsv, csv] {
+        let error = read(text, &CatalogOptions::new()).unwrap_err();
+        assert!(
+            matches!(error.place(), Some(Place::Value { column, .. }) if column == "flux"),
+            "{error}"
+        );
+        let catalog = read(text, &CatalogOptions::new().with_invalid_skipped(true)).unwrap();
+        assert_eq!((catalog.rows(), catalog.invalid_rows()), (&[0, 2][..], 1));
+    }
+}
+
+#[test]
+fn columns_that_change_a_source_and_are_not_read_are_named() {
+    let text = "x,y,flux,pmRA,pmdec,parallax,epoch,sed,vx,vy,note\n1,2,3,4,5,6,2000,a.csv,1,2,0\n";
+    let of = |options: CatalogOptions| read(text, &options).unwrap().ignored_columns().join(" ");
+    assert_eq!(of(CatalogOptions::new()), "pmRA pmdec parallax epoch sed vx vy");
+    let colours = CatalogOptions::new().with_colours(true).with_velocities(true);
+    assert_eq!(of(colours), "pmRA pmdec parallax epoch");
+    let plain = read("x_0,y_0,flux,id\n1,2,3,4\n", &CatalogOptions::new()).unwrap();
+    assert_eq!((plain.ignored_columns().len(), plain.stars().len()), (0, 1));
+}

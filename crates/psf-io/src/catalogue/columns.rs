@@ -4,6 +4,7 @@ use std::path::Path;
 
 use psf_types::DataError;
 
+use crate::catalogue::column_units::{DEGREES, MAGNITUDES, NONE, PIXELS};
 use crate::catalogue::sky_coordinates::SkyCoordinates;
 use crate::error::IoError;
 use crate::fits::columns::missing_column;
@@ -13,7 +14,7 @@ use crate::fits::hdu::HduChoice;
 ///
 /// | role | default column | meaning |
 /// |---|---|---|
-/// | `x`, `y` | `x`, `y` | position in pixels of the frame |
+/// | `x`, `y` | `x`, `y` (or `x_0`, `y_0`) | position in pixels of the frame |
 /// | `ra`, `dec` | `ra`, `dec` | position on the sky in degrees, instead of `x` and `y` |
 /// | `flux` | `flux` | total flux |
 /// | `mag` | `mag` | magnitude instead of flux: `flux = 10^(-0.4 (mag - zero point))` |
@@ -22,6 +23,11 @@ use crate::fits::hdu::HduChoice;
 /// | `q` | `q` | galaxies: minor over major axis, 0.001 to 1; 1 without such a column |
 /// | `angle` | `angle` | galaxies: angle of the major axis in degrees, from +x towards +y; 0 without such a column |
 /// | `g1`, `g2` | `g1`, `g2` | galaxies: reduced shear, `sqrt(g1^2 + g2^2)` below 1; no shear without such columns |
+///
+/// A unit that the table states (`TUNIT` in FITS, `unit` in ECSV, `[unit]` in SExtractor's comments) is
+/// converted to the unit of the role, or refused: angles and sky coordinates to degrees (from `rad`,
+/// `arcmin`, `arcsec`, `mas` or `hourangle`), fluxes to the unit of the image
+/// ([`CatalogOptions::with_flux_unit`]). A position or `re` in arcseconds is an error.
 ///
 /// The spectra of sources are in a column `sed` or `teff`, which is read only on request
 /// ([`CatalogOptions::with_colours`]). So are the columns `vx` and `vy` with the velocities of sources
@@ -57,8 +63,30 @@ pub struct CatalogColumns {
 }
 
 /// The names of the roles, in the order of [`Role`].
-const ROLES: [&str; 12] = [
+pub(crate) const ROLES: [&str; 12] = [
     "x", "y", "ra", "dec", "flux", "mag", "re", "n", "q", "angle", "g1", "g2",
+];
+
+/// The names of the roles, with the unit of their values: `pix`, `deg` or `mag`, and an empty text for
+/// fluxes and for numbers without a unit.
+pub fn column_units() -> impl Iterator<Item = (&'static str, &'static str)> {
+    ALL.into_iter()
+        .map(|role| (ROLES[role as usize], role.unit().unwrap_or_default()))
+}
+
+const ALL: [Role; ROLES.len()] = [
+    Role::X,
+    Role::Y,
+    Role::Ra,
+    Role::Dec,
+    Role::Flux,
+    Role::Mag,
+    Role::Re,
+    Role::N,
+    Role::Q,
+    Role::Angle,
+    Role::G1,
+    Role::G2,
 ];
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -77,6 +105,19 @@ pub(crate) enum Role {
     G2,
 }
 
+impl Role {
+    /// The unit of the values. `None` for a flux, which has the unit of the image.
+    pub(crate) fn unit(self) -> Option<&'static str> {
+        match self {
+            Self::X | Self::Y | Self::Re => Some(PIXELS),
+            Self::Ra | Self::Dec | Self::Angle => Some(DEGREES),
+            Self::Mag => Some(MAGNITUDES),
+            Self::N | Self::Q | Self::G1 | Self::G2 => Some(NONE),
+            Self::Flux => None,
+        }
+    }
+}
+
 /// The columns to read from a table, each with its role.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Picked {
@@ -92,6 +133,15 @@ impl Picked {
     /// The index of the column of a role among the names.
     pub(crate) fn place(&self, role: Role) -> Option<usize> {
         self.columns.iter().position(|(r, _)| *r == role)
+    }
+
+    /// The index of the column of each role.
+    pub(crate) fn places(&self) -> [Option<usize>; ROLES.len()] {
+        ALL.map(|role| self.place(role))
+    }
+
+    pub(crate) fn iter(&self) -> impl Iterator<Item = (Role, &str)> {
+        self.columns.iter().map(|(role, name)| (*role, name.as_str()))
     }
 
     pub(crate) fn name(&self, role: Role) -> Option<&String> {
@@ -144,28 +194,33 @@ impl CatalogColumns {
     /// The columns of these roles. A missing one is an error.
     fn picked(&self, path: &Path, names: &[String], roles: &[Role]) -> Result<Picked, IoError> {
         let needed = |&role: &Role| {
-            if self.is_in(names, role) {
-                Ok((role, self.column(role).to_owned()))
-            } else {
-                Err(missing_column(path, names, self.column(role)))
-            }
+            self.found(names, role)
+                .map(|column| (role, column.to_owned()))
+                .ok_or_else(|| missing_column(path, names, self.names(role)[0]))
         };
         let columns = roles.iter().map(needed).collect::<Result<_, _>>()?;
         Ok(Picked { columns })
     }
 
-    /// The chosen name of the column of a role, or the default name.
-    fn column(&self, role: Role) -> &str {
-        self.given[role as usize]
-            .as_deref()
-            .unwrap_or(ROLES[role as usize])
+    /// The chosen name of the column of a role, or the default names. Photutils calls positions `x_0`
+    /// and `y_0`.
+    fn names(&self, role: Role) -> Vec<&str> {
+        match (&self.given[role as usize], role) {
+            (Some(name), _) => vec![name],
+            (None, Role::X) => vec!["x", "x_0"],
+            (None, Role::Y) => vec!["y", "y_0"],
+            (None, _) => vec![ROLES[role as usize]],
+        }
     }
 
-    /// Returns whether the column of a role is among these names.
+    /// The name of the column of a role, if it is among these names.
+    fn found(&self, names: &[String], role: Role) -> Option<&str> {
+        let is_in = |wanted: &&str| names.iter().any(|name| name.eq_ignore_ascii_case(wanted));
+        self.names(role).into_iter().find(is_in)
+    }
+
     fn is_in(&self, names: &[String], role: Role) -> bool {
-        names
-            .iter()
-            .any(|name| name.eq_ignore_ascii_case(self.column(role)))
+        self.found(names, role).is_some()
     }
 
     fn is_given(&self, role: Role) -> bool {
@@ -251,6 +306,7 @@ pub struct CatalogOptions {
     pub(crate) with_velocities: bool,
     pub(crate) table: Option<HduChoice>,
     pub(crate) sky: Option<SkyCoordinates>,
+    pub(crate) flux_unit: Option<String>,
 }
 
 impl CatalogOptions {
@@ -277,6 +333,16 @@ impl CatalogOptions {
     pub fn with_sky(self, sky: SkyCoordinates) -> Self {
         Self {
             sky: Some(sky),
+            ..self
+        }
+    }
+
+    /// Sets the unit of the image, such as `electron` or `Jy`. Fluxes of a column with another unit are
+    /// converted to it, or refused.
+    #[must_use]
+    pub fn with_flux_unit(self, unit: impl Into<String>) -> Self {
+        Self {
+            flux_unit: Some(unit.into()),
             ..self
         }
     }

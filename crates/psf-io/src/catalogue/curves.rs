@@ -68,10 +68,7 @@ pub fn read_curve(path: impl AsRef<Path>, unit: Option<&str>) -> Result<(Vec<f64
 
 /// The unit of a column of wavelengths that a file states. Empty if it states none.
 fn unit_of(table: &AnyTable<'_>, column: &str) -> Result<String, IoError> {
-    let stated = match table {
-        AnyTable::Text(text) => text.ecsv_unit(column).unwrap_or_default(),
-        AnyTable::Fits(table) => table.unit(column)?,
-    };
+    let stated = table.unit(column)?;
     if !stated.is_empty() {
         return Ok(stated);
     }

@@ -38,10 +38,15 @@ use crate::error::{IoError, IoErrorKind, Place};
 use crate::fits::columns::Table;
 use crate::fits::structure::FitsStructure;
 use columns::{CatalogColumns, CatalogOptions};
+use number_table::NumberTable;
 use rows::Rows;
+use table_file::AnyTable;
 
+mod column_units;
 pub(crate) mod columns;
 pub(crate) mod curves;
+mod ecsv;
+pub(crate) mod number_table;
 mod rows;
 pub(crate) mod sky_coordinates;
 pub(crate) mod table_file;
@@ -100,6 +105,7 @@ pub struct Catalog {
     velocities: Option<Vec<[f64; 2]>>,
     invalid_rows: usize,
     rows_off_projection: usize,
+    ignored_columns: Vec<String>,
 }
 
 /// The spectra of the sources of a catalogue: those of the stars, then those of the galaxies.
@@ -164,6 +170,12 @@ impl Catalog {
         self.rows_off_projection
     }
 
+    /// The names of columns that change a source and were not read: proper motions, parallaxes, epochs,
+    /// and spectra or velocities that were not asked for.
+    pub fn ignored_columns(&self) -> &[String] {
+        &self.ignored_columns
+    }
+
     /// Returns the stars and galaxies without a copy.
     pub fn into_parts(self) -> (Vec<PointSource>, Vec<SersicSource>) {
         (self.stars, self.galaxies)
@@ -203,6 +215,23 @@ impl Catalog {
 /// - the [errors of any FITS file](crate#bad-files)
 pub fn read_catalog_with(path: impl AsRef<Path>, options: &CatalogOptions) -> Result<Catalog, IoError> {
     let rows = Rows::read(path.as_ref(), options, "x, y, flux", CatalogColumns::sources)?;
+    sources_of(rows, options)
+}
+
+/// Takes the stars and galaxies of a table in memory, as [`read_catalog_with`] takes those of a file. The
+/// values have the units of their roles ([`column_units`](columns::column_units)).
+///
+/// # Errors
+/// The errors of [`read_catalog_with`] but for those of files.
+pub fn catalog_of(table: &NumberTable, options: &CatalogOptions) -> Result<Catalog, IoError> {
+    let path = table.name();
+    let columns = options.columns.sources(path, &table.names())?;
+    let rows = Rows::of_table(path, options, columns, &AnyTable::Memory(table))?;
+    sources_of(rows, options)
+}
+
+/// The sources of all rows.
+fn sources_of(rows: Rows<'_>, options: &CatalogOptions) -> Result<Catalog, IoError> {
     let mut catalog = Catalog::default();
     // The rows of the stars and of the galaxies.
     let (mut of_stars, mut of_galaxies) = (Vec::new(), Vec::new());
@@ -237,6 +266,7 @@ pub fn read_catalog_with(path: impl AsRef<Path>, options: &CatalogOptions) -> Re
         .as_ref()
         .map(|velocities| order().map(|&row| of(velocities, row)).collect());
     catalog.rows = order().copied().collect();
+    catalog.ignored_columns = rows.ignored;
     Ok(catalog)
 }
 

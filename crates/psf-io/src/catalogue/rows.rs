@@ -4,7 +4,8 @@ use std::path::Path;
 
 use psf_types::{DataError, PointSource, Position, SersicProfile, SersicSource};
 
-use super::columns::{CatalogColumns, CatalogOptions, Picked, Role};
+use super::column_units::{KELVIN, PIXELS_PER_SECOND, factor, is_logarithmic};
+use super::columns::{CatalogColumns, CatalogOptions, Picked, ROLES, Role};
 use super::table_file::{AnyTable, TableFile};
 use super::{Catalog, SourceColours};
 use crate::error::{IoError, IoErrorKind, Place};
@@ -15,7 +16,11 @@ pub(super) struct Rows<'a> {
     pub(super) path: &'a Path,
     options: &'a CatalogOptions,
     columns: Picked,
+    /// The place of the column of each role.
+    places: [Option<usize>; ROLES.len()],
     pub(super) numbers: NumberColumns,
+    /// The columns that change a source and are not read.
+    pub(super) ignored: Vec<String>,
     pub(super) colours: Option<SourceColours>,
     pub(super) velocities: Option<[Vec<f64>; 2]>,
 }
@@ -33,18 +38,35 @@ impl<'a> Rows<'a> {
         let (columns, table) = file.pick(options.table.as_ref(), needed, |names| {
             pick(&options.columns, path, names)
         })?;
+        Self::of_table(path, options, columns, &table)
+    }
+
+    /// Reads these columns of a table, in the units of their roles.
+    pub(super) fn of_table(
+        path: &'a Path,
+        options: &'a CatalogOptions,
+        columns: Picked,
+        table: &AnyTable<'_>,
+    ) -> Result<Self, IoError> {
         check_options(path, options, &columns)?;
+        let mut numbers = table.read(&columns.names(), Nans::Kept)?;
+        for ((role, name), values) in columns.iter().zip(&mut numbers.values) {
+            let wanted = role.unit().or(options.flux_unit.as_deref());
+            in_unit(path, table, name, wanted, values)?;
+        }
         Ok(Self {
             path,
             options,
-            numbers: table.read(&columns.names(), Nans::Kept)?,
+            numbers,
+            places: columns.places(),
+            ignored: ignored(&table.names(), options),
             colours: if options.with_colours {
-                colours_of(&table)?
+                colours_of(path, table)?
             } else {
                 None
             },
             velocities: if options.with_velocities {
-                velocities_of(path, &table)?
+                velocities_of(path, table)?
             } else {
                 None
             },
@@ -128,7 +150,7 @@ impl<'a> Rows<'a> {
             .options
             .sky
             .as_ref()
-            .filter(|_| self.columns.place(Role::Ra).is_some())
+            .filter(|_| self.places[Role::Ra as usize].is_some())
         else {
             let first = if self.options.one_based { 1.0 } else { 0.0 };
             let (x, y) = (self.finite(row, Role::X)?, self.finite(row, Role::Y)?);
@@ -170,9 +192,7 @@ impl<'a> Rows<'a> {
 
     /// The value in the column of a role, or `None` without such a column.
     fn value(&self, row: usize, role: Role) -> Option<f64> {
-        self.columns
-            .place(role)
-            .map(|column| self.numbers.values[column][row])
+        self.places[role as usize].map(|column| self.numbers.values[column][row])
     }
 
     fn finite(&self, row: usize, role: Role) -> Result<f64, IoError> {
@@ -262,15 +282,61 @@ fn velocities_of(path: &Path, table: &AnyTable<'_>) -> Result<Option<[Vec<f64>; 
         }
         _ => {}
     }
-    let columns = table.read(&VELOCITIES, Nans::Kept)?.values;
+    let mut columns = table.read(&VELOCITIES, Nans::Kept)?.values;
+    for (name, values) in VELOCITIES.iter().zip(&mut columns) {
+        in_unit(path, table, name, Some(PIXELS_PER_SECOND), values)?;
+    }
     Ok(columns.try_into().ok())
+}
+
+/// Converts the values of a column to a unit, or without one keeps those of any flux.
+fn in_unit(
+    path: &Path,
+    table: &AnyTable<'_>,
+    name: &str,
+    wanted: Option<&str>,
+    values: &mut [f64],
+) -> Result<(), IoError> {
+    let unit = table.unit(name)?;
+    let factor = match wanted {
+        Some(wanted) => factor(&unit, wanted),
+        None => (!is_logarithmic(&unit)).then_some(1.0),
+    };
+    let Some(factor) = factor else {
+        let needed = match wanted {
+            None => "a flux".to_owned(),
+            Some("") => "a number without a unit".to_owned(),
+            Some(wanted) => format!("a number in {wanted}"),
+        };
+        let problem = format!("the unit is {unit:?}, but {needed} is needed: convert the column");
+        let place = Place::Column(name.to_owned());
+        return Err(IoError::new(path, IoErrorKind::Table, problem).at(place));
+    };
+    if factor != 1.0 {
+        values.iter_mut().for_each(|value| *value *= factor);
+    }
+    Ok(())
+}
+
+/// Columns that change where a source is, or its light, but are not read.
+const NEVER_READ: [&str; 5] = ["pmra", "pmdec", "parallax", "epoch", "ref_epoch"];
+
+/// The columns among `names` that change a source and are not read.
+fn ignored(names: &[String], options: &CatalogOptions) -> Vec<String> {
+    let is = |name: &str, of: &[&str]| of.iter().any(|other| name.eq_ignore_ascii_case(other));
+    let unread = |name: &&String| {
+        is(name, &NEVER_READ)
+            || (!options.with_colours && is(name, &[SED, TEFF]))
+            || (!options.with_velocities && is(name, &VELOCITIES))
+    };
+    names.iter().filter(unread).cloned().collect()
 }
 
 /// The columns of the velocities of sources.
 const VELOCITIES: [&str; 2] = ["vx", "vy"];
 
 /// Reads the spectra of all rows of a table: the column `sed` or, without it, the column `teff`.
-fn colours_of(table: &AnyTable<'_>) -> Result<Option<SourceColours>, IoError> {
+fn colours_of(path: &Path, table: &AnyTable<'_>) -> Result<Option<SourceColours>, IoError> {
     let has = |column: &str| table.names().iter().any(|name| name.eq_ignore_ascii_case(column));
     if has(SED) {
         return Ok(Some(SourceColours::Names(table.read_texts(SED)?)));
@@ -279,6 +345,7 @@ fn colours_of(table: &AnyTable<'_>) -> Result<Option<SourceColours>, IoError> {
         return Ok(None);
     }
     let mut columns = table.read(&[TEFF], Nans::Kept)?.values;
+    in_unit(path, table, TEFF, Some(KELVIN), &mut columns[0])?;
     Ok(columns.pop().map(SourceColours::Temperatures))
 }
 

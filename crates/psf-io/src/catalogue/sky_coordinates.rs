@@ -2,7 +2,8 @@
 
 use std::sync::Arc;
 
-use mapproj::zenithal::{arc::Arc as ArcProjection, sin::Sin, stg::Stg, tan::Tan, zea::Zea};
+use mapproj::cylindrical::car::Car;
+use mapproj::zenithal::{arc::Arc as ArcProjection, sin::Sin, stg::Stg, tan::Tan, zea::Zea, zpn::Zpn};
 use mapproj::{ProjXY, Projection, XYZ};
 use psf_types::Position;
 
@@ -11,6 +12,7 @@ use crate::catalogue::world_header::{
 };
 use crate::fits::card::{Card, CardValue};
 use crate::fits::header_cards::HeaderCards;
+use crate::units::angle_in_deg;
 
 /// The usual LONPOLE of a zenithal projection: the longitude of the celestial pole in the
 /// projection.
@@ -21,9 +23,10 @@ const MAX_PROJECTED: f64 = 1e150;
 
 /// The world coordinates of a frame, which convert positions on the sky to pixels and back.
 ///
-/// The projections `TAN`, `SIN`, `ZEA`, `ARC` and `STG` of right ascension and declination are
-/// supported, with `CDi_j`, with `PCi_j` and `CDELTi`, or with `CDELTi` and `CROTA2` (Calabretta
-/// and Greisen 2002, A&A 395, 1077). Supported distortions are:
+/// The projections `TAN`, `SIN`, `ZEA`, `ARC`, `STG`, `ZPN` and `CAR` of right ascension and declination
+/// are supported, with `CDi_j`, with `PCi_j` and `CDELTi`, or with `CDELTi` and `CROTA2` (Calabretta
+/// and Greisen 2002, A&A 395, 1077). `PC001002` is `PC1_2`, as in old headers. `CUNITi` may be `deg`,
+/// `arcmin`, `arcsec`, `mas` or `rad`. Supported distortions are:
 ///
 /// - `SIP` (`A_p_q` and `B_p_q`), also if `CTYPEi` does not end in `-SIP`, as in astropy. The
 ///   inverse is solved numerically, without `AP_p_q` and `BP_p_q`.
@@ -94,37 +97,66 @@ impl SkyCoordinates {
                 &types[1],
             ));
         }
-        for keyword in ["CUNIT1", "CUNIT2"] {
-            match header.header.get(keyword).and_then(Card::value) {
-                None => {}
-                Some(CardValue::Text(unit))
-                    if ["deg", "degree", "degrees", ""].contains(&unit.trim().to_lowercase().as_str()) => {}
-                Some(unit) => return Err(unsupported(keyword, "deg", &unit.to_string())),
+        let unit = |keyword: &str| match header.header.get(keyword).and_then(Card::value) {
+            None => Ok(1.0),
+            Some(CardValue::Text(unit)) if unit.trim().is_empty() => Ok(1.0),
+            Some(unit) => {
+                let text = unit.to_string();
+                let in_deg = match &unit {
+                    CardValue::Text(unit) => angle_in_deg(unit),
+                    _ => None,
+                };
+                in_deg.ok_or_else(|| unsupported(keyword, "deg, arcmin, arcsec, mas or rad", &text))
             }
-        }
+        };
+        let units = [unit("CUNIT1")?, unit("CUNIT2")?];
         let axes = if swapped { ["2", "1"] } else { ["1", "2"] };
         let reference = [
             header.needed("CRPIX1", "the reference pixel")?,
             header.needed("CRPIX2", "the reference pixel")?,
         ];
-        let longitude = header.needed(&format!("CRVAL{}", axes[0]), "the right ascension in degrees")?;
-        let latitude = header.needed(&format!("CRVAL{}", axes[1]), "the declination in degrees")?;
+        let values = [
+            header.needed("CRVAL1", "the coordinate of the reference pixel")?,
+            header.needed("CRVAL2", "the coordinate of the reference pixel")?,
+        ];
+        let mut values = [values[0] * units[0], values[1] * units[1]];
         let mut matrix = header.matrix()?;
+        for (row, unit) in matrix.iter_mut().zip(units) {
+            *row = row.map(|value| value * unit);
+        }
         if swapped {
             matrix.swap(0, 1);
+            values.swap(0, 1);
         }
+        let [longitude, latitude] = values;
         let (determinant, inverse) = inverted(&matrix);
         if determinant == 0.0 || !determinant.recip().is_finite() {
             return Err(WorldCoordinatesError::Singular);
         }
-        let default_pole = if latitude >= 90.0 {
+        // The native latitude of the reference point: the pole, or the equator in a cylindrical projection.
+        let native = if first == "CAR" { 0.0 } else { 90.0 };
+        let default_pole = if latitude >= native {
             0.0
         } else {
             USUAL_POLE_LONGITUDE
         };
         let pole = header.number("LONPOLE")?.unwrap_or(default_pole);
-        let distortion = Distortion::from_header(header.header, &types[0], axes)?;
-        let rotation = rotation(longitude, latitude, pole - USUAL_POLE_LONGITUDE);
+        let distortion = Distortion::from_header(header.header, &types[0], axes, native)?;
+        let turn = if first == "CAR" {
+            // With the default, north points up at the reference point.
+            let up = pole == default_pole || (latitude == 0.0 && pole == USUAL_POLE_LONGITUDE);
+            if !up {
+                return Err(unsupported(
+                    "LONPOLE",
+                    "absent or its default in the projection CAR",
+                    &pole.to_string(),
+                ));
+            }
+            0.0
+        } else {
+            pole - USUAL_POLE_LONGITUDE
+        };
+        let rotation = rotation(longitude, latitude, turn);
         let name = first.to_owned();
         let projection: Arc<dyn Projection + Send + Sync> = match first {
             "TAN" | "TPV" => Arc::new(Tan::new()),
@@ -143,10 +175,12 @@ impl SkyCoordinates {
             "ZEA" => Arc::new(Zea::new()),
             "ARC" => Arc::new(ArcProjection::new()),
             "STG" => Arc::new(Stg::new()),
+            "CAR" => Arc::new(Car::new()),
+            "ZPN" => Arc::new(zpn(&header, axes[1])?),
             _ => {
                 return Err(unsupported(
                     "CTYPE1",
-                    "a type of the projection TAN, TPV, SIN, ZEA, ARC or STG",
+                    "a type of the projection TAN, TPV, SIN, ZEA, ARC, STG, ZPN or CAR",
                     &types[0],
                 ));
             }
@@ -213,6 +247,35 @@ impl std::fmt::Debug for SkyCoordinates {
             .field("distortion", &self.distortion)
             .finish_non_exhaustive()
     }
+}
+
+/// The zenithal polynomial with the coefficients `PVi_m` of the latitude.
+fn zpn(header: &World<'_>, axis: &str) -> Result<Zpn, WorldCoordinatesError> {
+    /// The number of coefficients that the convention allows.
+    const COEFFICIENTS: usize = 31;
+    /// The accuracy of the inverse in radians, and its largest number of steps. The defaults of mapproj
+    /// leave a milliarcsecond.
+    const ACCURACY: f64 = 1e-15;
+    const STEPS: u8 = 100;
+    let keyword = |m: usize| format!("PV{axis}_{m}");
+    let mut coefficients = Vec::with_capacity(COEFFICIENTS);
+    for m in 0..COEFFICIENTS {
+        coefficients.push(header.number(&keyword(m))?.unwrap_or(0.0));
+    }
+    while coefficients.pop_if(|value| *value == 0.0).is_some() {}
+    let grows = coefficients.first().is_none_or(|&constant| constant == 0.0)
+        && coefficients.get(1).is_some_and(|&slope| slope > 0.0);
+    let projection = grows.then(|| Zpn::from_params(coefficients)).flatten();
+    let mut projection = projection.ok_or_else(|| {
+        unsupported(
+            &keyword(1),
+            "above 0, with PVi_0 = 0, in the projection ZPN",
+            "another polynomial",
+        )
+    })?;
+    projection.set_eps(ACCURACY);
+    projection.set_n_iter(STEPS);
+    Ok(projection)
 }
 
 fn unit_vector(longitude_deg: f64, latitude_deg: f64) -> [f64; 3] {

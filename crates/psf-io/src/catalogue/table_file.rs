@@ -4,6 +4,7 @@ use std::path::Path;
 
 use serde::Serialize;
 
+use crate::catalogue::number_table::NumberTable;
 use crate::catalogue::text_table::{NOT_CSV, TextTable};
 use crate::error::{IoError, IoErrorKind, unwritable};
 use crate::fits::columns::{Nans, NumberColumns, Table, missing_column};
@@ -18,11 +19,12 @@ pub(crate) enum TableFile {
     Fits(FitsStructure),
 }
 
-/// One table of a file.
+/// One table, of a file or in memory.
 #[derive(Debug)]
 pub(crate) enum AnyTable<'a> {
     Text(&'a TextTable),
     Fits(Table<'a>),
+    Memory(&'a NumberTable),
 }
 
 impl TableFile {
@@ -88,6 +90,16 @@ impl AnyTable<'_> {
         match self {
             Self::Text(table) => table.names.clone(),
             Self::Fits(table) => table.names(),
+            Self::Memory(table) => table.names(),
+        }
+    }
+
+    /// The unit of a column. Empty if the table does not state it.
+    pub(crate) fn unit(&self, name: &str) -> Result<String, IoError> {
+        match self {
+            Self::Text(table) => table.unit(name),
+            Self::Fits(table) => table.unit(name),
+            Self::Memory(_) => Ok(String::new()),
         }
     }
 
@@ -96,6 +108,7 @@ impl AnyTable<'_> {
         match self {
             Self::Text(table) => table.read_texts(name),
             Self::Fits(table) => table.read_texts(name),
+            Self::Memory(table) => Err(table.holds_numbers(name)),
         }
     }
 
@@ -111,6 +124,7 @@ impl AnyTable<'_> {
                     lines: None,
                 })
             }
+            Self::Memory(table) => table.read(names, nans),
         }
     }
 }

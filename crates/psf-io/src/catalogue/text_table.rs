@@ -1,9 +1,11 @@
 //! Reads columns of numbers from text tables.
 
+use std::borrow::Cow;
 use std::path::{Path, PathBuf};
 
 use csv::{ByteRecord, Position, ReaderBuilder, Trim};
 
+use crate::catalogue::ecsv;
 use crate::error::{IoError, IoErrorKind, Place, Row, unreadable};
 use crate::fits::columns::{Nans, NumberColumns, bad_value, find, shown};
 
@@ -62,21 +64,27 @@ impl TextTable {
             .map_or(Separator::Blanks, Separator::Byte);
         let fields = separator.fields(line);
         let in_comment = || {
-            let is_row = !fields.is_empty() && fields.iter().all(|field| field.parse::<f64>().is_ok());
+            let is_row = !fields.is_empty() && fields.iter().all(|field| is_number(field.as_bytes()));
             let names = separator.fields(comments.last().filter(|_| is_row)?);
             (names.len() == fields.len()).then_some(names)
         };
-        let (names, separator, rows_from) = match (sextractor_names(&comments, line), in_comment()) {
-            (Some(names), _) => (names, Separator::Blanks, start),
-            (None, Some(names)) => (names, separator, start),
-            (None, None) => (fields, separator, end),
-        };
+        let (names, separator, rows_from, first_line) =
+            match (sextractor_names(&comments, line), in_comment()) {
+                (Some(names), _) => (names, Separator::Blanks, start, number),
+                (None, Some(names)) => (names, separator, start, number),
+                (None, None) => {
+                    // Blanks may follow the names.
+                    let rest = text[end..].iter().position(|&byte| byte == b'\n');
+                    let next = rest.map_or(text.len(), |length| end + length + 1);
+                    (fields, separator, next, number + 1)
+                }
+            };
         Ok(Self {
             path: path.to_owned(),
             names,
             separator,
             rows_from,
-            first_line: number,
+            first_line,
             text,
         })
     }
@@ -84,12 +92,13 @@ impl TextTable {
     /// Returns this table with its first line as a row, if this line holds numbers instead of names.
     /// The columns are then named by their numbers.
     pub(crate) fn with_first_row(mut self) -> Self {
-        if !self.names.is_empty() && self.names.iter().all(|name| name.parse::<f64>().is_ok()) {
-            let before = &self.text[..self.rows_from];
+        if !self.names.is_empty() && self.names.iter().all(|name| is_number(name.as_bytes())) {
+            let before = self.text[..self.rows_from].trim_ascii_end();
             self.rows_from = before
                 .iter()
                 .rposition(|&byte| byte == b'\n')
                 .map_or(0, |end| end + 1);
+            self.first_line -= 1;
             self.names = (1..=self.names.len())
                 .map(|number| format!("column {number}"))
                 .collect();
@@ -97,21 +106,26 @@ impl TextTable {
         self
     }
 
-    /// The unit of a column, as the header of an ECSV file states it.
-    pub(crate) fn ecsv_unit(&self, name: &str) -> Option<String> {
-        let comments =
-            lines(&self.text).filter_map(|(_, start, end)| self.text[start..end].strip_prefix(b"#"));
-        comments.map(String::from_utf8_lossy).find_map(|comment| {
-            let entry = comment.trim().strip_prefix("- {")?.strip_suffix('}')?.to_owned();
-            let value_of = |key: &str| {
-                let pairs = entry.split(',').filter_map(|pair| pair.split_once(':'));
-                let mut found = pairs.filter(|(k, _)| k.trim() == key);
-                found
-                    .next()
-                    .map(|(_, v)| v.trim().trim_matches(['\'', '"']).to_owned())
-            };
-            value_of("unit").filter(|_| value_of("name").as_deref() == Some(name))
-        })
+    /// The unit of a column, as the header of an ECSV file or the comments of SExtractor state it. Empty if
+    /// they do not.
+    pub(crate) fn unit(&self, name: &str) -> Result<String, IoError> {
+        let before = &self.text[..self.rows_from];
+        let comments: Vec<&[u8]> = lines(before)
+            .map_while(|(_, start, end)| before[start..end].strip_prefix(b"#"))
+            .collect();
+        let of_name = |(column, unit): (String, String)| column.eq_ignore_ascii_case(name).then_some(unit);
+        if let Some(columns) = ecsv::units(&comments) {
+            let columns = columns.map_err(|why| {
+                let problem = format!("the header of this ECSV file is not valid: {why}");
+                IoError::new(&self.path, IoErrorKind::Table, problem)
+            })?;
+            return Ok(columns.into_iter().find_map(of_name).unwrap_or_default());
+        }
+        Ok(comments
+            .into_iter()
+            .filter_map(sextractor_unit)
+            .find_map(of_name)
+            .unwrap_or_default())
     }
 
     /// The error for a choice among the tables of this file.
@@ -124,6 +138,7 @@ impl TextTable {
     pub(crate) fn read(&self, names: &[&str], nans: Nans) -> Result<NumberColumns, IoError> {
         let places = names.iter().map(|name| find(&self.path, self.names.iter(), name));
         let places: Vec<usize> = places.collect::<Result<_, _>>()?;
+        self.check_comments(&places)?;
         let mut columns = vec![Vec::new(); names.len()];
         let mut rows = Vec::new();
         self.for_each_row(|line, fields| {
@@ -152,6 +167,27 @@ impl TextTable {
         Ok(texts)
     }
 
+    /// Returns an error for a comment that may be a row. Such a comment has as many fields as a row, and
+    /// numbers in the columns at `places`. If the first column holds numbers, no row begins with `#`.
+    fn check_comments(&self, places: &[usize]) -> Result<(), IoError> {
+        if places.is_empty() || places.contains(&0) {
+            return Ok(());
+        }
+        let rows = &self.text[self.rows_from..];
+        for (number, start, end) in lines(rows).filter(|&(_, start, _)| rows[start] == b'#') {
+            let fields = self.separator.fields(&rows[start..end]);
+            if fields.len() == self.names.len()
+                && places.iter().all(|&place| is_number(fields[place].as_bytes()))
+            {
+                const AMBIGUOUS: &str = "the line begins with # as a comment does, but looks like a row: put its first field in double \
+                     quotes, or remove the line";
+                let line = Row::Line(number + self.first_line - 1);
+                return Err(IoError::new(&self.path, IoErrorKind::Table, AMBIGUOUS).at(Place::Row(line)));
+            }
+        }
+        Ok(())
+    }
+
     /// Calls a function with the line number and the fields of each row. A row must have as many
     /// fields as there are column names.
     fn for_each_row(
@@ -169,10 +205,17 @@ impl TextTable {
             Err(IoError::new(&self.path, IoErrorKind::Table, problem).at(Place::Row(Row::Line(line))))
         };
         let Separator::Byte(separator) = self.separator else {
-            for (number, start, end) in lines(rows) {
-                if rows[start] != b'#' {
-                    let fields: Vec<&[u8]> = blank_separated(&rows[start..end]).collect();
-                    on_row(number + skipped, &fields)?;
+            for (number, start, end) in lines(rows).filter(|&(_, start, _)| rows[start] != b'#') {
+                let line = &rows[start..end];
+                if line.contains(&b'"') {
+                    let fields = quoted_fields(line).ok_or_else(|| {
+                        const OPEN: &str = "a field begins with a double quote, but does not end with one";
+                        let place = Place::Row(Row::Line(number + skipped));
+                        IoError::new(&self.path, IoErrorKind::Table, OPEN).at(place)
+                    })?;
+                    on_row(number + skipped, &fields.iter().map(|f| &**f).collect::<Vec<_>>())?;
+                } else {
+                    on_row(number + skipped, &blank_separated(line).collect::<Vec<_>>())?;
                 }
             }
             return Ok(());
@@ -189,6 +232,10 @@ impl TextTable {
             |source: csv::Error| IoError::new(&self.path, IoErrorKind::Table, NOT_CSV).because(source);
         while reader.read_byte_record(&mut record).map_err(failed)? {
             let fields: Vec<&[u8]> = record.iter().collect();
+            // A line of blanks.
+            if fields == [b""] && self.names.len() > 1 {
+                continue;
+            }
             on_row(line_of(rows, record.position()) + skipped, &fields)?;
         }
         Ok(())
@@ -200,10 +247,27 @@ impl TextTable {
 fn number(field: &[u8], nans: Nans) -> Option<f64> {
     let number = match std::str::from_utf8(field) {
         Ok("") => Some(f64::NAN),
-        Ok(text) => text.parse::<f64>().ok(),
+        Ok(text) => text.parse::<f64>().ok().or_else(|| fortran_number(text)),
         Err(_) => None,
     };
     number.filter(|number| nans == Nans::Kept || number.is_finite())
+}
+
+/// A number whose exponent begins with D, as Fortran writes it: `1.0D+01`.
+fn fortran_number(text: &str) -> Option<f64> {
+    let (digits, exponent) = text.split_once(['D', 'd'])?;
+    let is_of = |part: &str, others: &[u8]| {
+        let allowed = |byte: u8| byte.is_ascii_digit() || others.contains(&byte);
+        !part.is_empty() && part.bytes().all(allowed)
+    };
+    let fits = is_of(digits, b"+-.") && is_of(exponent, b"+-");
+    fits.then(|| format!("{digits}e{exponent}").parse().ok())
+        .flatten()
+}
+
+/// Returns whether a field that is not empty is a number.
+fn is_number(field: &[u8]) -> bool {
+    !field.is_empty() && number(field, Nans::Kept).is_some()
 }
 
 /// The line number of a record, counted from 1. The parser's position is before any comments and
@@ -229,7 +293,7 @@ const MOST_WITHOUT_ROWS: usize = 10_000;
 enum Separator {
     /// A comma or a tab. Fields may be quoted.
     Byte(u8),
-    /// One or more blanks.
+    /// One or more blanks. Fields may be quoted.
     Blanks,
 }
 
@@ -238,7 +302,10 @@ impl Separator {
     fn fields(self, line: &[u8]) -> Vec<String> {
         let owned = |field: &[u8]| String::from_utf8_lossy(field).into_owned();
         match self {
-            Self::Blanks => blank_separated(line).map(owned).collect(),
+            Self::Blanks => match quoted_fields(line) {
+                Some(fields) => fields.iter().map(|field| owned(field)).collect(),
+                None => blank_separated(line).map(owned).collect(),
+            },
             Self::Byte(separator) => {
                 let mut reader = ReaderBuilder::new()
                     .has_headers(false)
@@ -262,6 +329,43 @@ fn blank_separated(line: &[u8]) -> impl Iterator<Item = &[u8]> {
         .filter(|field| !field.is_empty())
 }
 
+/// Returns the fields of a line that are separated by blanks, where a field in double quotes may hold
+/// blanks, or nothing. Two double quotes in such a field stand for one. Returns `None` if a quote is not
+/// closed at the end of its field.
+fn quoted_fields(line: &[u8]) -> Option<Vec<Cow<'_, [u8]>>> {
+    let mut fields = Vec::new();
+    let mut rest = line.trim_ascii();
+    while !rest.is_empty() {
+        let length = if let Some(inside) = rest.strip_prefix(b"\"") {
+            let (mut text, mut from) = (Cow::Borrowed(&b""[..]), 0);
+            loop {
+                let end = from + inside[from..].iter().position(|&byte| byte == b'"')?;
+                match text {
+                    Cow::Borrowed(_) => text = Cow::Borrowed(&inside[..end]),
+                    Cow::Owned(ref mut text) => text.extend(&inside[from..end]),
+                }
+                if inside.get(end + 1) != Some(&b'"') {
+                    fields.push(text);
+                    break end + 2;
+                }
+                text.to_mut().push(b'"');
+                from = end + 2;
+            }
+        } else {
+            let end = rest.iter().position(u8::is_ascii_whitespace);
+            let length = end.unwrap_or(rest.len());
+            fields.push(Cow::Borrowed(&rest[..length]));
+            length
+        };
+        let after = &rest[length..];
+        rest = after.trim_ascii_start();
+        if rest.len() == after.len() && !rest.is_empty() {
+            return None;
+        }
+    }
+    Some(fields)
+}
+
 /// The lines that are not empty: number counted from 1, position of the first byte, and position
 /// after the last byte, without the line break.
 fn lines(text: &[u8]) -> impl Iterator<Item = (u64, usize, usize)> {
@@ -282,7 +386,6 @@ fn lines(text: &[u8]) -> impl Iterator<Item = (u64, usize, usize)> {
 /// up to the last comment. The row must hold only numbers, and at least as many as the last column
 /// number.
 fn sextractor_names(comments: &[&[u8]], row: &[u8]) -> Option<Vec<String>> {
-    let is_number = |field: &[u8]| std::str::from_utf8(field).is_ok_and(|text| text.parse::<f64>().is_ok());
     let fields: Vec<&[u8]> = blank_separated(row).collect();
     if !fields.iter().all(|field| is_number(field)) {
         return None;
@@ -310,6 +413,16 @@ fn sextractor_names(comments: &[&[u8]], row: &[u8]) -> Option<Vec<String>> {
         names[number - 1] = name;
     }
     Some(names)
+}
+
+/// The name and the unit in a comment `number NAME description [unit]` of SExtractor.
+fn sextractor_unit(comment: &[u8]) -> Option<(String, String)> {
+    let text = String::from_utf8_lossy(comment);
+    let mut parts = text.split_whitespace();
+    parts.next()?.parse::<usize>().ok()?;
+    let name = parts.next()?.to_owned();
+    let (_, unit) = text.trim_end().strip_suffix(']')?.rsplit_once('[')?;
+    Some((name, unit.trim().to_owned()))
 }
 
 #[cfg(test)]
@@ -360,13 +473,15 @@ mod tests {
         }
         let error = read(b"# two stars\n1,2\n").unwrap_err();
         assert!(error.to_string().contains("\"1\", \"2\""), "{error}");
-        let error = read(b"x,y,X\n1,2,3\n").unwrap_err();
+        let error = read(b"x,y,x\n1,2,3\n").unwrap_err();
         assert!(
             error
                 .to_string()
                 .contains("column \"x\": the column exists more than once"),
             "{error}"
         );
+        // Case decides between two columns.
+        assert_eq!(read(b"x,y,X\n1,2,3\n").unwrap(), [[1.0], [2.0]]);
         let error = read(b"").unwrap_err();
         assert_eq!(error.place(), Some(&Place::Column("x".to_owned())));
     }
@@ -427,6 +542,74 @@ mod tests {
             "{error}"
         );
         assert_eq!(read(b"# 1 X\n# 2 Y\n").unwrap(), [[0.0; 0]; 2]);
+    }
+
+    #[test]
+    fn fields_separated_by_blanks_may_be_quoted() {
+        let text = "\"my name\" x y\n\"M 31\" 1 2\n\"a \"\"b\"\" c\" 3 \"4\"\nd 5 6\n";
+        assert_eq!(read(text.as_bytes()).unwrap(), [[1.0, 3.0, 5.0], [2.0, 4.0, 6.0]]);
+        let file = tempfile::NamedTempFile::new().unwrap();
+        std::fs::write(file.path(), text).unwrap();
+        let table = TextTable::open(file.path()).unwrap();
+        assert_eq!(table.read_texts("my name").unwrap(), ["M 31", "a \"b\" c", "d"]);
+        // Astropy writes a masked value as an empty string in quotes.
+        std::fs::write(file.path(), "x y\n1 \"\"\n\"\" 2\n").unwrap();
+        let table = TextTable::open(file.path()).unwrap();
+        let columns = table.read(&["x", "y"], Nans::Kept).unwrap().values;
+        assert!(columns[1][0].is_nan() && columns[0][1].is_nan() && columns[1][1] == 2.0);
+        for text in ["x y\n1 2\n\"3 4\n", "x y\n1 2\n\"3\"4 5\n"] {
+            let error = read(text.as_bytes()).unwrap_err();
+            assert_eq!(error.place(), Some(&Place::Row(Row::Line(3))), "{error}");
+        }
+    }
+
+    #[test]
+    fn blanks_at_the_end_of_lines_do_not_matter() {
+        let expected = [[1.0, 3.0], [2.0, 4.0]];
+        for text in [
+            "x,y \n1,2\n3,4\n",
+            "x,y\t\r\n1,2\r\n3,4\r\n",
+            "x,y\r\r\n1,2\n3,4\n",
+            "x,y\n1,2 \n3,4\n   \n",
+            "x,y\n1,2\n \t\n3,4\n\t ",
+            "x\ty\n1\t2\n3\t4\n   ",
+            "x y  \n1 2\n3 4\n   ",
+        ] {
+            assert_eq!(read(text.as_bytes()).unwrap(), expected, "{text:?}");
+        }
+        let error = read(b"x,y \n1,2\n3,a\n").unwrap_err();
+        assert_eq!(error.place(), Some(&value_at(3, "y")));
+    }
+
+    #[test]
+    fn rows_that_begin_with_a_hash_do_not_vanish() {
+        for text in [
+            "name,x,y\na,1,2\n#1,3,4\n",
+            "name x y\na 1 2\n#1 3 4\n",
+            "name\tx\ty\na\t1\t2\n#1\t3\t4\n",
+        ] {
+            let error = read(text.as_bytes()).unwrap_err();
+            assert_eq!(error.place(), Some(&Place::Row(Row::Line(3))), "{error}");
+            assert!(error.to_string().contains("looks like a row"), "{error}");
+        }
+        for text in [
+            "name,x,y\na,1,2\n\"#1\",3,4\n",
+            "name,x,y\na,1,2\n# a comment, with, commas\nb,3,4\n",
+            "name x y\na 1 2\n# three words here\n\"#1\" 3 4\n",
+            // A column of numbers comes first, so this is a comment.
+            "x,y,name\n1,2,a\n#5,6,c\n3,4,b\n",
+        ] {
+            assert_eq!(read(text.as_bytes()).unwrap(), [[1.0, 3.0], [2.0, 4.0]], "{text}");
+        }
+    }
+
+    #[test]
+    fn exponents_may_be_those_of_fortran() {
+        let text = b"x,y\n1.0D+01,-2d-1\n.5D2,1D0\n";
+        assert_eq!(read(text).unwrap(), [[10.0, 50.0], [-0.2, 1.0]]);
+        for bad in ["D1", "1D", "infD1", "1D1D1", "0x1D1"] {
+            assert!(read(format!("x,y\n1,{bad}\n").as_bytes()).is_err(), "{bad}");
+        }
     }
 
     #[test]

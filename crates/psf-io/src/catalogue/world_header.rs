@@ -4,7 +4,7 @@
 use thiserror::Error;
 
 use crate::fits::card::{Card, FromValue};
-use crate::fits::header_cards::HeaderCards;
+use crate::fits::header_cards::{HeaderCards, matrix_keywords, sip_degree};
 
 /// The highest supported order of SIP, which is the highest that the convention allows.
 const LARGEST_SIP_ORDER: usize = 9;
@@ -110,10 +110,15 @@ impl World<'_> {
             })
     }
 
-    /// Reads the matrix from pixels to degrees: `CDi_j`, or `CDELTi` with `PCi_j` or `CROTA2`.
+    /// Reads the matrix from pixels to the units of the axes: `CDi_j`, or `CDELTi` with `PCi_j` or
+    /// `CROTA2`. Old headers spell the keywords `PC001002`.
     pub(crate) fn matrix(&self) -> Result<[[f64; 2]; 2], WorldCoordinatesError> {
         let named = |stem: &str| -> Result<[[Option<f64>; 2]; 2], WorldCoordinatesError> {
-            let of = |i, j| self.number(&format!("{stem}{i}_{j}"));
+            let of = |i, j| {
+                let spelt = matrix_keywords(stem, i, j);
+                let here = spelt.iter().find(|keyword| self.header.get(keyword).is_some());
+                here.map_or(Ok(None), |keyword| self.number(keyword))
+            };
             Ok([[of(1, 1)?, of(1, 2)?], [of(2, 1)?, of(2, 2)?]])
         };
         let cd = named("CD")?;
@@ -148,11 +153,13 @@ pub(crate) enum Distortion {
 }
 
 impl Distortion {
-    /// Reads the distortion. `axes` are the axis numbers of longitude and latitude.
+    /// Reads the distortion. `axes` are the axis numbers of longitude and latitude. `reference` is the
+    /// usual native latitude of the reference point.
     pub(crate) fn from_header(
         header: &HeaderCards,
         ctype: &str,
         axes: [&str; 2],
+        reference: f64,
     ) -> Result<Self, WorldCoordinatesError> {
         let world = World { header };
         refuse_tables(header)?;
@@ -177,7 +184,12 @@ impl Distortion {
                 "both distortions",
             ));
         }
-        if suffix == "-SIP" || order.is_some() {
+        // A type that ends in -SIP without any coefficient has no distortion.
+        let is_term = |card: &Card| {
+            let keyword = card.keyword();
+            (keyword.starts_with("A_") || keyword.starts_with("B_")) && sip_degree(&keyword).is_some()
+        };
+        if order.is_some() || (suffix == "-SIP" && header.iter().any(is_term)) {
             return Ok(Self::Sip([sip(&world, "A")?, sip(&world, "B")?]));
         }
         // SCAMP's headers say TAN. With TAN, terms `PVi_m` of the latitude, and terms of the
@@ -186,7 +198,7 @@ impl Distortion {
             (from..TPV_TERMS).any(|m| header.get(&format!("PV{axis}_{m}")).is_some())
         };
         if !is("TPV") && !(is("TAN") && (has(axes[1], 0) || has(axes[0], 5))) {
-            refuse_moved_reference(&world, axes[0])?;
+            refuse_moved_reference(&world, axes[0], reference)?;
             return Ok(Self::None);
         }
         let mut terms = Box::new([[0.0; TPV_TERMS]; 2]);
@@ -263,12 +275,25 @@ fn refuse_tables(header: &HeaderCards) -> Result<(), WorldCoordinatesError> {
 
 /// Returns an error if `PVi_0` to `PVi_3` of the longitude move the reference point or the pole
 /// (Calabretta and Greisen 2002, section 2.5).
-fn refuse_moved_reference(world: &World<'_>, axis: &str) -> Result<(), WorldCoordinatesError> {
+fn refuse_moved_reference(
+    world: &World<'_>,
+    axis: &str,
+    reference: f64,
+) -> Result<(), WorldCoordinatesError> {
     let pole = world.number("LONPOLE")?;
-    // In a zenithal projection, the reference point is the native pole, so `PVi_2` (its native
-    // latitude) is usually 90. `PVi_4` (LATPOLE, the native latitude of the celestial pole) has no
-    // effect in such a projection, so it is not checked.
-    for (m, usual) in [(0, 0.0), (1, 0.0), (2, 90.0), (3, pole.unwrap_or(0.0))] {
+    // `PVi_2` is the native latitude of the reference point: 90 in a zenithal projection, 0 in CAR.
+    // `PVi_4` (LATPOLE, the native latitude of the celestial pole) has no effect in a zenithal
+    // projection. In CAR, it is 90 or the declination of the reference point, unless the map is
+    // upside down.
+    let latitude = world.number("LATPOLE")?;
+    if let Some(value) = latitude.filter(|&value| reference == 0.0 && value <= 0.0) {
+        return Err(unsupported(
+            "LATPOLE",
+            "above 0 in the projection CAR",
+            &value.to_string(),
+        ));
+    }
+    for (m, usual) in [(0, 0.0), (1, 0.0), (2, reference), (3, pole.unwrap_or(0.0))] {
         let keyword = format!("PV{axis}_{m}");
         if let Some(value) = world
             .number(&keyword)?

@@ -204,12 +204,19 @@ pub(crate) fn positions(path: &Path, x: Vec<f64>, y: Vec<f64>) -> Result<Vec<Pos
         .collect()
 }
 
-/// The index of the column with this name, in upper or lower case.
+/// The index of the column with this name, in upper or lower case. Of several such columns, one must have
+/// exactly this name.
 pub(crate) fn find<'a>(
     path: &Path,
     names: impl Iterator<Item = &'a String> + Clone,
     name: &str,
 ) -> Result<usize, IoError> {
+    if let Some(exact) = names.clone().position(|n| n == name) {
+        let again = names.clone().skip(exact + 1).any(|n| n == name);
+        if !again {
+            return Ok(exact);
+        }
+    }
     let mut found = names
         .clone()
         .enumerate()

@@ -338,12 +338,16 @@ impl HeaderCards {
                 let has = |name: &str| binned.get(&keyword(name)).is_some();
                 let in_world = has("CRVAL") || has("CTYPE");
                 let missing_pixel = in_world && !has("CRPIX");
-                let matrix = (1..=9).any(|i| binned.get(&format!("CD{i}_{axis}{version}")).is_some());
+                let elements: Vec<String> = (1..=9)
+                    .flat_map(|i| matrix_keywords("CD", i, axis))
+                    .map(|keyword| format!("{keyword}{version}"))
+                    .collect();
+                let matrix = elements.iter().any(|keyword| binned.get(keyword).is_some());
                 let missing_step = in_world && !has("CDELT") && !matrix;
                 binned.change(&keyword("CRPIX"), pixel);
                 binned.change(&keyword("CDELT"), |v| v * s);
-                for i in 1..=9 {
-                    binned.change(&format!("CD{i}_{axis}{version}"), |v| v * s);
+                for keyword in &elements {
+                    binned.change(keyword, |v| v * s);
                 }
                 if missing_pixel {
                     binned.push(
@@ -366,8 +370,18 @@ impl HeaderCards {
     }
 }
 
+/// The spellings of the keyword of a matrix element: `PC1_2`, and in old headers `PC01_02` and
+/// `PC001002`. Wcslib reads all of them.
+pub(crate) fn matrix_keywords(stem: &str, row: usize, column: usize) -> [String; 3] {
+    [
+        format!("{stem}{row}_{column}"),
+        format!("{stem}{row:02}_{column:02}"),
+        format!("{stem}{row:03}{column:03}"),
+    ]
+}
+
 /// `p + q` of a SIP coefficient `A_p_q`, `B_p_q`, `AP_p_q` or `BP_p_q`.
-fn sip_degree(keyword: &str) -> Option<i32> {
+pub(crate) fn sip_degree(keyword: &str) -> Option<i32> {
     let rest = ["AP_", "BP_", "A_", "B_"]
         .iter()
         .find_map(|stem| keyword.strip_prefix(stem))?;

@@ -20,6 +20,14 @@ cases={
  "swapped":{**base,"CTYPE1":"DEC--TAN","CTYPE2":"RA---TAN","CRVAL1":2.2,"CRVAL2":150.1,"CD1_1":5e-5,"CD1_2":1e-6,"CD2_1":1e-6,"CD2_2":-5e-5},
  "tan-sip":proj("TAN-SIP",A_ORDER=3,B_ORDER=3,**sip), "tan-sip-inverse":proj("TAN-SIP",A_ORDER=3,B_ORDER=3,AP_ORDER=2,BP_ORDER=2,**sip,**ap),
  "tpv":proj("TPV",CD1_1=-7e-5,CD2_2=7e-5,**pv), "scamp":proj("TAN",**pv),
+ "old-pc":{**base,"CDELT1":-6e-5,"CDELT2":5e-5,"PC001001":-.9,"PC001002":-.4,"PC002001":.38,"PC002002":.95},
+ "older-pc":{**base,"CDELT1":-6e-5,"CDELT2":5e-5,"PC01_01":.9,"PC01_02":-.4,"PC02_01":.38,"PC02_02":.95},
+ "old-cd":{**base,"CD001001":-5e-5,"CD001002":1.2e-5,"CD002001":1.1e-5,"CD002002":5.1e-5},
+ "arcsec":{**base,"CUNIT1":"arcsec","CUNIT2":"arcmin","CRVAL1":150.1*3600,"CRVAL2":2.2*60,"CDELT1":-.216,"CDELT2":3e-3,"PC1_1":.9,"PC1_2":-.4,"PC2_1":.38,"PC2_2":.95},
+ "sip-unsaid":proj("TAN-SIP"),
+ "zpn":proj("ZPN",PV2_1=1.0,PV2_3=44.0,PV2_5=-10300.0), "zpn-sky":{**base,"CTYPE1":"RA---ZPN","CTYPE2":"DEC--ZPN","CDELT1":-.1,"CDELT2":.1,"PV2_1":0.9,"PV2_3":-.02},
+ "car":{**base,"CTYPE1":"RA---CAR","CTYPE2":"DEC--CAR","CDELT1":-.1,"CDELT2":.1}, "car-south":{**base,"CRVAL2":-40.0,"CTYPE1":"RA---CAR","CTYPE2":"DEC--CAR","CDELT1":-.05,"CDELT2":.05},
+ "car-equator":{**base,"CRVAL2":0.0,"CTYPE1":"RA---CAR","CTYPE2":"DEC--CAR","CDELT1":-.05,"CDELT2":.05},
  "wide-zea":{**base,"CTYPE1":"RA---ZEA","CTYPE2":"DEC--ZEA","CDELT1":-.1,"CDELT2":.1},
 }
 out=[]
