@@ -213,6 +213,10 @@ pub fn catalogs() -> Vec<Vec<u8>> {
          #   4 FLUX_AUTO  Flux [count]\n 1 1.0 20.25 1234.5\n 2 512.5 7.0 -3e-1\n",
         "ra,dec,mag\n10.01,20.02,21.5\n9.99,19.97,18\n,,\n",
         "x\ty\tflux\n1\t2\t3\n",
+        "x,y,flux,sed,vx,vy\n1,2,3,red.csv:nm@z=0.5,0.1,0\n4,5,6,blackbody:5000,0,0\n",
+        "# %ECSV 1.0\n# ---\n# datatype:\n# - {name: x, datatype: float64}\n# - {name: y, datatype: float64}\n\
+         # - {name: flux, unit: mJy, datatype: float64}\n# - {name: note, datatype: string}\n# schema: astropy-2.0\n\
+         x y flux note\n1.0 2.0 3.0 \"a note\"\n1.0 2.0 \"\" b\n",
     ];
     let mut integers = primary();
     let columns = [("x", "I"), ("y", "I"), ("flux", "I")];
@@ -235,8 +239,36 @@ pub fn catalogs() -> Vec<Vec<u8>> {
     ]
     .concat();
     mixed.extend(table("LDAC_OBJECTS", &columns, 2, &[], &row.repeat(2)));
+    let mut coloured = primary();
+    let columns = [("x", "D"), ("y", "D"), ("flux", "D"), ("SED", "14A")];
+    let units = ["TUNIT1  = 'pix'", "TUNIT3  = 'Jy'"];
+    let row = [f64s(&[1.0, 2.0, 3.0]), b"blackbody:4000".to_vec()].concat();
+    coloured.extend(table("STARS", &columns, 2, &units, &row.repeat(2)));
     let mut all: Vec<Vec<u8>> = texts.iter().map(|text| text.as_bytes().to_vec()).collect();
-    all.extend([mixed, integers]);
+    all.extend([mixed, integers, coloured]);
+    all
+}
+
+/// Bandpasses and spectra, in text and in FITS.
+pub fn curves() -> Vec<Vec<u8>> {
+    let texts = [
+        "wavelength_nm,throughput\n400,0\n450,0.5\n650,0.75\n700,0\n",
+        "# wavelength [Angstrom]  transmission\n4000 0.0\n5000 0.5\n7000 0.25\n",
+        "lambda_um,g,r\n0.4,0,0\n0.5,1,0\n0.7,0,1\n",
+        "blackbody:5800@z=0.1\npowerlaw:-2\nsed.csv:nm:photons@z=1\n",
+    ];
+    let mut fits = primary();
+    let columns = [("WAVELENGTH", "D"), ("THROUGHPUT", "D")];
+    let units = ["TUNIT1  = 'nm'"];
+    fits.extend(table(
+        "BAND",
+        &columns,
+        3,
+        &units,
+        &f64s(&[400.0, 0.0, 500.0, 1.0, 600.0, 0.0]),
+    ));
+    let mut all: Vec<Vec<u8>> = texts.iter().map(|text| text.as_bytes().to_vec()).collect();
+    all.push(fits);
     all
 }
 

@@ -9,7 +9,7 @@ mod tables;
 pub use descriptions::{detector, records, telescope};
 pub use images::{compressed, gzip, image, sky};
 pub use psf::{model, psfex, samples, scopesim, stamp_cube, stdpsf, stpsf};
-pub use tables::catalog;
+pub use tables::{catalog, curve};
 
 use crate::seeds;
 
@@ -80,6 +80,11 @@ pub const TARGETS: &[Target] = &[
         name: "catalog",
         run: catalog,
         seeds: seeds::catalogs,
+    },
+    Target {
+        name: "curve",
+        run: curve,
+        seeds: seeds::curves,
     },
     Target {
         name: "sky",

@@ -44,7 +44,7 @@ def plain(values: Any, name: str) -> NDArray[Any]:
         mask, values = getattr(values, "mask", None), values.data
     elif isinstance(values, np.ma.MaskedArray):
         mask, values = np.ma.getmaskarray(values), values.data
-    elif hasattr(values, "unit") and hasattr(values, "mask") and hasattr(values, "unmasked"):
+    elif hasattr(values, "mask") and hasattr(values, "unmasked"):
         # astropy's Masked.
         mask, values = values.mask, values.unmasked
     elif hasattr(values, "array") and not isinstance(values, np.ndarray):
@@ -72,6 +72,20 @@ def reals(values: Any, name: str) -> NDArray[np.float64]:
     array = plain(values, name)
     check_real(array, name)
     return np.require(array, dtype=DTYPES["f64"], requirements="A")
+
+
+def with_missing(values: Any, name: str) -> NDArray[np.float64]:
+    """Return an array of doubles, as `reals` does, in which missing and masked values are NaN."""
+    if hasattr(values, "isna") and hasattr(values, "to_numpy"):
+        # A column of pandas. Whole numbers with missing values are objects for NumPy.
+        with contextlib.suppress(TypeError, ValueError):
+            values = values.to_numpy(dtype=np.float64, na_value=np.nan)
+    mask = getattr(values, "mask", None)
+    known = np.ma.isMaskedArray(values) or hasattr(values, "unmasked")
+    if not known or not isinstance(mask, np.ndarray) or not mask.any():
+        return reals(values, name)
+    shown = np.ma.getdata(values) if np.ma.isMaskedArray(values) else values.unmasked
+    return np.where(mask, np.nan, reals(shown, name))
 
 
 def numbers(values: Any, name: str, dtype: np.dtype[Any], axes: str) -> NDArray[Any]:

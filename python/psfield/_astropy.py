@@ -23,19 +23,23 @@ def check_linear(unit: Any, name: str) -> None:
 
 
 def in_unit(values: Any, unit: Any, name: str) -> Any:
-    """Return the numbers of a Quantity in ``unit``, or in its own unit if ``unit`` is None.
+    """Return the numbers of values in ``unit``, or in their own unit if ``unit`` is None.
 
-    Values without a unit are returned as they are. Dimensionless values count as pixels.
+    Values without a unit, and dimensionless ones, count as values in ``unit``. A mask is kept.
     """
     own = getattr(values, "unit", None)
-    if own is None or not hasattr(values, "to_value"):
+    if own is None or not hasattr(own, "to"):
         return values
-    if unit is None or (unit == "pix" and str(own) == ""):
-        return values.to_value()
+    wanted = own if unit is None or str(own) == "" else unit
     try:
-        return values.to_value(unit)
+        if hasattr(values, "to_value"):
+            return values.to_value(wanted)
+        # A column of a Table, whose numbers may be masked.
+        factor = own.to(wanted)
     except (TypeError, ValueError) as error:
         raise ValueError(f"{name}: {error}") from None
+    plain = np.ma.asarray(values) if np.ma.isMaskedArray(values) else np.asarray(values)
+    return plain if factor == 1 else plain * factor
 
 
 def like(scene: Any, image: Any, first: tuple[int, int], oversample: int) -> Any:

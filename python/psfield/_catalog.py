@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import warnings
 from typing import Any
@@ -11,19 +10,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from psfield import _native
-from psfield._arrays import reals
+from psfield._arrays import with_missing
 from psfield._astropy import check_linear, in_unit
 from psfield._errors import PsfieldWarning
 from psfield._sky import Sky, is_sky, sky_of
-from psfield._tables import OTHER_NAMES, column_names, find_columns
+from psfield._tables import column_names
 
 Column = NDArray[np.float64]
-#: The columns x, y, flux, re, n, q, angle, g1 and g2 by name. A missing column is None.
-Columns = dict[str, Column | None]
+Columns = dict[str, Column]
 
 _NEEDED = ("x", "y", "flux")
 _SHAPE = ("re", "n", "q", "angle")
-_SHEAR = ("g1", "g2")
 _OFF_PROJECTION = "outside the projection of the world coordinates"
 
 
@@ -48,7 +45,8 @@ def read_catalog(
     columns : str, optional
         The column of each role, as in ``"x=X_IMAGE,y=Y_IMAGE,mag=MAG_AUTO"``. The roles are x and y
         (or ra and dec), flux (or mag), and re, n, q, angle, g1 and g2 for galaxies. By default each
-        role uses the column of its own name. Positions may also be called ``x_0`` and ``y_0``.
+        role uses the column of its own name. Positions may also be called ``x_0`` and ``y_0``. A
+        unit that the file states is converted (angles to degrees), or refused.
     one_based : bool
         The first pixel is 1, as in SExtractor and FITS.
     zero_point : float, optional
@@ -95,36 +93,30 @@ def read_catalog(
     >>> stars["x"].tolist(), stars["y"].tolist(), stars["flux"].round(6).tolist()
     ([2.0], [1.0], [100.0])
     """
-    path = os.fspath(path)
+    settings = (columns, one_based, zero_point, skip_invalid, None if table is None else str(table))
+    extension = None if wcs_extension is None else str(wcs_extension)
+    return _read(os.fspath(path), settings, wcs, extension, None, 3)
+
+
+def _read(
+    path: str,
+    settings: tuple[str | None, bool, float | None, bool, str | None],
+    wcs: Any,
+    wcs_extension: str | None,
+    unit: Any,
+    stacklevel: int,
+) -> Columns:
+    """Read a file, as `read_catalog` does. Fluxes that have a unit are converted to ``unit``."""
     wcs_path = os.fspath(wcs) if is_path(wcs) else None
     sky = None if is_path(wcs) else sky_of(None, wcs, 1, (0, 0))
     cards = None if sky is None else sky.cards()
-
-    def read(columns: str | None) -> tuple[list[Column], list[Column], int, int]:
-        return _native.read_catalog(
-            path,
-            columns,
-            one_based,
-            zero_point,
-            skip_invalid,
-            None if table is None else str(table),
-            wcs_path,
-            None if wcs_extension is None else str(wcs_extension),
-            cards,
-        )
-
-    found = None
-    try:
-        found = read(columns)
-    except OSError:
-        others = [f"{role}={name}" for role, name in OTHER_NAMES.items()]
-        with contextlib.suppress(OSError, ValueError):
-            found = read(",".join(others if columns is None else [*others, columns]))
-        if found is None:
-            raise
-    stars, galaxies, invalid, outside = found
-    _warn_of_skipped(invalid, path, "invalid", 2)
-    _warn_of_skipped(outside, path, _OFF_PROJECTION, 2)
+    flux_unit = None if unit is None else str(unit)
+    stars, galaxies, invalid, outside, ignored = _native.read_catalog(
+        path, *settings, wcs_path, wcs_extension, cards, flux_unit
+    )
+    _warn_of_skipped(invalid, path, "invalid", stacklevel)
+    _warn_of_skipped(outside, path, _OFF_PROJECTION, stacklevel)
+    _warn_of_ignored(ignored, path, stacklevel)
     catalog = dict(zip(_NEEDED, stars, strict=True))
     if len(galaxies[0]):
         of_star = {"re": 0.0, "n": np.nan, "q": 1.0, "angle": 0.0}
@@ -143,110 +135,131 @@ def _warn_of_skipped(count: int, catalog: str, problem: str, stacklevel: int) ->
         warnings.warn(text, PsfieldWarning, stacklevel=stacklevel + 1)
 
 
+def _warn_of_ignored(columns: list[str], catalog: str, stacklevel: int) -> None:
+    """Warn of columns that change a source and are not read, if there are any."""
+    if columns:
+        names = ", ".join(columns)
+        text = f"{catalog}: not read, though they may change the sources: the columns {names}"
+        warnings.warn(text, PsfieldWarning, stacklevel=stacklevel + 1)
+
+
 def is_path(value: Any) -> bool:
     """Return whether a value is the path of a file."""
     return isinstance(value, (str, os.PathLike))
 
 
-def columns_of(catalog: Any, unit: Any = None, sky: Sky | None = None) -> Columns | None:
-    """Return the columns of a catalogue: a table of any kind, or the path of a file.
+def sources_of(catalog: Any, unit: Any, sky: Sky | None, stacklevel: int) -> _native.Sources | None:
+    """Return the sources of a catalogue, from what `columns_of` takes."""
+    columns = columns_of(catalog, unit, sky, stacklevel=stacklevel + 1)
+    return None if columns is None else _native.Sources(list(columns.items()))
+
+
+def columns_of(
+    catalog: Any, unit: Any = None, sky: Sky | None = None, *, stacklevel: int = 3
+) -> Columns | None:
+    """Return the columns of a catalogue by their roles: a table of any kind, or the path of a file.
 
     Fluxes that have a unit are converted to ``unit``. A single number in place of a column holds
-    for every row. ``sky`` gives positions on the sky their pixels.
+    for every row. ``sky`` gives positions on the sky their pixels. What the columns mean is decided
+    by the native module, as for files. ``stacklevel`` is that of the user's line, for warnings.
     """
     if catalog is None:
         return None
     if is_path(catalog):
         # A file of pixel positions needs no world coordinates, and gwcs has none for files.
         has_cards = sky is not None and hasattr(sky.wcs, "to_header")
-        catalog = read_catalog(catalog, wcs=sky if has_cards else None)
-    names = column_names(catalog)
-    if names is None:
+        settings = (None, False, None, False, None)
+        path = os.fspath(catalog)
+        return _read(path, settings, sky if has_cards else None, None, unit, stacklevel + 1)
+    table = column_names(catalog)
+    if table is None:
         raise TypeError(
             "catalog must be the path of a file or a table with columns x, y and flux (a dict of"
             " arrays, an astropy Table, a structured array, a data frame),"
             f" got {type(catalog).__name__}"
         )
-    roles = (*_NEEDED, *_SHAPE, *_SHEAR)
-    found = find_columns(names, roles, "catalog")
-    place = None if "x" in found or "y" in found else _place_on_sky(catalog, names)
+    named = {str(name): catalog[name] for name in table}
+    place = _sky_coord(named)
     if place is not None:
         # From here on, the pixels are columns of the table.
-        catalog = {name: catalog[name] for name in names}
-        catalog["x"], catalog["y"] = _pixels_of(place, sky)
-        found |= {"x": "x", "y": "y"}
-    if missing := [role for role in _NEEDED if role not in found]:
-        if missing == ["flux"] and find_columns(names, ("mag",), "catalog"):
-            raise ValueError(
-                "catalog: there is no column flux, only magnitudes: set flux = 10**(-0.4 * (mag -"
-                " zero_point)), or read the file with read_catalog(..., zero_point=)"
-            )
-        raise ValueError(
-            f"catalog: there is no column {missing[0]}. A catalogue needs x and y (or ra and dec,"
-            " or a SkyCoord) and flux, and for galaxies re and n. The columns are"
-            f" {', '.join(map(str, names)) or 'none'}"
-        )
-    if "re" in found and "n" not in found:
-        raise ValueError("catalog: galaxies (column re) need their Sersic index (column n)")
-    if "re" not in found:
-        # Stars have no shear. A column g1 or g2 of a table of stars may mean anything.
-        found = {role: name for role, name in found.items() if role not in _SHEAR}
-    elif ("g1" in found) != ("g2" in found):
-        lacking = "g2" if "g1" in found else "g1"
-        raise ValueError(f"catalog: a shear needs both columns g1 and g2, there is no {lacking}")
-    arrays = {role: _column(catalog[name], role, unit) for role, name in found.items()}
-    rows = max((array.size for array in arrays.values() if array.ndim == 1), default=1)
-    columns: Columns = dict.fromkeys(roles)
-    columns |= {
-        role: array if array.ndim else np.full(rows, array) for role, array in arrays.items()
+        named["x"], named["y"] = _pixels_of(place, sky)
+    _check_magnitudes(named)
+    picked, ignored = _native.catalog_columns(list(named))
+    columns = {
+        role: _column(named[name], name, unit if of_column is None else of_column)
+        for role, name, of_column in picked
     }
-    return columns if place is None else _on_projection(columns)
+    rows = max((array.size for array in columns.values() if array.ndim == 1), default=1)
+    columns = {
+        role: array if array.ndim else np.full(rows, array) for role, array in columns.items()
+    }
+    if "ra" in columns:
+        place = columns.pop("ra"), columns.pop("dec")
+        columns["x"], columns["y"] = _pixels_of(place, sky)
+    _warn_of_ignored(ignored, "catalog", stacklevel)
+    return columns if place is None else _on_projection(columns, stacklevel)
 
 
-def _place_on_sky(catalog: Any, names: list[Any]) -> Any:
-    """Return the SkyCoord of a table, or its columns ra and dec in degrees, or None."""
-    found = find_columns(names, ("ra", "dec"), "catalog")
-    if len(found) == 2:
-        return tuple(
-            reals(in_unit(catalog[name], "deg", f"catalog: {role}"), f"catalog: {role}")
-            for role, name in found.items()
-        )
-    places = [name for name in names if is_sky(catalog[name])]
+def _sky_coord(named: dict[str, Any]) -> Any:
+    """Return the SkyCoord of a table without other positions, or None."""
+    lower = {name.lower() for name in named}
+    if lower & {"x", "y", "x_0", "y_0"} or {"ra", "dec"} <= lower:
+        return None
+    places = [name for name, values in named.items() if is_sky(values)]
     if len(places) > 1:
         raise ValueError(
             f"catalog: {places[0]} and {places[1]} are both positions on the sky: remove one"
         )
-    return catalog[places[0]] if places else None
+    return named[places[0]] if places else None
 
 
 def _pixels_of(place: Any, sky: Sky | None) -> tuple[Column, Column]:
+    """Return the pixels of a SkyCoord, or of right ascensions and declinations in degrees."""
     if sky is None:
         raise ValueError(
             "catalog: its positions are on the sky: give the world coordinates of the image, wcs=,"
             " or a scene that has them (CCDData)"
         )
+    mask = (
+        np.isnan(place[0]) | np.isnan(place[1])
+        if isinstance(place, tuple)
+        else np.asarray(getattr(place, "mask", False))
+    )
+    if mask.any():
+        raise ValueError(
+            f"catalog: {np.count_nonzero(mask)} positions on the sky are masked or NaN: remove"
+            f" these rows, the first of which is row {np.flatnonzero(mask)[0]} (0-based)"
+        )
     return sky.pixels(place)
 
 
-def _on_projection(columns: Columns) -> Columns:
+def _on_projection(columns: Columns, stacklevel: int) -> Columns:
     """Leave out the sources for which the projection has no pixel, with a warning."""
-    known = np.isfinite(columns["x"]) & np.isfinite(columns["y"])  # type: ignore[arg-type]
+    known = np.isfinite(columns["x"]) & np.isfinite(columns["y"])
     if known.all():
         return columns
-    _warn_of_skipped(int(np.count_nonzero(~known)), "catalog", _OFF_PROJECTION, 6)
-    return {role: None if column is None else column[known] for role, column in columns.items()}
+    _warn_of_skipped(int(np.count_nonzero(~known)), "catalog", _OFF_PROJECTION, stacklevel + 1)
+    return {name: column[known] for name, column in columns.items()}
 
 
-def _column(values: Any, role: str, unit: Any) -> Column:
-    """Return a column of doubles, or one double without axes."""
-    if role == "flux":
-        check_linear(getattr(values, "unit", None), "catalog: flux")
-    wanted = {"x": "pix", "y": "pix", "re": "pix", "angle": "deg", "flux": unit}.get(role)
-    values = in_unit(values, wanted, f"catalog: {role}")
-    if role in (*_SHAPE, *_SHEAR) and np.ma.isMaskedArray(values):
-        # A star (re = 0) needs no shape. In a galaxy, NaN is an error that names the row.
-        values = np.ma.asarray(values, dtype=np.float64).filled(np.nan)
-    array = reals(values, f"catalog: {role}")
+def _check_magnitudes(named: dict[str, Any]) -> None:
+    """Refuse magnitudes in place of fluxes. Only for a file can a zero point be given."""
+    lower = {name.lower() for name in named}
+    if "mag" in lower and "flux" not in lower:
+        raise ValueError(
+            "catalog: there is no column flux, only magnitudes: set flux = 10**(-0.4 * (mag -"
+            " zero_point)), or read the file with read_catalog(..., zero_point=)"
+        )
+
+
+def _column(values: Any, name: str, unit: Any) -> Column:
+    """Return a column of doubles in ``unit``, or one double without axes. Missing values are NaN.
+
+    ``unit`` is None for fluxes in their own unit.
+    """
+    if unit is None:
+        check_linear(getattr(values, "unit", None), f"catalog: {name}")
+    array = with_missing(in_unit(values, unit, f"catalog: {name}"), f"catalog: {name}")
     if array.ndim > 1:
-        raise ValueError(f"catalog: {role} must be a column, got an array of shape {array.shape}")
+        raise ValueError(f"catalog: {name} must be a column, got an array of shape {array.shape}")
     return array

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -147,7 +147,8 @@ class PsfModel:
         field_shape : (int, int), optional
             Rows and columns of the frame over which the PSF is known. Larger frames are refused.
         oversampling : float
-            Stamp pixels per frame pixel, along each axis.
+            Stamp pixels per frame pixel, along each axis: above 0, and below 1 for stamps coarser
+            than the frame.
         centre : (float, float), optional
             Point ``(x, y)`` of the stamps that lies at the position of the source, as a 0-based
             index that may be fractional. Default: ``(nx // 2, ny // 2)``.
@@ -539,6 +540,7 @@ class PsfModel:
         path: PathLike,
         *,
         extension: str | int | None = None,
+        contexts: Mapping[str, float] | None = None,
         detector: int | None = None,
         plane_order: str | None = None,
         skip_invalid: bool = False,
@@ -571,7 +573,11 @@ class PsfModel:
         path : path
             The file. It may be compressed (``.gz``, ``.fz``).
         extension : str or int, optional
-            Extension to read, if the file holds several models (PSFEx) or images.
+            Extension to read, if the file holds several models (PSFEx) or images. Of a table with
+            a model in each row (legacypipe), the ``CCDNAME`` or the number of the row from 0.
+        contexts : dict, optional
+            Values of the quantities on which the PSF depends besides the position, by their names
+            in the file, such as ``{"MAG_AUTO": 18.0}`` (PSFEx).
         detector : int, optional
             Detector to read, if the file holds several (STDPSF).
         plane_order : str, optional
@@ -618,6 +624,10 @@ class PsfModel:
         at = None if positions is None else tuple(axis.tolist() for axis in points(positions))
         file = {
             "extension": None if extension is None else str(extension),
+            "contexts": [
+                (str(name), real(value, f"contexts[{name!r}]"))
+                for name, value in (contexts or {}).items()
+            ],
             "detector": integer_or_none(detector, "detector"),
             "plane_order": text_or_none(plane_order, "plane_order"),
             "skip_invalid": boolean(skip_invalid, "skip_invalid"),
@@ -1027,7 +1037,8 @@ class PsfModel:
             Rows and columns of the result, which is cut or padded about the centre.
         sub_pixel : bool
             Draw each PSF at the sub-pixel phase of its position, as a star there appears, instead
-            of centred. It needs ``pixels='frame'``.
+            of centred. The centre of the result is the pixel on which the star lies, ``floor(x +
+            0.5)`` and ``floor(y + 0.5)``. It needs ``pixels='frame'``.
 
         Returns
         -------
@@ -1209,7 +1220,8 @@ class PsfModel:
             ``auto`` convolves each tile in the cheapest way, ``lowrank`` only by transforms.
         memory : int, optional
             Largest number of bytes that the plan keeps. Default: 256 MiB, and room for two images
-            of the frame and for the stamps of the PSF model.
+            of the frame and for the stamps of the PSF model. Galaxies need memory beside it, which
+            grows with the number of components and with the sizes of the galaxies.
         oversample : int
             Scene pixels along each side of a pixel of the image. Stars and galaxies of a catalogue
             do not depend on it.

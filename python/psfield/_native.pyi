@@ -9,8 +9,10 @@ __all__ = [
     "Detector",
     "Plan",
     "PsfModel",
+    "Sources",
     "__version__",
     "adaptive_moments",
+    "catalog_columns",
     "compare",
     "fit_gaussian",
     "image_cards",
@@ -32,7 +34,6 @@ _Cube = NDArray[np.float64]
 _Callback = Callable[[int, int], object] | None
 _Shape = tuple[int, int]
 _States = tuple[str, list[float]] | None
-_Sources = dict[str, _Column | None] | None
 
 def set_threads(count: int) -> None: ...
 def threads() -> int: ...
@@ -47,7 +48,11 @@ def read_catalog(
     wcs: str | None,
     wcs_extension: str | None,
     wcs_cards: str | None,
-) -> tuple[list[_Column], list[_Column], int, int]: ...
+    flux_unit: str | None,
+) -> tuple[list[_Column], list[_Column], int, int, list[str]]: ...
+def catalog_columns(
+    names: list[str],
+) -> tuple[list[tuple[str, str, str | None]], list[str]]: ...
 def sample_function(
     function: Callable[[float, float], NDArray[np.float64]],
     stamp_shape: _Shape,
@@ -115,6 +120,11 @@ class PsfModel:
     def write(self, path: str, settings: dict[str, Any]) -> list[str]: ...
 
 @final
+class Sources:
+    def __new__(cls, columns: list[tuple[str, _Column]]) -> Sources: ...
+    def __len__(self) -> int: ...
+
+@final
 class Plan:
     def __new__(cls, model: PsfModel, settings: dict[str, Any]) -> Plan: ...
     def for_region(self, at: tuple[int, int, int, int]) -> Plan: ...
@@ -126,7 +136,7 @@ class Plan:
     def simulate(
         self,
         scene: NDArray[Any] | None,
-        sources: _Sources,
+        sources: Sources | None,
         out: NDArray[Any] | None,
         progress: _Callback,
     ) -> tuple[NDArray[Any] | None, list[str]]: ...
@@ -138,7 +148,7 @@ class Plan:
         self,
         image: NDArray[Any],
         scene: NDArray[Any] | None,
-        sources: _Sources,
+        sources: Sources | None,
         count: int,
         seed: int,
     ) -> str: ...

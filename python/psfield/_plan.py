@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from psfield import _native
 from psfield._arrays import DTYPES, numbers, precision_of, shape_of
 from psfield._astropy import like, unit_of
-from psfield._catalog import Columns, columns_of, is_path
+from psfield._catalog import is_path, sources_of
 from psfield._choices import choice, integer, integer_or_none, real, text_or_none
 from psfield._errors import PsfieldWarning
 from psfield._html import FieldsAsTable, size, table
@@ -403,8 +403,9 @@ class Plan:
         ----------
         scene : array_like, Quantity, CCDData or xarray.DataArray, optional
             Flux in each pixel, ``[y, x]`` with the `shape` of the plan, finite. A plan for a region
-            also accepts only its `light_region`. An array ``[n, y, x]`` (or a list of arrays) is a
-            stack of scenes, without a catalogue. For many small scenes this is faster than a loop.
+            also accepts only its `light_region`. An array ``[n, y, x]`` (or a list of arrays, or
+            an array with more axes before y, such as ``[n, 1, y, x]``) is a stack of scenes,
+            without a catalogue. For many small scenes this is faster than a loop.
         catalog : table or path, optional
             Stars and galaxies, as a table (astropy Table, dict of arrays, structured array, data
             frame) or as a CSV or FITS file that `read_catalog` can read. The columns are ``x``,
@@ -418,8 +419,8 @@ class Plan:
             number in place of a column holds for all rows. Fluxes may be negative, but not 0. Stars
             and galaxies do not depend on the scene's pixels (``oversample``).
         out : numpy.ndarray, optional
-            Array to which the image is written, with `image_shape` and `dtype`, or ``[n, y, x]``
-            for a stack of scenes. Its content is undefined after an interruption.
+            Array to which the image is written, with `image_shape` and `dtype`, or a stack of such
+            images for a stack of scenes. Its content is undefined after an interruption.
         wcs : astropy.wcs.WCS or gwcs.WCS, optional
             World coordinates of the pixels in which ``x`` and ``y`` count, for positions on the
             sky. Default: those of the scene.
@@ -429,9 +430,9 @@ class Plan:
         Returns
         -------
         numpy.ndarray, Quantity, CCDData or xarray.DataArray
-            The image ``[y, x]``, or ``[n, y, x]`` for a stack of scenes, or ``out`` if that is
-            given. It has the unit of the scene. For a single CCDData it also has the header and the
-            world coordinates of the scene.
+            The image ``[y, x]``, or a stack for a stack of scenes, or ``out`` if that is given. It
+            has the unit of the scene. For a single CCDData it also has the header and the world
+            coordinates of the scene.
 
         Raises
         ------
@@ -472,11 +473,11 @@ class Plan:
         if is_stack(scene):
             return self._simulate_stack(scene, catalog, out, progress)
         light, unit = None if scene is None else self._scene(scene), unit_of(scene)
-        columns = self._sources(catalog, scene, light, wcs)
-        if columns and (x := columns["x"]) is not None and not x.size:
+        sources = self._sources(catalog, scene, light, wcs, 4)
+        if sources is not None and not len(sources):
             warnings.warn("catalog: there are no sources", PsfieldWarning, stacklevel=3)
         target, copied = self._target(out, light, unit)
-        image, texts = self._handle.simulate(light, columns, target, as_callback(progress))
+        image, texts = self._handle.simulate(light, sources, target, as_callback(progress))
         for text in texts:
             warnings.warn(text, PsfieldWarning, stacklevel=3)
         if copied:
@@ -491,31 +492,21 @@ class Plan:
             raise ValueError(
                 "catalog: a stack of scenes has no catalogue: simulate the scenes one by one"
             )
-        lights, unit = self._stack(scenes)
-        target, copied = self._target(out, lights, unit, len(lights))
-        images, texts = self._handle.simulate_many(lights, target, as_callback(progress))
+        lights, unit = _stack(scenes, "scene", self.dtype)
+        self._check_scene_shape(lights.shape[-2:])
+        outer = lights.shape[:-2]
+        target, copied = self._target(out, lights, unit, outer)
+        lights = lights.reshape(-1, *lights.shape[-2:])
+        flat = None if target is None else target.reshape(-1, *self.image_shape)
+        images, texts = self._handle.simulate_many(lights, flat, as_callback(progress))
         for text in texts:
             warnings.warn(text, PsfieldWarning, stacklevel=4)
         if copied:
             np.copyto(out, target)  # type: ignore[arg-type]
         if out is not None:
             return out
+        images = images.reshape(*outer, *self.image_shape)  # type: ignore[union-attr]
         return images if unit is None else images << unit
-
-    def _stack(self, scenes: Any) -> tuple[NDArray[Any], Any]:
-        """Return the pixels ``[n, y, x]`` of a stack of scenes, and their unit."""
-        if not isinstance(scenes, (list, tuple)):
-            lights, unit = numbers(scenes, "scene", self.dtype, "[n, y, x]"), unit_of(scenes)
-            self._check_scene_shape(lights.shape[1:])
-            return lights, unit
-        units = [unit_of(scene) for scene in scenes]
-        for i, unit in enumerate(units):
-            if unit != units[0]:
-                raise ValueError(f"scene[{i}] has the unit {unit}, but scene[0] has {units[0]}")
-        planes = [numbers(s, f"scene[{i}]", self.dtype, "[y, x]") for i, s in enumerate(scenes)]
-        for plane in planes:
-            self._check_scene_shape(plane.shape)
-        return np.stack(planes), units[0]
 
     def adjoint(self, image: Any, *, progress: Progress | None = None) -> NDArray[Any]:
         """Apply the transpose of `simulate` to an image, for gradients and deconvolution.
@@ -526,15 +517,15 @@ class Plan:
         Parameters
         ----------
         image : array_like
-            ``[y, x]`` with `image_shape`.
+            ``[y, x]`` with `image_shape`, or a stack of such images, as for `simulate`.
         progress : callable or tqdm bar, optional
-            ``progress(done, total)``.
+            ``progress(done, total)``, for each image of a stack anew.
 
         Returns
         -------
         numpy.ndarray
             ``[y, x]`` with `shape`, or with the shape of `light_region` if the plan is for a
-            region.
+            region. For a stack, a stack.
 
         Examples
         --------
@@ -546,7 +537,15 @@ class Plan:
         >>> bool(np.isclose(np.vdot(plan.simulate(f), g), np.vdot(f, plan.adjoint(g))))
         True
         """
-        return self._handle.adjoint(self._image(image), as_callback(progress))
+        if not is_stack(image):
+            return self._handle.adjoint(self._image(image), as_callback(progress))
+        images, _ = _stack(image, "image", self.dtype)
+        self._check_image_shape(images.shape[-2:])
+        scene_shape = self.shape if self.region is None else self._light_shape()
+        found = np.empty((*images.shape[:-2], *scene_shape), self.dtype)
+        for index in np.ndindex(images.shape[:-2]):
+            found[index] = self._handle.adjoint(images[index], as_callback(progress))
+        return found
 
     def linear_operator(self) -> LinearOperator:
         """Return the plan as SciPy's `~scipy.sparse.linalg.LinearOperator`, for its solvers.
@@ -624,10 +623,10 @@ class Plan:
         pixels = integer(pixels, "pixels", 1, most)
         seed = integer(seed, "seed", 0, 2**64 - 1)
         light = None if scene is None else self._scene(scene)
-        columns = self._sources(catalog, scene, light, wcs)
+        sources = self._sources(catalog, scene, light, wcs, 3)
         if image is None:
-            image, _ = self._handle.simulate(light, columns, None, None)
-        found = self._handle.spot_check(self._image(image), light, columns, pixels, seed)
+            image, _ = self._handle.simulate(light, sources, None, None)
+        found = self._handle.spot_check(self._image(image), light, sources, pixels, seed)
         return SpotCheck(**json.loads(found))
 
     def _scene(self, scene: Any) -> NDArray[Any]:
@@ -640,13 +639,16 @@ class Plan:
         return light
 
     def _sources(
-        self, catalog: Any, scene: Any, light: NDArray[Any] | None, wcs: Any
-    ) -> Columns | None:
-        """Return the columns of a catalogue, in pixels of the image from the scene's first one."""
+        self, catalog: Any, scene: Any, light: NDArray[Any] | None, wcs: Any, stacklevel: int
+    ) -> _native.Sources | None:
+        """Return the sources of a catalogue, in pixels of the image from the scene's first one.
+
+        ``stacklevel`` is that of the user's line, for warnings.
+        """
         is_part = light is not None and light.shape != self.shape
         first = self.light_region[:2] if is_part else (0, 0)
         sky = sky_of(scene, wcs, self._settings["oversample"], first)
-        return columns_of(catalog, unit_of(scene), sky)
+        return sources_of(catalog, unit_of(scene), sky, stacklevel + 1)
 
     def _check_scene_shape(self, shape: tuple[int, ...]) -> None:
         """Refuse a scene that is neither the whole scene nor the part that reaches the region."""
@@ -680,21 +682,25 @@ class Plan:
     def _image(self, image: Any) -> NDArray[Any]:
         """Return the pixels of an image in the type of the plan."""
         pixels = numbers(image, "image", self.dtype, "[y, x]")
-        if pixels.shape != self.image_shape:
-            raise ValueError(
-                f"image: the plan is for images of shape {self.image_shape}, got {pixels.shape}"
-            )
+        self._check_image_shape(pixels.shape)
         return pixels
 
+    def _check_image_shape(self, shape: tuple[int, ...]) -> None:
+        """Refuse an image of another shape than those of the plan."""
+        if shape != self.image_shape:
+            raise ValueError(
+                f"image: the plan is for images of shape {self.image_shape}, got {shape}"
+            )
+
     def _target(
-        self, out: Any, light: NDArray[Any] | None, unit: Any, count: int | None = None
+        self, out: Any, light: NDArray[Any] | None, unit: Any, outer: tuple[int, ...] = ()
     ) -> tuple[NDArray[Any] | None, bool]:
         """Return the array that the native module writes to.
 
-        The second value says whether that array must be copied to ``out`` afterwards. ``count`` is
-        the number of images of a stack.
+        The second value says whether that array must be copied to ``out`` afterwards. ``outer`` is
+        the shape of a stack of images.
         """
-        shape = self.image_shape if count is None else (count, *self.image_shape)
+        shape = (*outer, *self.image_shape)
         if out is None:
             return None, False
         if not isinstance(out, np.ndarray):
@@ -715,7 +721,9 @@ class Plan:
             )
         )
         pixels_adjacent = out.strides[-1] == out.itemsize and out.flags.aligned
-        if pixels_adjacent and out.dtype.isnative and apart and not overlaps:
+        # The native module knows stacks with one axis of images.
+        one_axis = len(outer) <= 1 or out.flags.c_contiguous
+        if pixels_adjacent and out.dtype.isnative and apart and one_axis and not overlaps:
             return np.asarray(out), False
         return np.empty(shape, self.dtype), True
 
@@ -756,10 +764,31 @@ class Plan:
 
 
 def is_stack(scene: Any) -> bool:
-    """Return whether a scene is an array ``[n, y, x]`` or a list of arrays ``[y, x]``."""
+    """Return whether a scene is an array ``[..., y, x]`` of scenes, or a list of arrays."""
     if isinstance(scene, (list, tuple)):
-        return len(scene) > 0 and np.ndim(scene[0]) == 2
-    return getattr(scene, "ndim", 0) == 3
+        return len(scene) > 0 and np.ndim(scene[0]) >= 2
+    return getattr(scene, "ndim", 0) >= 3
+
+
+def _stack(planes: Any, name: str, dtype: Any) -> tuple[NDArray[Any], Any]:
+    """Return the pixels ``[..., y, x]`` of a stack of scenes or images, and their unit."""
+
+    def axes(array: Any) -> str:
+        return f"[{', '.join(['n'] * (np.ndim(array) - 2) + ['y', 'x'])}]"
+
+    if not isinstance(planes, (list, tuple)):
+        return numbers(planes, name, dtype, axes(planes)), unit_of(planes)
+    units = [unit_of(plane) for plane in planes]
+    for i, unit in enumerate(units):
+        if unit != units[0]:
+            raise ValueError(f"{name}[{i}] has the unit {unit}, but {name}[0] has {units[0]}")
+    pixels = [numbers(plane, f"{name}[{i}]", dtype, axes(plane)) for i, plane in enumerate(planes)]
+    for i, plane in enumerate(pixels):
+        if plane.shape != pixels[0].shape:
+            raise ValueError(
+                f"{name}[{i}] has the shape {plane.shape}, but {name}[0] has {pixels[0].shape}"
+            )
+    return np.stack(pixels), units[0]
 
 
 def region_of(region: Any, name: str) -> tuple[int, int, int, int] | None:

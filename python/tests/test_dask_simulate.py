@@ -274,7 +274,7 @@ def test_scenes_that_cannot_be(model, scene) -> None:
         ({"frame": (0, 0, 151, 120)}, "reaches beyond the scene"),
         ({"frame": (-1, 0, 10, 10)}, "reaches beyond the scene"),
         ({"frame": (0, 0, 0, 10)}, "must have columns and rows"),
-        ({"catalog": {"x": [1.0]}}, "there is no column y"),
+        ({"catalog": {"x": [1.0]}}, "there is no such column"),
     ],
     ids=str,
 )

@@ -37,6 +37,28 @@ def test_dot_products(precision, words):
     assert abs(forward - backward) <= DOT[precision] * abs(forward)
 
 
+@pytest.mark.parametrize("words", [{}, {"region": (30, 20, 50, 41)}])
+def test_stacks_of_any_axes(words):
+    plan = widening_model().plan((96, 128), 1e-3, **words)
+    rng = np.random.default_rng(5)
+    scenes = rng.random((2, 96, 128))
+    images = plan.simulate(scenes)
+    assert np.array_equal(plan.simulate(scenes[:, None]), images[:, None])
+    assert np.array_equal(plan.simulate(list(scenes[:, None])), images[:, None])
+    out = np.empty((2, 1, *plan.image_shape), np.float32)
+    assert plan.simulate(scenes[:, None], out=out) is out and np.array_equal(out[:, 0], images)
+    apart = np.empty((4, 1, *plan.image_shape), np.float32)[::2]
+    assert np.array_equal(plan.simulate(scenes[:, None], out=apart)[:, 0], images)
+    back = plan.adjoint(images)
+    assert np.array_equal(back, [plan.adjoint(image) for image in images])
+    assert np.array_equal(plan.adjoint(images[:, None]), back[:, None])
+    assert np.array_equal(plan.adjoint(list(images)), back)
+    with pytest.raises(ValueError, match="images of shape"):
+        plan.adjoint(images[..., 1:])
+    with pytest.raises(ValueError, match=r"scene\[1\] has the shape"):
+        plan.simulate([scenes[0], scenes[1, 1:]])
+
+
 def test_scipy_solves_with_it():
     linalg = pytest.importorskip("scipy.sparse.linalg")
     plan = widening_model().plan((96, 128), 0.0, "f64")

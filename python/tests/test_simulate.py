@@ -187,7 +187,7 @@ class TestArrays:
             (np.zeros((96, 127)), ValueError, r"scenes of shape \(96, 128\), got \(96, 127\)"),
             (np.zeros((0, 128)), ValueError, "scene is empty"),
             (np.zeros(96), ValueError, r"an array \[y, x\], got one of shape \(96,\)"),
-            (np.zeros((1, 1, 96, 128)), ValueError, r"an array \[y, x\]"),
+            (np.zeros((1, 1, 96, 127)), ValueError, r"scenes of shape \(96, 128\)"),
             (np.zeros((96, 128), complex), TypeError, "scene must be real numbers, got complex128"),
             (np.zeros((96, 128), object), TypeError, "real numbers, got object"),
             (np.full((96, 128), "a"), TypeError, "real numbers"),

@@ -277,7 +277,7 @@ impl Detector {
     /// [`DetectorError::Read`] or [`DetectorError::InFile`], which name the file.
     pub fn from_toml_file(path: impl AsRef<Path>) -> Result<Self, DetectorError> {
         let path = path.as_ref();
-        let text = std::fs::read_to_string(path).map_err(|source| DetectorError::Read {
+        let text = psf_types::read_text_file(path).map_err(|source| DetectorError::Read {
             path: path.to_owned(),
             source,
         })?;

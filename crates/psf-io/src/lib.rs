@@ -67,8 +67,8 @@ mod output;
 mod psf;
 mod units;
 
-pub use catalogue::columns::{CatalogColumns, CatalogOptions, column_units};
-pub use catalogue::curves::read_curve;
+pub use catalogue::columns::{CatalogColumns, CatalogOptions, NeededColumn};
+pub use catalogue::curves::{is_wavelength_unit, read_curve};
 pub use catalogue::number_table::NumberTable;
 pub use catalogue::sky_coordinates::SkyCoordinates;
 pub use catalogue::table_file::{read_columns, write_csv};
@@ -87,11 +87,11 @@ pub use fits::image::{
 pub use fits::image_out::{ImageWriter, IntegerKind, write_cube, write_image, write_integers};
 pub use output::temporary::remove_unfinished;
 pub use output::{OutputLock, check_output, write_atomically, write_bytes, write_text, write_together};
-pub use psf::detect::{FileKind, detect, detect_hdu};
+pub use psf::detect::{FileKind, detect, detect_hdu, foreign_psf};
 pub use psf::gridded::GriddedPsf;
 pub use psf::gridded_out::write_gridded;
 pub use psf::model::{self, ModelFile, read_model, read_model_file, write_model};
-pub use psf::psfex::file::{read_psfex, write_psfex};
+pub use psf::psfex::file::{read_psfex, read_psfex_at, write_psfex};
 pub use psf::psfex::{self, PsfexAxis, PsfexFigures, PsfexModel, PsfexPolynomial};
 pub use psf::samples::{self, Precision, read_samples, write_samples};
 pub use psf::scopesim::{self, ScopesimOptions, ScopesimPsf, read_scopesim};

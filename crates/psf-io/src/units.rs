@@ -3,8 +3,10 @@
 /// A unit of wavelengths, in micrometres. None for any other unit.
 pub(crate) fn wavelength_in_um(unit: &str) -> Option<f64> {
     match unit.trim().to_ascii_lowercase().as_str() {
-        "um" | "micron" | "micrometer" | "micrometre" => Some(1.0),
-        "nm" | "nanometer" | "nanometre" => Some(1e-3),
+        "um" | "micron" | "microns" | "micrometer" | "micrometers" | "micrometre" | "micrometres" => {
+            Some(1.0)
+        }
+        "nm" | "nanometer" | "nanometers" | "nanometre" | "nanometres" => Some(1e-3),
         "angstrom" | "angstroms" | "0.1 nm" => Some(1e-4),
         "mm" => Some(1e3),
         "m" => Some(1e6),

@@ -260,7 +260,7 @@ fn undefined_values_of_fits_tables_name_row_and_column() {
     )]);
     let path = scratch.put("a.fits", &bytes);
     let error = read_catalog_with(&path, &CatalogOptions::new()).unwrap_err();
-    let (row, column) = (Row::Index(1), "y".to_owned());
+    let (row, column) = (Row::Index(1), "Y".to_owned());
     assert_eq!(error.place(), Some(&Place::Value { row, column }));
     let skipping = CatalogOptions::new().with_invalid_skipped(true);
     assert_eq!(read_catalog_with(&path, &skipping).unwrap().invalid_rows(), 1);
@@ -391,6 +391,28 @@ fn spectra_are_read_from_fits_tables() {
     let path = scratch.put("wrong.fits", &fits(&[table("STARS", &columns, 1, &[], &rows)]));
     let error = read_catalog_with(&path, &CatalogOptions::new().with_colours(true)).unwrap_err();
     assert!(error.to_string().contains("texts are needed"), "{error}");
+    // Two texts in one row, and a width by which CFITSIO would divide.
+    for (form, dimensions) in [
+        ("6A3", "COMMENT"),
+        ("6A0", "COMMENT"),
+        ("6A", "TDIM4   = '(3,2)'"),
+        ("6A", "TDIM4   = '(0,2)'"),
+    ] {
+        let columns = [("x", "D"), ("y", "D"), ("flux", "D"), ("SED", form)];
+        let rows = row(1.0, b"red   ");
+        let bytes = fits(&[table("STARS", &columns, 1, &[dimensions], &rows)]);
+        let path = scratch.put("wide.fits", &bytes);
+        let error = read_catalog_with(&path, &CatalogOptions::new().with_colours(true)).unwrap_err();
+        assert!(error.to_string().contains("one in each row"), "{error}");
+        // The column is not read without colours.
+        assert_eq!(
+            read_catalog_with(&path, &CatalogOptions::new())
+                .unwrap()
+                .stars()
+                .len(),
+            1
+        );
+    }
 }
 
 /// A table of one galaxy, with a value and a unit in one column, as ECSV, FITS and SExtractor write it.
@@ -440,13 +462,15 @@ fn one_galaxy(changed: &str, value: f64, unit: &str) -> [Vec<u8>; 3] {
     [ecsv.into_bytes(), fits(&[binary]), ascii.into_bytes()]
 }
 
+/// What is read of a catalogue, and its value.
+type Expected = (fn(&Catalog) -> f64, f64);
+
 #[test]
 fn units_are_converted_or_refused_in_every_kind_of_table() {
     let scratch = Scratch::new();
     let flux = |catalog: &Catalog| catalog.galaxies()[0].flux();
     let angle = |catalog: &Catalog| catalog.galaxies()[0].profile().angle_deg();
-    type Read = fn(&Catalog) -> f64;
-    let cases: [(&str, f64, &str, Option<(Read, f64)>); 9] = [
+    let cases: [(&str, f64, &str, Option<Expected>); 9] = [
         ("angle", 0.5, "rad", Some((angle, 0.5_f64.to_degrees()))),
         ("angle", 600.0, "arcmin", Some((angle, 10.0))),
         ("angle", 1.0, "m", None),

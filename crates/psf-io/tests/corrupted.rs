@@ -88,7 +88,9 @@ fn files(scratch: &Scratch) -> Vec<Vec<u8>> {
 }
 
 fn scopesim_options() -> ScopesimOptions {
-    let options = ScopesimOptions::new(0.25, Position::of_pixel(5, 5)).unwrap();
+    let options = ScopesimOptions::new(0.25)
+        .unwrap()
+        .with_field_centre(Position::of_pixel(5, 5));
     options.with_wavelength_um(1.5).unwrap()
 }
 

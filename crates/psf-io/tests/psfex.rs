@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use ndarray::Array3;
 use psf_io::{
     Card, CardValue, FileKind, HduChoice, IoErrorKind, PsfexAxis, PsfexFigures, PsfexModel, PsfexPolynomial,
-    detect, read_psfex, write_psfex,
+    detect, read_psfex, read_psfex_at, write_psfex,
 };
 use psf_types::{Position, StampInterpolation};
 use support::mutations::{assert_refused, cut, huge_sizes, with_value, without, wrong_types};
@@ -223,27 +223,23 @@ fn one_of_several_models_must_be_chosen() {
 fn unsupported_keywords_are_named() {
     let scratch = Scratch::new();
     for (keyword, card, parts) in [
-        ("POLNAXIS", "POLNAXIS= 1", &["POLNAXIS", "2", "got 1"][..]),
+        ("POLNAXIS", "POLNAXIS= 1", &["PSFAXIS3", "2 terms"][..]),
+        ("POLNAXIS", "POLNAXIS= 11", &["POLNAXIS", "got 11"]),
         ("POLNAXIS", "POLNAXIS= -1", &["POLNAXIS"]),
         ("POLNAXIS", "POLNAXIS= 'two'", &["POLNAXIS", "two"]),
-        ("POLNAXIS", "", &["POLNAXIS"]),
-        ("POLNGRP", "POLNGRP = 2", &["POLNGRP", "groups"]),
-        ("POLNGRP", "", &["POLNGRP"]),
+        ("POLNGRP", "POLNGRP = 2", &["POLDEG2", "missing"]),
+        ("POLNGRP", "POLNGRP = 3", &["POLNGRP", "groups"]),
         ("POLGRP2", "POLGRP2 = 2", &["POLGRP2"]),
-        (
-            "POLNAME1",
-            "POLNAME1= 'MAG_AUTO'",
-            &["POLNAME1", "MAG_AUTO", "not supported"],
-        ),
-        ("POLNAME1", "POLNAME1= 'Y_IMAGE'", &["POLNAME1", "Y_IMAGE"]),
-        ("POLNAME1", "POLNAME1= 'X2_IMAGE'", &["POLNAME1", "X2_IMAGE"]),
-        ("POLNAME2", "POLNAME2= 'Y_WORLD'", &["POLNAME2", "Y_WORLD"]),
+        ("POLNAME1", "POLNAME1= 'MAG_AUTO'", &["depends on MAG_AUTO"]),
+        ("POLNAME1", "POLNAME1= 'Y_IMAGE'", &["POLNAME2", "Y_IMAGE"]),
+        ("POLNAME1", "POLNAME1= 'X2_IMAGE'", &["depends on X2_IMAGE"]),
+        ("POLNAME2", "POLNAME2= 'Y_WORLD'", &["depends on Y_WORLD"]),
         ("POLNAME2", "", &["POLNAME2"]),
         ("POLZERO1", "", &["POLZERO1"]),
         ("POLZERO2", "POLZERO2= 'zero'", &["POLZERO2", "number"]),
         ("POLSCAL1", "POLSCAL1= 0.0", &["POLSCAL1"]),
         ("POLSCAL2", "POLSCAL2= NAN", &["POLSCAL2"]),
-        ("POLDEG1", "POLDEG1 = 2", &["PSFAXIS3", "(d+1)(d+2)/2", "got 3"]),
+        ("POLDEG1", "POLDEG1 = 2", &["PSFAXIS3", "3 planes", "6 terms"]),
         ("POLDEG1", "POLDEG1 = -1", &["POLDEG1"]),
         ("POLDEG1", "POLDEG1 = 11", &["POLDEG1", "11"]),
         ("POLDEG1", "", &["POLDEG1"]),
@@ -272,15 +268,205 @@ fn unsupported_keywords_are_named() {
             assert!(text.contains(part), "{card}: {text}");
         }
     }
-    // A third coordinate, such as a colour.
-    let cards = changed(cards(), "POLNAXIS", "POLNAXIS= 3");
-    let cards = changed(cards, "POLNAME3", "POLNAME3= 'MAG_AUTO'");
-    let bytes = with_primary(&[extension("PSF_DATA", &cards, "60E", &f32s(&values()))]);
-    let text = chain(&read_psfex(scratch.put("colour.psf", &bytes), None).unwrap_err());
-    assert!(
-        text.contains("POLNAME3") && text.contains("MAG_AUTO") && text.contains("position"),
-        "{text}"
+}
+
+/// The header of a model in these contexts: name, offset, scale and group. `degrees` are those of the groups.
+fn contexts(axes: &[(&str, f64, f64, usize)], degrees: &[usize], terms: usize) -> Vec<String> {
+    let mut all: Vec<String> = cards()
+        .into_iter()
+        .filter(|card| {
+            !card.starts_with("POL") && !card.starts_with("PSFAXIS3") && !card.starts_with("TDIM1")
+        })
+        .collect();
+    all.push(format!("POLNAXIS= {}", axes.len()));
+    for ((name, zero, scale, group), i) in axes.iter().zip(1..) {
+        all.extend([
+            format!("POLGRP{i} = {group}"),
+            format!("POLNAME{i}= '{name}'"),
+            format!("POLZERO{i}= {zero:?}"),
+            format!("POLSCAL{i}= {scale:?}"),
+        ]);
+    }
+    all.push(format!("POLNGRP = {}", degrees.len()));
+    all.extend(
+        degrees
+            .iter()
+            .zip(1..)
+            .map(|(degree, i)| format!("POLDEG{i} = {degree}")),
     );
+    all.extend([
+        format!("PSFAXIS3= {terms}"),
+        format!("TDIM1   = '(5, 4, {terms})'"),
+    ]);
+    all
+}
+
+/// A file whose plane `k` holds the value `k + 1` everywhere.
+fn numbered(scratch: &Scratch, cards: &[String], terms: usize) -> PathBuf {
+    let values: Vec<f32> = (0..NX * NY * terms).map(|i| (i / (NX * NY) + 1) as f32).collect();
+    let form = format!("{}E", values.len());
+    scratch.put(
+        "contexts.psf",
+        &with_primary(&[extension("PSF_DATA", cards, &form, &f32s(&values))]),
+    )
+}
+
+/// The value of all pixels of the PSF at a position.
+fn value_at(model: &PsfexModel, x: f64, y: f64) -> f64 {
+    let terms = model.polynomial().map_or_else(
+        || vec![1.0],
+        |polynomial| polynomial.terms(Position::new(x, y).unwrap()),
+    );
+    let planes = model.planes();
+    terms
+        .iter()
+        .zip(planes.outer_iter())
+        .map(|(term, plane)| term * plane[[0, 0]])
+        .sum()
+}
+
+/// The order of the terms is that of PSFEx's `poly.c`: the first context is the fastest, and the sum of the
+/// exponents of a group is at most its degree. The expected sums are written out by hand.
+#[test]
+fn polynomials_in_other_contexts_and_groups_are_read() {
+    let scratch = Scratch::new();
+    let x = |group| ("X_IMAGE", 11.0, 10.0, group);
+    let y = |group| ("YWIN_IMAGE", 21.0, 20.0, group);
+    let mag = |group| ("MAG_AUTO", 18.0, 2.0, group);
+    let mags = [("mag_auto".to_owned(), 19.0)];
+    // At this 0-based position X = 0.5 and Y = 0.25, and M = 0.5.
+    let at = |model: &PsfexModel| value_at(model, 15.0, 25.0);
+    let read = |cards: &[String], terms: usize, values: &[(String, f64)]| {
+        read_psfex_at(numbered(&scratch, cards, terms), None, values).unwrap()
+    };
+
+    // 1, X, X^2
+    let model = read(&contexts(&[x(1)], &[2], 3), 3, &[]);
+    assert_eq!(at(&model), 1.0 + 2.0 * 0.5 + 3.0 * 0.25);
+    assert_eq!(value_at(&model, 15.0, 900.0), at(&model));
+    assert_eq!(model.polynomial().unwrap().frame_shape(), None);
+    // 1, X, Y, M of one group of degree 1
+    let model = read(&contexts(&[x(1), y(1), mag(1)], &[1], 4), 4, &mags);
+    assert_eq!(at(&model), 1.0 + 2.0 * 0.5 + 3.0 * 0.25 + 4.0 * 0.5);
+    // The contexts may stand in any order: 1, M, Y, X
+    let model = read(&contexts(&[mag(1), y(1), x(1)], &[1], 4), 4, &mags);
+    assert_eq!(at(&model), 1.0 + 2.0 * 0.5 + 3.0 * 0.25 + 4.0 * 0.5);
+    // (1, X, Y) times (1, M, M^2), the position fastest
+    let model = read(&contexts(&[x(1), y(1), mag(2)], &[1, 2], 9), 9, &mags);
+    let of_mag = [1.0, 0.5, 0.25];
+    let expected: f64 = (0..3)
+        .map(|k| of_mag[k] * ((3 * k + 1) as f64 + (3 * k + 2) as f64 * 0.5 + (3 * k + 3) as f64 * 0.25))
+        .sum();
+    assert!((at(&model) - expected).abs() < 1e-12);
+    // (1, X) times (1, Y): a polynomial of degree 2 without squares
+    let model = read(&contexts(&[x(1), y(2)], &[1, 1], 4), 4, &[]);
+    assert_eq!(at(&model), 1.0 + 2.0 * 0.5 + 3.0 * 0.25 + 4.0 * 0.5 * 0.25);
+    assert_eq!(model.degree(), 2);
+    // A magnitude alone
+    let model = read(&contexts(&[mag(1)], &[1], 2), 2, &mags);
+    assert_eq!((model.polynomial(), at(&model)), (None, 1.0 + 2.0 * 0.5));
+
+    let cards = contexts(&[x(1), y(1), mag(1)], &[1], 4);
+    let path = numbered(&scratch, &cards, 4);
+    let colour = ("COLOUR".to_owned(), 1.0);
+    for (values, part) in [
+        (vec![], "depends on MAG_AUTO besides the position"),
+        (vec![mags[0].clone(), colour], "a value for COLOUR"),
+    ] {
+        let error = read_psfex_at(&path, None, &values).unwrap_err();
+        assert_eq!(error.setting(), Some("contexts"));
+        assert!(error.to_string().contains(part), "{error}");
+    }
+    let error = read_psfex_at(scratch.put("good.psf", &good()), None, &mags).unwrap_err();
+    assert!(error.to_string().contains("nothing but the position"), "{error}");
+}
+
+#[test]
+fn what_the_column_tells_need_not_be_in_the_header() {
+    let scratch = Scratch::new();
+    let model = read_psfex(scratch.put("good.psf", &good()), None).unwrap();
+    for keyword in ["POLNAXIS", "POLNGRP", "PSFNAXIS"] {
+        let path = file_with(&scratch, keyword, "");
+        assert_eq!(read_psfex(&path, None).unwrap(), model, "{keyword}");
+    }
+    // A constant PSF, told by its column alone.
+    let cards = ["PSF_SAMP= 0.5", "TDIM1   = '(5, 4)'"].map(str::to_owned);
+    let values = f32s(&values()[..NX * NY]);
+    let bytes = with_primary(&[extension("PSF_DATA", &cards, "20E", &values)]);
+    let constant = read_psfex(scratch.put("constant.psf", &bytes), None).unwrap();
+    assert_eq!(
+        (constant.polynomial(), constant.planes().dim()),
+        (None, (1, NY, NX))
+    );
+}
+
+/// A table as legacypipe writes it: keywords as columns, and planes of the size of the largest CCD.
+#[test]
+fn models_in_the_rows_of_a_table_are_read() {
+    let scratch = Scratch::new();
+    let columns = [
+        ("expnum", "J"),
+        ("ccdname", "4A"),
+        ("polnaxis", "J"),
+        ("polname1", "7A"),
+        ("polzero1", "D"),
+        ("polscal1", "D"),
+        ("polname2", "7A"),
+        ("polzero2", "D"),
+        ("polscal2", "D"),
+        ("polngrp", "J"),
+        ("poldeg1", "J"),
+        ("psf_samp", "D"),
+        ("psfnaxis", "J"),
+        ("psfaxis1", "J"),
+        ("psfaxis2", "J"),
+        ("psfaxis3", "J"),
+        ("psf_mask", "60E"),
+    ];
+    let row = |name: &[u8; 4], degree: i32, [nx, ny, terms]: [i32; 3]| {
+        let mut bytes = Vec::new();
+        let whole = |bytes: &mut Vec<u8>, n: i32| bytes.extend(n.to_be_bytes());
+        let real = |bytes: &mut Vec<u8>, v: f64| bytes.extend(v.to_be_bytes());
+        whole(&mut bytes, 12);
+        bytes.extend(name);
+        whole(&mut bytes, 2);
+        for (letter, zero, scale) in [(b"X_IMAGE", 11.0, 10.0), (b"Y_IMAGE", 21.0, 20.0)] {
+            bytes.extend(letter);
+            real(&mut bytes, zero);
+            real(&mut bytes, scale);
+        }
+        whole(&mut bytes, 1);
+        whole(&mut bytes, degree);
+        real(&mut bytes, 0.5);
+        for n in [3, nx, ny, terms] {
+            whole(&mut bytes, n);
+        }
+        // Plane k of the model holds k + 1, and zeros where the plane ends.
+        for k in 0..3 {
+            for (y, x) in (0..NY as i32).flat_map(|y| (0..NX as i32).map(move |x| (y, x))) {
+                let on = k < terms && y < ny && x < nx;
+                bytes.extend((if on { (k + 1) as f32 } else { 0.0 }).to_be_bytes());
+            }
+        }
+        bytes
+    };
+    let rows = [row(b"N4  ", 1, [5, 4, 3]), row(b"S12 ", 0, [3, 3, 1])].concat();
+    let bytes = with_primary(&[table("", &columns, 2, &["TDIM17  = '(5, 4, 3)'"], &rows)]);
+    let path = scratch.put("merged.fits", &bytes);
+    assert_eq!(detect(&path).unwrap(), FileKind::Psfex);
+    let choose = |choice: &str| read_psfex(&path, Some(&choice.parse::<HduChoice>().unwrap()));
+    let first = choose("n4").unwrap();
+    assert_eq!(
+        (first.planes().dim(), value_at(&first, 15.0, 25.0)),
+        ((3, 4, 5), 1.0 + 1.0 + 0.75)
+    );
+    let second = choose("1").unwrap();
+    assert_eq!((second.planes().dim(), second.planes().sum()), ((1, 3, 3), 9.0));
+    for wrong in [read_psfex(&path, None), choose("N5"), choose("2")] {
+        let error = wrong.unwrap_err();
+        assert_eq!(error.setting(), Some("extension"));
+        assert!(error.to_string().contains("[N4, S12]"), "{error}");
+    }
 }
 
 #[test]
@@ -371,7 +557,12 @@ fn damaged_models_are_refused_soon_and_without_much_memory() {
         .filter(|card| !card.starts_with("POLNAME"))
         .collect();
     let mut spoilt = cut(&whole);
-    spoilt.extend(without(&whole, &NEEDED));
+    // What the column or the names tell may be missing.
+    let told = |card: &&str| !["POLNAXIS", "POLNGRP", "PSFNAXIS"].contains(card);
+    spoilt.extend(without(
+        &whole,
+        &NEEDED.into_iter().filter(told).collect::<Vec<_>>(),
+    ));
     spoilt.extend(wrong_types(&whole, &numbers, &names));
     spoilt.extend(huge_sizes(&whole));
     for (keyword, value) in [

@@ -8,13 +8,15 @@ use support::libraries::{SIZE, scopesim, scopesim_kernels, scopesim_map, scopesi
 use support::mutations::{
     assert_refused, cut, huge_sizes, not_finite, replaced, with_value, without, wrong_types,
 };
-use support::{Scratch, chain, f64s, table};
+use support::{SIMPLE, Scratch, chain, f64s, image, table};
 
 /// The largest error of a node in frame pixels of 0.25 arcseconds, due to coordinates in degrees.
 const ROUNDING: f64 = 1e-9;
 
 fn options() -> ScopesimOptions {
-    ScopesimOptions::new(0.25, Position::new(100.0, 200.0).unwrap()).unwrap()
+    ScopesimOptions::new(0.25)
+        .unwrap()
+        .with_field_centre(Position::new(100.0, 200.0).unwrap())
 }
 
 fn read(bytes: &[u8], options: &ScopesimOptions) -> Result<ScopesimPsf, IoError> {
@@ -161,16 +163,56 @@ fn several_wavelengths_are_states_if_their_pixels_agree() {
 
 #[test]
 fn options_are_checked() {
-    let centre = Position::of_pixel(0, 0);
     for bad in [0.0, -1.0, f64::NAN, f64::INFINITY] {
-        assert!(ScopesimOptions::new(bad, centre).is_err());
+        assert!(ScopesimOptions::new(bad).is_err());
         assert!(
-            ScopesimOptions::new(1.0, centre)
+            ScopesimOptions::new(1.0)
                 .unwrap()
                 .with_wavelength_um(bad)
                 .is_err()
         );
     }
+    let error = read(&scopesim(), &ScopesimOptions::new(1.0).unwrap()).unwrap_err();
+    assert_eq!(error.setting(), Some("field_centre"));
+}
+
+/// ScopeSim reads the map that ECAT names, whatever ETYPE says.
+#[test]
+fn a_map_needs_no_type() {
+    let scratch = Scratch::new();
+    let plain = replaced(&scopesim(), "ETYPE", "COMMENT").bytes;
+    let path = scratch.put("plain.fits", &plain);
+    assert_eq!(detect(&path).unwrap(), FileKind::Scopesim);
+    let (found, known) = (read(&plain, &options()), read(&scopesim(), &options()));
+    assert_eq!(found.unwrap(), known.unwrap());
+}
+
+#[test]
+fn a_constant_psf_may_have_several_wavelengths() {
+    let scratch = Scratch::new();
+    let primary = |map: &str| image(SIMPLE, 8, &[], &["ETYPE   = 'CONSTPSF'", map, "EDATA   = 1"], &[]);
+    let several = [
+        primary("ECAT    = -1"),
+        scopesim_kernels(1, 1.5),
+        scopesim_kernels(1, 2.25),
+    ]
+    .concat();
+    let path = scratch.put("several.fits", &several);
+    assert_eq!(detect(&path).unwrap(), FileKind::Scopesim);
+    let psf = read_scopesim(&path, &ScopesimOptions::new(0.25).unwrap()).unwrap();
+    assert_eq!((psf.wavelengths_um(), psf.layers().len()), (&[1.5, 2.25][..], 2));
+    assert_eq!((psf.nodes().len(), psf.layer_of_node()), (1, &[0][..]));
+    // One wavelength is an image like any other.
+    let one = [primary("ECAT    = -1"), scopesim_kernels(1, 1.5)].concat();
+    assert_ne!(detect(scratch.put("one.fits", &one)).unwrap(), FileKind::Scopesim);
+    let layers = [
+        primary("ECAT    = -1"),
+        scopesim_kernels(2, 1.5),
+        scopesim_kernels(2, 2.0),
+    ]
+    .concat();
+    let error = chain(&read(&layers, &options()).unwrap_err());
+    assert!(error.contains("no map of layers"), "{error}");
 }
 
 #[test]
@@ -179,9 +221,8 @@ fn errors_name_what_is_wrong() {
     let with_map = |layers| [scopesim_primary(), scopesim_map(layers), scopesim_kernels(2, 1.5)].concat();
     let with_table = |layers| [scopesim_primary(), table_map(layers), scopesim_kernels(2, 1.5)].concat();
     let cases = [
-        (with_value(&good, "ETYPE", "'TRACE'").bytes, "ETYPE"),
+        (with_value(&good, "EDATA", "'two'").bytes, "EDATA"),
         (with_value(&good, "ECAT", "9").bytes, "ECAT"),
-        (with_value(&good, "ECAT", "-1").bytes, "ECAT"),
         (with_value(&good, "ECAT", "0").bytes, "HDU 0, to which"),
         (with_value(&good, "EDATA", "7").bytes, "HDU 7 (EDATA)"),
         (with_value(&good, "WAVEUNIT", "'nm'").bytes, "WAVEUNIT"),
@@ -209,9 +250,9 @@ fn damaged_files_are_refused_soon() {
     // After some of the cuts each remaining HDU is complete, but the PSFs are missing.
     all.extend(without(
         &good,
-        &["ETYPE", "ECAT", "EDATA", "CRPIX1", "CDELT2", "WAVE0", "XTENSION"],
+        &["ECAT", "EDATA", "CRPIX1", "CDELT2", "WAVE0", "XTENSION"],
     ));
-    all.extend(wrong_types(&good, &numbers, &["ETYPE", "CUNIT1", "WAVEUNIT"]));
+    all.extend(wrong_types(&good, &numbers, &["CUNIT1", "WAVEUNIT"]));
     all.extend(huge_sizes(&good));
     // The PSFs of the other wavelength are not read.
     all.extend(

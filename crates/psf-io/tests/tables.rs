@@ -109,7 +109,7 @@ fn missing_columns_and_tables_are_named() {
         "a.fits",
         &fits(&[table("T", &[("x", "D"), ("mag", "D")], 1, &[], &f64s(&[0.0; 2]))]),
     );
-    let part = "column \"y\": there is no such column. The columns are \"x\", \"mag\"";
+    let part = "column \"y\": there is no such column, but positions need x and y, or ra and dec. The columns are \"x\", \"mag\"";
     assert_error(read_catalog(&path), IoErrorKind::Table, part);
     let path = scratch.put("b.fits", &fits(&[]));
     assert_error(

@@ -188,7 +188,7 @@ impl Telescope {
     /// [`OpticsError::Read`] or [`OpticsError::InFile`], which name the file.
     pub fn from_toml_file(path: impl AsRef<Path>) -> Result<Self, OpticsError> {
         let path = path.as_ref();
-        let text = std::fs::read_to_string(path).map_err(|source| OpticsError::Read {
+        let text = psf_types::read_text_file(path).map_err(|source| OpticsError::Read {
             path: path.to_owned(),
             source,
         })?;

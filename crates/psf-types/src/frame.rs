@@ -298,10 +298,19 @@ impl std::fmt::Display for Quantity {
     }
 }
 
+/// Numbers with more characters are written with an exponent.
+const LONGEST_NUMBER: usize = 24;
+
 impl DataError {
     /// Makes a [`DataError::Setting`] for a value that is not allowed.
     pub fn setting(name: &'static str, allowed: &'static str, got: impl std::fmt::Display) -> Self {
-        let got = got.to_string();
+        let mut got = got.to_string();
+        // Very large and very small numbers are shorter with an exponent.
+        if got.len() > LONGEST_NUMBER
+            && let Ok(number) = got.parse::<f64>()
+        {
+            got = format!("{number:e}");
+        }
         Self::Setting { name, allowed, got }
     }
 

@@ -29,6 +29,7 @@ mod sample_positions;
 mod samples;
 mod sources;
 mod stamp;
+mod text_file;
 
 pub use basis::{PsfBasis, SampleCoefficients};
 pub use choices::{Anchor, Interpolation, Normalisation, OutsidePolicy, StampInterpolation, ToleranceOn};
@@ -42,3 +43,4 @@ pub use sample_positions::{SamplePositions, SampleStates, StateKind};
 pub use samples::{PsfSamples, PsfSource, SourceError};
 pub use sources::{PointSource, SersicProfile, SersicSource};
 pub use stamp::{Stamp, StampGrid};
+pub use text_file::read_text_file;

@@ -39,6 +39,8 @@ impl PointSource {
     }
 }
 
+/// The largest half-light radius that is allowed, in pixels. No frame is as large.
+const LARGEST_RADIUS_PX: f64 = 1e6;
 /// The smallest Sersic index that is allowed. Real galaxies have a larger index.
 const SMALLEST_INDEX: f64 = 0.3;
 /// The largest Sersic index that is allowed. Fits of real galaxies with a larger index are not meaningful.
@@ -83,7 +85,7 @@ read_through_new!(RawProfile => SersicProfile { half_light_radius_px: f64, index
 impl SersicProfile {
     /// Creates a profile from four parameters:
     ///
-    /// * `half_light_radius_px` (`re`): along the major axis in pixels, above 0,
+    /// * `half_light_radius_px` (`re`): along the major axis in pixels, above 0, at most 1e6,
     /// * `index` (`n`): from 0.3 to 8,
     /// * `axis_ratio` (`q = b/a`): from 0.001 to 1,
     /// * `angle_deg`: angle of the major axis in degrees from +x towards +y.
@@ -97,8 +99,8 @@ impl SersicProfile {
         angle_deg: f64,
     ) -> Result<Self, DataError> {
         let re = half_light_radius_px;
-        let (parameter, allowed, got) = if !(re.is_finite() && re > 0.0) {
-            ("the half-light radius re", "finite and above 0 pixels", re)
+        let (parameter, allowed, got) = if !(re > 0.0 && re <= LARGEST_RADIUS_PX) {
+            ("the half-light radius re", "above 0 and at most 1e6 pixels", re)
         } else if !(SMALLEST_INDEX..=LARGEST_INDEX).contains(&index) {
             ("the Sersic index n", "from 0.3 to 8", index)
         } else if !(SMALLEST_AXIS_RATIO..=1.0).contains(&axis_ratio) {

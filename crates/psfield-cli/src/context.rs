@@ -81,6 +81,7 @@ fn option_of(setting: &str) -> Option<String> {
         "frame_number" => "--psf-frame".to_owned(),
         "shift_copies" => "--shift-augment".to_owned(),
         "pixel_scale_arcsec" => "--pixel-scale".to_owned(),
+        "contexts" => "--psf-context".to_owned(),
         "extension" | "detector" | "positions" | "oversampling" | "centre" => format!("--psf-{setting}"),
         "pixel_response_included" => "--pixel-response".to_owned(),
         "at" => "--grid".to_owned(),
@@ -140,14 +141,14 @@ impl Context {
     /// Prints a warning on standard error, unless `--quiet`.
     pub(crate) fn warn(&self, text: &str) {
         if !self.quiet {
-            eprintln!("psfield: warning: {}{text}", self.part);
+            say(&format!("psfield: warning: {}{text}", self.part));
         }
     }
 
     /// Prints a note on standard error about what was done, unless `--quiet`.
     pub(crate) fn note(&self, text: &str) {
         if !self.quiet {
-            eprintln!("psfield: note: {}{text}", self.part);
+            say(&format!("psfield: note: {}{text}", self.part));
         }
     }
 
@@ -260,4 +261,9 @@ impl Drop for Bar {
     fn drop(&mut self) {
         self.0.finish_and_clear();
     }
+}
+
+/// Prints a line on standard error. A closed pipe or a full disk there does not stop the work.
+pub(crate) fn say(line: &str) {
+    let _ = writeln!(std::io::stderr(), "{line}");
 }

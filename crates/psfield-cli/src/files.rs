@@ -6,6 +6,7 @@ use std::collections::HashMap;
 use std::ffi::OsString;
 use std::ops::Deref;
 use std::path::{Path, PathBuf};
+use std::str::FromStr;
 
 use clap::ArgMatches;
 use serde::Serialize;
@@ -47,8 +48,193 @@ impl JsonTo {
     }
 }
 
-/// An argument that names a file to write. (An argument of type [`PathBuf`] names a file to read,
-/// or the log of a batch.)
+/// What an argument means for the file that it names.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Use {
+    Input,
+    Output,
+    /// A folder in which outputs are written.
+    Folder,
+}
+
+/// A type of arguments that name a file. Each such type is in [`FileType::ALL`], which decides how its files
+/// are protected, and where a relative path in a file of settings begins.
+trait NamesFile: Clone + Send + Sync + 'static {
+    const USE: Use;
+
+    /// The files that the argument names.
+    fn files(&self) -> Vec<PathBuf>;
+
+    /// The text of the argument, with its file in a folder if its path is relative.
+    fn within(folder: &Path, text: &str) -> OsString {
+        folder.join(text).into_os_string()
+    }
+}
+
+/// A type of arguments that name a file.
+pub(crate) struct FileType {
+    type_id: fn() -> TypeId,
+    pub(crate) used: Use,
+    files: fn(&ArgMatches, &clap::Arg) -> Vec<PathBuf>,
+    pub(crate) within: fn(&Path, &str) -> OsString,
+}
+
+impl FileType {
+    const ALL: [Self; 7] = [
+        Self::of::<PathBuf>(),
+        Self::of::<OutputFile>(),
+        Self::of::<OutputFolder>(),
+        Self::of::<JsonTo>(),
+        Self::of::<BandpassName>(),
+        Self::of::<SpectrumName>(),
+        Self::of::<Layer>(),
+    ];
+
+    const fn of<T: NamesFile>() -> Self {
+        Self {
+            type_id: TypeId::of::<T>,
+            used: T::USE,
+            files: files_of::<T>,
+            within: T::within,
+        }
+    }
+
+    /// The type of an argument that names files. `None` for any other argument.
+    pub(crate) fn of_argument(arg: &clap::Arg) -> Option<&'static Self> {
+        let id = arg.get_value_parser().type_id();
+        Self::ALL.iter().find(|known| id == (known.type_id)())
+    }
+}
+
+/// The files among the values of an argument.
+fn files_of<T: NamesFile>(matches: &ArgMatches, arg: &clap::Arg) -> Vec<PathBuf> {
+    let values = matches.get_many::<T>(arg.get_id().as_str());
+    values.into_iter().flatten().flat_map(NamesFile::files).collect()
+}
+
+/// A file to read, or the log of a batch.
+impl NamesFile for PathBuf {
+    const USE: Use = Use::Input;
+    fn files(&self) -> Vec<PathBuf> {
+        vec![self.clone()]
+    }
+}
+
+impl NamesFile for OutputFile {
+    const USE: Use = Use::Output;
+    fn files(&self) -> Vec<PathBuf> {
+        vec![self.0.clone()]
+    }
+}
+
+impl NamesFile for OutputFolder {
+    const USE: Use = Use::Folder;
+    fn files(&self) -> Vec<PathBuf> {
+        vec![self.0.clone()]
+    }
+}
+
+impl NamesFile for JsonTo {
+    const USE: Use = Use::Output;
+    fn files(&self) -> Vec<PathBuf> {
+        self.file().map(Path::to_owned).into_iter().collect()
+    }
+}
+
+impl NamesFile for BandpassName {
+    const USE: Use = Use::Input;
+    fn files(&self) -> Vec<PathBuf> {
+        vec![psfield::bandpass_file(&self.0).into()]
+    }
+}
+
+impl NamesFile for SpectrumName {
+    const USE: Use = Use::Input;
+    fn files(&self) -> Vec<PathBuf> {
+        psfield::spectrum_file(&self.0)
+            .map(PathBuf::from)
+            .into_iter()
+            .collect()
+    }
+    fn within(folder: &Path, text: &str) -> OsString {
+        psfield::spectrum_in(folder, text).into()
+    }
+}
+
+impl NamesFile for Layer {
+    const USE: Use = Use::Input;
+    fn files(&self) -> Vec<PathBuf> {
+        let spectrum = psfield::spectrum_file(&self.spectrum).map(PathBuf::from);
+        std::iter::once(self.image.clone()).chain(spectrum).collect()
+    }
+    fn within(folder: &Path, text: &str) -> OsString {
+        let Ok(layer) = text.parse::<Self>() else {
+            return text.into();
+        };
+        let mut within = folder.join(layer.image).into_os_string();
+        within.push(SPECTRUM_OF_LAYER);
+        within.push(psfield::spectrum_in(folder, &layer.spectrum));
+        within
+    }
+}
+
+/// The name of a bandpass: a file, and perhaps a unit.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) struct BandpassName(String);
+
+/// The name of a spectrum, which may be a file.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) struct SpectrumName(String);
+
+impl From<String> for BandpassName {
+    fn from(name: String) -> Self {
+        Self(name)
+    }
+}
+
+impl From<String> for SpectrumName {
+    fn from(name: String) -> Self {
+        Self(name)
+    }
+}
+
+impl Deref for BandpassName {
+    type Target = str;
+    fn deref(&self) -> &str {
+        &self.0
+    }
+}
+
+impl Deref for SpectrumName {
+    type Target = str;
+    fn deref(&self) -> &str {
+        &self.0
+    }
+}
+
+/// An image and its spectrum.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) struct Layer {
+    pub(crate) image: PathBuf,
+    pub(crate) spectrum: String,
+}
+
+const SPECTRUM_OF_LAYER: &str = ":sed=";
+
+impl FromStr for Layer {
+    type Err = String;
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text.split_once(SPECTRUM_OF_LAYER) {
+            Some((image, spectrum)) if !image.is_empty() && !spectrum.is_empty() => Ok(Self {
+                image: image.into(),
+                spectrum: spectrum.to_owned(),
+            }),
+            _ => Err("an image and its spectrum are needed, as in red.fits:sed=blackbody:4000".to_owned()),
+        }
+    }
+}
+
+/// An argument that names a file to write.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 #[serde(transparent)]
 pub(crate) struct OutputFile(PathBuf);
@@ -126,34 +312,19 @@ impl NamedFiles {
             ..Self::default()
         };
         for arg in command.get_arguments() {
-            let of = arg.get_value_parser().type_id();
-            let (list, paths) = if of == TypeId::of::<PathBuf>() {
-                (
-                    &mut named.inputs,
-                    paths(matches, arg, |path: &PathBuf| Some(path.clone())),
-                )
-            } else if of == TypeId::of::<OutputFile>() {
-                (
-                    &mut named.outputs,
-                    paths(matches, arg, |file: &OutputFile| Some(file.0.clone())),
-                )
-            } else if of == TypeId::of::<OutputFolder>() {
-                (
-                    &mut named.folders,
-                    paths(matches, arg, |folder: &OutputFolder| Some(folder.0.clone())),
-                )
-            } else if of == TypeId::of::<JsonTo>() {
-                (
-                    &mut named.outputs,
-                    paths(matches, arg, |json: &JsonTo| json.file().map(Path::to_owned)),
-                )
-            } else {
+            let Some(file_type) = FileType::of_argument(arg) else {
                 continue;
             };
-            if paths.iter().any(|path| path.as_os_str().is_empty()) {
+            let files = (file_type.files)(matches, arg);
+            if files.iter().any(|path| path.as_os_str().is_empty()) {
                 return Err(UsageError(format!("{arg}: the name is empty")));
             }
-            list.extend(paths);
+            let list = match file_type.used {
+                Use::Input => &mut named.inputs,
+                Use::Output => &mut named.outputs,
+                Use::Folder => &mut named.folders,
+            };
+            list.extend(files);
         }
         Ok(named)
     }
@@ -186,16 +357,6 @@ impl NamedFiles {
         }
         Ok(())
     }
-}
-
-/// The paths among the values of an argument.
-fn paths<T: Clone + Send + Sync + 'static>(
-    matches: &ArgMatches,
-    arg: &clap::Arg,
-    path: impl Fn(&T) -> Option<PathBuf>,
-) -> Vec<PathBuf> {
-    let values = matches.get_many::<T>(arg.get_id().as_str());
-    values.into_iter().flatten().filter_map(path).collect()
 }
 
 /// The files that one or more runs read and write, each with a text that says what uses it.
@@ -255,5 +416,165 @@ fn resolved(path: &Path) -> PathBuf {
     match (folder.canonicalize(), path.file_name()) {
         (Ok(folder), Some(name)) => folder.join(name),
         _ => std::path::absolute(path).unwrap_or_else(|_| path.to_owned()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::any::TypeId;
+
+    use clap::CommandFactory;
+
+    use super::*;
+
+    /// Options whose texts never name a file, by name. Every option whose value is neither a number, nor a
+    /// choice, nor of a type that names files must be here. (`--set` of a batch names an option, which is
+    /// checked as that option.)
+    const WITHOUT_FILES: &[&str] = &[
+        "start",
+        "uniform",
+        "extension",
+        "registration",
+        "rank",
+        "centring",
+        "interpolation",
+        "outside",
+        "normalise",
+        "psf_extension",
+        "psf_context",
+        "psf_order",
+        "field_centre",
+        "psf_centre",
+        "to",
+        "grid",
+        "columns",
+        "table",
+        "shape",
+        "scene_pixels",
+        "frame",
+        "dispersion",
+        "tolerance_on",
+        "method",
+        "anchor",
+        "gpu_adapter",
+        "set",
+        "percentile",
+        "range",
+        "reference_extension",
+        "real",
+        "sizes",
+        "grids",
+        "patches",
+        "ranks",
+        "repeat",
+    ];
+
+    fn commands() -> Vec<clap::Command> {
+        let mut all = crate::Cli::command();
+        all.build();
+        all.get_subcommands().cloned().collect()
+    }
+
+    fn is_number(arg: &clap::Arg) -> bool {
+        let id = arg.get_value_parser().type_id();
+        let numbers = [
+            TypeId::of::<bool>(),
+            TypeId::of::<u8>(),
+            TypeId::of::<u16>(),
+            TypeId::of::<u32>(),
+            TypeId::of::<u64>(),
+            TypeId::of::<usize>(),
+            TypeId::of::<f64>(),
+        ];
+        numbers.iter().any(|number| id == *number)
+    }
+
+    /// A new option cannot escape the protection of files.
+    #[test]
+    fn every_option_names_files_or_none() {
+        let (mut unknown, mut known) = (Vec::new(), Vec::new());
+        for command in commands() {
+            for arg in command.get_arguments() {
+                let name = arg.get_id().to_string();
+                let is_choice = !arg.get_possible_values().is_empty();
+                if ["help", "version"].contains(&name.as_str()) || is_choice || is_number(arg) {
+                    continue;
+                }
+                match (FileType::of_argument(arg), WITHOUT_FILES.contains(&name.as_str())) {
+                    (None, true) => known.push(name),
+                    (Some(_), false) => {}
+                    _ => unknown.push(format!("{} {name}", command.get_name())),
+                }
+            }
+        }
+        assert!(unknown.is_empty(), "do these options name files? {unknown:?}");
+        let unused = WITHOUT_FILES
+            .iter()
+            .find(|name| !known.contains(&(**name).to_owned()));
+        assert_eq!(unused, None);
+    }
+
+    /// Each option that names files is protected as an input or as an output, and begins in a given folder
+    /// if it stands in a file of settings.
+    #[test]
+    fn every_option_with_files_is_collected() {
+        let texts: [(FileType, &str, &[&str]); 7] = [
+            (FileType::of::<PathBuf>(), "a.fits", &["a.fits"]),
+            (FileType::of::<OutputFile>(), "a.fits", &["a.fits"]),
+            (FileType::of::<OutputFolder>(), "a.fits", &["a.fits"]),
+            (FileType::of::<JsonTo>(), "a.fits", &["a.fits"]),
+            (FileType::of::<BandpassName>(), "a.fits:nm", &["a.fits"]),
+            (
+                FileType::of::<SpectrumName>(),
+                "a.fits:nm:photons@z=1",
+                &["a.fits"],
+            ),
+            (
+                FileType::of::<Layer>(),
+                "a.fits:sed=b.csv@z=1",
+                &["a.fits", "b.csv"],
+            ),
+        ];
+        let mut seen = 0;
+        for command in commands() {
+            for arg in command.get_arguments() {
+                let Some(file_type) = FileType::of_argument(arg) else {
+                    continue;
+                };
+                let id = arg.get_value_parser().type_id();
+                let (_, text, files) = texts
+                    .iter()
+                    .find(|(known, ..)| id == (known.type_id)())
+                    .expect("every type of files has a text here");
+                let within = (file_type.within)(Path::new("folder"), text);
+                for (text, folder) in [(OsString::from(text), ""), (within, "folder")] {
+                    let alone = clap::Command::new("alone").no_binary_name(true).arg(lonely(arg));
+                    let Ok(matches) = alone.clone().try_get_matches_from([text]) else {
+                        // A flag such as --json, or a file with a fixed ending.
+                        continue;
+                    };
+                    let named = NamedFiles::of(&alone, &matches).unwrap();
+                    let found = [&named.inputs, &named.outputs, &named.folders].map(Vec::as_slice);
+                    let expected: Vec<PathBuf> =
+                        files.iter().map(|file| Path::new(folder).join(file)).collect();
+                    assert_eq!(
+                        found.concat(),
+                        expected,
+                        "{} {}",
+                        command.get_name(),
+                        arg.get_id()
+                    );
+                    seen += 1;
+                }
+            }
+        }
+        assert!(seen > 60, "{seen}");
+    }
+
+    /// The argument, without the others that it needs, as a positional one.
+    fn lonely(arg: &clap::Arg) -> clap::Arg {
+        clap::Arg::new(arg.get_id().clone())
+            .index(1)
+            .value_parser(arg.get_value_parser().clone())
     }
 }

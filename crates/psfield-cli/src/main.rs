@@ -1,6 +1,8 @@
 //! The command line `psfield`: reads arguments, writes files and reports. The other crates of the
 //! workspace do the computation.
 
+#![deny(clippy::print_stderr)]
+
 mod batch;
 mod bench;
 mod compare;
@@ -170,7 +172,7 @@ fn refuse(error: &clap::Error) -> ! {
     if error.kind() != clap::error::ErrorKind::ValueValidation {
         error.exit();
     }
-    eprint!("{}", values::plain_text(error));
+    context::say(values::plain_text(error).trim_end());
     std::process::exit(error.exit_code())
 }
 
@@ -202,6 +204,6 @@ fn main() -> ExitCode {
     {
         return ExitCode::SUCCESS;
     }
-    eprintln!("psfield: error: {}", message_of(&error));
+    context::say(&format!("psfield: error: {}", message_of(&error)));
     ExitCode::FAILURE
 }

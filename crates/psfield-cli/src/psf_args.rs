@@ -127,9 +127,19 @@ pub(crate) struct PsfFileArgs {
     /// HDU of the PSF: its number (0: primary, 1: first extension) or EXTNAME (required if
     /// several HDUs hold PSFs)
     ///
-    /// PSFEx: one of several models. STPSF, STDPSF and plain stamps: one of several images.
+    /// PSFEx: one of several models (of a table with a model in each row, as of legacypipe: CCDNAME or
+    /// the number of the row from 0). STPSF, STDPSF and plain stamps: one of several images.
     #[arg(long, value_name = "N|NAME", hide_short_help = true)]
     pub(crate) psf_extension: Option<HduChoice>,
+    /// PSFEx: values of the quantities on which the PSF depends besides the position, as in
+    /// MAG_AUTO=18
+    #[arg(
+        long,
+        value_name = "NAME=VALUE,...",
+        value_delimiter = ',',
+        hide_short_help = true
+    )]
+    psf_context: Vec<ContextValue>,
     /// STDPSF: number of the detector, from 1 (required if the file has several detectors)
     #[arg(long, value_name = "N", value_parser = detector, hide_short_help = true)]
     psf_detector: Option<usize>,
@@ -177,8 +187,8 @@ pub(crate) struct PsfFileArgs {
     /// CSV or FITS table with columns x, y (0-based pixels), one row per plane.
     #[arg(long, value_name = "POSITIONS.csv", hide_short_help = true)]
     psf_positions: Option<PathBuf>,
-    /// Cube or single stamp without positions: stamp pixels per frame pixel [default: card
-    /// OVERSAMP, else required]
+    /// Cube or single stamp without positions: stamp pixels per frame pixel, below 1 for stamps
+    /// coarser than the frame [default: card OVERSAMP, else required]
     #[arg(long, value_name = "S", value_parser = above_zero, hide_short_help = true)]
     psf_oversampling: Option<f64>,
     /// Cube or single stamp without positions: centre of the PSF in a stamp (0-based stamp pixels)
@@ -214,6 +224,22 @@ impl FromStr for Point {
     }
 }
 
+/// A value of a quantity on which a PSF depends.
+#[derive(Debug, Clone, PartialEq)]
+struct ContextValue(String, f64);
+
+impl FromStr for ContextValue {
+    type Err = String;
+    fn from_str(text: &str) -> Result<Self, String> {
+        let parts = text.split_once('=');
+        let value = parts.and_then(|(name, value)| Some((name.trim(), value.trim().parse::<f64>().ok()?)));
+        match value {
+            Some((name, value)) if !name.is_empty() && value.is_finite() => Ok(Self(name.to_owned(), value)),
+            _ => Err("a name and a number are needed, as in MAG_AUTO=18".to_owned()),
+        }
+    }
+}
+
 fn detector(text: &str) -> Result<usize, String> {
     number(text, |&detector| detector > 0, "a whole number above 0")
 }
@@ -223,6 +249,11 @@ impl PsfFileArgs {
     fn options(&self) -> anyhow::Result<PsfFileOptions> {
         Ok(PsfFileOptions {
             extension: self.psf_extension.clone(),
+            contexts: self
+                .psf_context
+                .iter()
+                .map(|ContextValue(name, value)| (name.clone(), *value))
+                .collect(),
             detector: self.psf_detector,
             plane_order: self.psf_order,
             skip_invalid: self.psf_skip_invalid,

@@ -13,6 +13,7 @@
 mod catalog;
 mod detector;
 mod error;
+mod memory;
 mod metrics;
 mod plan;
 mod psf_model;
@@ -26,7 +27,7 @@ use pyo3::prelude::*;
 #[pymodule]
 mod _native {
     #[pymodule_export]
-    use crate::catalog::{image_cards, read_catalog};
+    use crate::catalog::{Sources, catalog_columns, image_cards, read_catalog};
     #[pymodule_export]
     use crate::detector::Detector;
     #[pymodule_export]

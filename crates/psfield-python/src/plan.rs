@@ -13,8 +13,9 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use rayon::ThreadPool;
 
-use crate::catalog::{SourceColumns, Sources};
+use crate::catalog::Sources;
 use crate::error::{Failure, invalid, with_argument};
+use crate::memory;
 use crate::psf_model::PsfModel;
 use crate::settings::{parsed, region};
 use crate::threads::{self, Watch, pool};
@@ -121,6 +122,14 @@ impl Plan {
     /// Makes a plan for scenes of one shape.
     #[new]
     fn new(py: Python<'_>, model: &PsfModel, settings: PlanSettings) -> PyResult<Self> {
+        let (ny, nx) = settings.shape;
+        let pixels = ny.saturating_mul(nx);
+        if pixels > Simulator::<f32>::MAX_PIXELS {
+            let most = Simulator::<f32>::MAX_PIXELS;
+            return Err(invalid(format!(
+                "shape: {ny} x {nx} pixels are too many: at most 2^30 = {most}"
+            )));
+        }
         let builder = model.0.simulator(settings.shape).options(settings.options()?);
         let simulator = match settings.precision.as_str() {
             "f32" => AnySimulator::Single(planned(py, move |_| builder.build())?),
@@ -213,12 +222,13 @@ impl Plan {
         &self,
         py: Python<'py>,
         scene: Option<Bound<'py, PyAny>>,
-        sources: Option<SourceColumns<'py>>,
+        sources: Option<PyRef<'py, Sources>>,
         out: Option<Bound<'py, PyAny>>,
         progress: Option<Py<PyAny>>,
     ) -> PyResult<Simulated<'py>> {
         self.check_process()?;
-        let sources = sources_of(sources)?;
+        memory::check("the image", self.image_bytes(usize::from(out.is_none())))?;
+        let sources = sources.map_or_else(Sources::default, |sources| sources.clone());
         in_precision!(self, simulator => {
             let scene = scene.as_ref().map(|scene| readonly::<_, Ix2>(scene, "scene")).transpose()?;
             let mut out = out.as_ref().map(writable::<_, Ix2>).transpose()?;
@@ -245,6 +255,7 @@ impl Plan {
             let scenes = readonly::<_, Ix3>(&scenes, "scene")?;
             let mut out = out.as_ref().map(writable::<_, Ix3>).transpose()?;
             let (lights, target) = (scenes.as_array(), out.as_mut().map(|out| out.as_array_mut()));
+            memory::check("the stack of images", self.image_bytes(target.as_ref().map_or(lights.dim().0, |_| 0)))?;
             let made = threads::run_beside(py, progress.as_ref(), &*pool()?, |watch, pool| {
                 let check = |(n, light)| {
                     let light = ImageView::new(light).map_err(Failure::of(format!("scene[{n}]")));
@@ -272,6 +283,7 @@ impl Plan {
         in_precision!(self, simulator => {
             let image = readonly::<_, Ix2>(&image, "image")?;
             let pixels = image.as_array();
+            memory::check("the adjoint", self.image_bytes(1))?;
             let made = threads::run(py, progress.as_ref(), |watch| -> Result<_, Failure> {
                 let image = ImageView::new(pixels).map_err(Failure::of("image"))?;
                 Ok(simulator.adjoint(&image, watch)?)
@@ -286,11 +298,12 @@ impl Plan {
         py: Python<'py>,
         image: Bound<'py, PyAny>,
         scene: Option<Bound<'py, PyAny>>,
-        sources: Option<SourceColumns<'py>>,
+        sources: Option<PyRef<'py, Sources>>,
         count: usize,
         seed: u64,
     ) -> PyResult<String> {
-        let sources = sources_of(sources)?;
+        memory::check("the check", self.image_bytes(2))?;
+        let sources = sources.map_or_else(Sources::default, |sources| sources.clone());
         let check = in_precision!(self, simulator => {
             let image = readonly::<_, Ix2>(&image, "image")?;
             let scene = scene.as_ref().map(|scene| readonly::<_, Ix2>(scene, "scene")).transpose()?;
@@ -332,6 +345,18 @@ impl Plan {
             pool.install(|| simulator.prepare(&scene, false, watch))?;
         }
         Ok(scene)
+    }
+
+    /// The bytes of so many images of this plan.
+    fn image_bytes(&self, count: usize) -> usize {
+        let (ny, nx) = self.frame_shape();
+        let size = match &self.simulator {
+            AnySimulator::Single(_) => size_of::<f32>(),
+            AnySimulator::Double(_) => size_of::<f64>(),
+        };
+        [ny, nx, size]
+            .iter()
+            .fold(count, |bytes, n| bytes.saturating_mul(*n))
     }
 
     /// Refuses a plan on a GPU if this process is a child of the process that made the plan.
@@ -450,8 +475,4 @@ fn writable<'py, T: Element, D: Dimension>(
     array
         .try_readwrite()
         .map_err(|_| invalid("out: another call reads or writes this array: give each call its own array"))
-}
-
-fn sources_of(columns: Option<SourceColumns<'_>>) -> PyResult<Sources> {
-    columns.map_or_else(|| Ok(Sources::default()), |columns| columns.sources())
 }

@@ -14,13 +14,14 @@ use psfield::psf_types::{
 };
 use psfield::spectra::{Bandpass, Curve, FluxDensity, Spectrum};
 use psfield::{
-    EvaluateOptions, Fit, FitOptions, OutputGrid, Psf, PsfieldError, evaluate_stamps, fit_in_basis,
-    open_bandpass, open_spectrum, provenance_cards,
+    EvaluateOptions, Fit, FitOptions, MAX_STACK_BYTES, OutputGrid, Psf, PsfieldError, evaluate_stamps,
+    fit_in_basis, open_bandpass, open_spectrum, provenance_cards,
 };
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
 use crate::error::{Failure, invalid, with_argument};
+use crate::memory;
 use crate::settings::{FileSettings, FitSettings, GridSettings, frame_shape, parsed, positions};
 use crate::threads;
 
@@ -45,6 +46,9 @@ enum Curved {
     Rows((Vec<f64>, Vec<f64>)),
 }
 
+/// Bytes that a fit needs for each value of its samples.
+const FIT_BYTES: usize = 5 * size_of::<f64>();
+
 /// Columns x and y.
 type Points<'py> = (Bound<'py, PyArray1<f64>>, Bound<'py, PyArray1<f64>>);
 
@@ -55,6 +59,10 @@ impl PsfModel {
         py: Python<'_>,
         work: impl FnOnce(&Psf) -> Result<R, PsfieldError> + Send + 'static,
     ) -> PyResult<R> {
+        if let Some((samples, _)) = self.0.samples().filter(|_| self.0.record_if_fitted().is_none()) {
+            let bytes = samples.stamps().len().saturating_mul(FIT_BYTES);
+            memory::check("the fit of the samples", bytes)?;
+        }
         let psf = self.0.clone();
         Ok(threads::run_apart(py, move |_, pool| pool.install(|| work(&psf)))?.map_err(Failure::from)?)
     }
@@ -92,6 +100,7 @@ impl PsfModel {
         };
         let options = fit.choices()?.or(defaults);
         let stamps = stamps.as_array();
+        memory::check("the samples", stamps.len().saturating_mul(size_of::<f64>()))?;
         let samples = py
             .detach(|| PsfSamples::new(stamps.to_owned(), positions, grid))
             .map_err(Failure::from)?;
@@ -269,6 +278,16 @@ impl PsfModel {
         sub_pixel: bool,
     ) -> PyResult<(Cube<'py>, Option<String>)> {
         let at = positions(&x.as_array().to_vec(), &y.as_array().to_vec())?;
+        let grid = self.0.grid();
+        let stamp = size.map_or(grid.pixel_count(), |size| size.saturating_mul(size));
+        let bytes = at
+            .len()
+            .saturating_mul(stamp)
+            .saturating_mul(2 * size_of::<f64>());
+        // The library refuses more.
+        if bytes <= 2 * MAX_STACK_BYTES {
+            memory::check("the evaluation", bytes)?;
+        }
         let grid = if native {
             OutputGrid::Native
         } else {

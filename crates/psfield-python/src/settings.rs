@@ -92,6 +92,7 @@ impl GridSettings {
 #[pyo3(from_item_all)]
 pub(crate) struct FileSettings {
     extension: Option<String>,
+    contexts: Vec<(String, f64)>,
     detector: Option<usize>,
     plane_order: Option<String>,
     skip_invalid: bool,
@@ -111,6 +112,7 @@ impl FileSettings {
         let position = |at: Option<(f64, f64)>| at.map(|(x, y)| Position::new(x, y)).transpose();
         Ok(PsfFileOptions {
             extension: chosen(self.extension.as_deref())?,
+            contexts: self.contexts,
             detector: self.detector,
             plane_order: chosen(self.plane_order.as_deref())?,
             skip_invalid: self.skip_invalid,

@@ -1,5 +1,8 @@
 //! Scenes in colour: the light of each spectrum.
 
+use std::collections::HashMap;
+use std::path::Path;
+
 use conv_core::ConvReal;
 use ndarray::Array2;
 use psf_io::{Catalog, SourceColours};
@@ -8,6 +11,7 @@ use spectra::{Bandpass, SpectraError, Spectrum};
 
 use crate::{
     ColourSimulator, Dispersion, ErrorKind, Psf, PsfieldError, Scene, SimulateOptions, open_spectrum,
+    spectrum_in,
 };
 
 /// Light of several spectra, each with its name ([`open_spectrum`]): images, stars and galaxies.
@@ -24,6 +28,8 @@ use crate::{
 #[derive(Debug, Clone, Default)]
 pub struct ColourScene<T> {
     names: Vec<String>,
+    /// The number of each name.
+    numbers: HashMap<String, usize>,
     light: Vec<Light<T>>,
 }
 
@@ -44,6 +50,7 @@ impl<T: ConvReal> ColourScene<T> {
     pub fn new() -> Self {
         Self {
             names: Vec::new(),
+            numbers: HashMap::new(),
             light: Vec::new(),
         }
     }
@@ -56,8 +63,9 @@ impl<T: ConvReal> ColourScene<T> {
     /// Adds a spectrum, unless it was added before. Returns its number in [`names`](Self::names). For an
     /// image that is read row by row ([`ColourSimulator::stream`]).
     pub fn add_spectrum(&mut self, name: &str) -> usize {
-        let known = self.names.iter().position(|known| known == name);
+        let known = self.numbers.get(name).copied();
         known.unwrap_or_else(|| {
+            self.numbers.insert(name.to_owned(), self.names.len());
             self.names.push(name.to_owned());
             self.light.push(Light {
                 image: None,
@@ -87,7 +95,7 @@ impl<T: ConvReal> ColourScene<T> {
     }
 
     /// Adds the sources of a catalogue. Each has the spectrum of its row, or `default` if the catalogue
-    /// has no spectra.
+    /// has no spectra. Relative paths in the rows begin in `folder`, that of the catalogue's file.
     ///
     /// If the rows have more than 16 different temperatures, the flux of each source is divided between
     /// black bodies at the two nearest of 16 temperatures, so that its PSF is interpolated linearly in
@@ -95,7 +103,12 @@ impl<T: ConvReal> ColourScene<T> {
     ///
     /// # Errors
     /// [`ErrorKind::Data`] if the catalogue has no spectra, and there is no default.
-    pub fn add_catalog(&mut self, catalog: Catalog, default: Option<&str>) -> Result<(), PsfieldError> {
+    pub fn add_catalog(
+        &mut self,
+        catalog: Catalog,
+        default: Option<&str>,
+        folder: &Path,
+    ) -> Result<(), PsfieldError> {
         let colours = catalog.colours().cloned();
         let (stars, galaxies) = catalog.into_parts();
         if stars.is_empty() && galaxies.is_empty() {
@@ -109,7 +122,7 @@ impl<T: ConvReal> ColourScene<T> {
             (Some(SourceColours::Names(names)), _) => {
                 sources
                     .zip(names)
-                    .for_each(|(source, name)| self.light_of(&name).push(source));
+                    .for_each(|(source, name)| self.light_of(&spectrum_in(folder, &name)).push(source));
             }
             (Some(SourceColours::Temperatures(all)), _) => {
                 let nodes = temperatures(&all);

@@ -1,5 +1,7 @@
 //! Spectra and bandpasses by name, and the PSFs of spectra.
 
+use std::path::Path;
+
 use ndarray::Array2;
 use psf_types::StateKind;
 use spectra::{Bandpass, Curve, FluxDensity, PhotonFraction, SpectraError, Spectrum, photons};
@@ -31,15 +33,55 @@ pub fn open_spectrum(name: &str) -> Result<Spectrum, PsfieldError> {
     if name.starts_with("blackbody:") || name.starts_with("powerlaw:") {
         return Ok(name.parse()?);
     }
-    let (mut file, redshift) = Spectrum::split_redshift(name)?;
-    let mut values = None;
-    if let Some((before, last)) = file.rsplit_once(':')
-        && let Ok(known) = last.parse::<FluxDensity>()
-    {
-        (file, values) = (before, Some(known));
-    }
-    let spectrum = Spectrum::table(open_curve(file)?, values.unwrap_or_default());
+    let (file, redshift) = Spectrum::split_redshift(name)?;
+    let (file, values) = split_values(file);
+    let spectrum = Spectrum::table(open_curve(file, false)?, values.unwrap_or_default());
     Ok(spectrum.with_redshift(redshift)?)
+}
+
+/// The file that the name of a spectrum ([`open_spectrum`]) begins with. None for a black body or a power
+/// law.
+///
+/// ```
+/// assert_eq!(psfield::spectrum_file("galaxy.txt:nm:photons@z=0.5"), Some("galaxy.txt"));
+/// assert_eq!(psfield::spectrum_file("blackbody:5800"), None);
+/// ```
+pub fn spectrum_file(name: &str) -> Option<&str> {
+    if name.starts_with("blackbody:") || name.starts_with("powerlaw:") {
+        return None;
+    }
+    let file = Spectrum::split_redshift(name).map_or(name, |(file, _)| file);
+    Some(bandpass_file(split_values(file).0))
+}
+
+/// The name of a spectrum ([`open_spectrum`]), whose file, if its path is relative, is in a folder.
+pub fn spectrum_in(folder: &Path, name: &str) -> String {
+    match spectrum_file(name) {
+        None => name.to_owned(),
+        // The file is the beginning of the name.
+        Some(_) => folder.join(name).to_string_lossy().into_owned(),
+    }
+}
+
+/// The file that the name of a bandpass ([`open_bandpass`]) begins with.
+pub fn bandpass_file(name: &str) -> &str {
+    split_unit(name).0
+}
+
+/// Splits the meaning of the values off the end of a name.
+fn split_values(name: &str) -> (&str, Option<FluxDensity>) {
+    let parts = name.rsplit_once(':');
+    parts
+        .and_then(|(before, last)| Some((before, Some(last.parse().ok()?))))
+        .unwrap_or((name, None))
+}
+
+/// Splits the unit of the wavelengths off the end of a name.
+fn split_unit(name: &str) -> (&str, Option<&str>) {
+    match name.rsplit_once(':') {
+        Some((file, unit)) if psf_io::is_wavelength_unit(unit) => (file, Some(unit)),
+        _ => (name, None),
+    }
 }
 
 /// Reads a bandpass: a table of wavelengths and throughputs ([`psf_io::read_curve`]). Behind the name
@@ -49,19 +91,14 @@ pub fn open_spectrum(name: &str) -> Result<Spectrum, PsfieldError> {
 /// [`ErrorKind::Data`] for a table that is no bandpass, [`ErrorKind::Io`] when the file cannot be read
 /// or does not state its unit.
 pub fn open_bandpass(name: &str) -> Result<Bandpass, PsfieldError> {
-    Ok(Bandpass::new(open_curve(name)?))
+    Ok(Bandpass::new(open_curve(name, true)?))
 }
 
-/// Reads the curve of `FILE` or `FILE:UNIT`.
-fn open_curve(name: &str) -> Result<Curve, PsfieldError> {
-    const UNITS: [&str; 5] = ["um", "nm", "Angstrom", "mm", "m"];
-    let (file, unit) = match name.rsplit_once(':') {
-        Some((file, unit)) if UNITS.iter().any(|known| known.eq_ignore_ascii_case(unit)) => {
-            (file, Some(unit))
-        }
-        _ => (name, None),
-    };
-    let (wavelengths_um, values) = psf_io::read_curve(file, unit)?;
+/// Reads the curve of `FILE` or `FILE:UNIT`. If it is the `only` one, further curves in the file are an
+/// error.
+fn open_curve(name: &str, only: bool) -> Result<Curve, PsfieldError> {
+    let (file, unit) = split_unit(name);
+    let (wavelengths_um, values) = psf_io::read_curve(file, unit, only)?;
     Curve::new(wavelengths_um, values)
         .map_err(|error| PsfieldError::new(ErrorKind::Data, format!("{file}: {error}")).because(error))
 }

@@ -10,7 +10,7 @@ use rustfft::num_complex::Complex64;
 use spectra::{Atmosphere, Bandpass, PhotonFraction, Spectrum};
 
 use crate::stack_size::check_stack;
-use crate::stamp_plane::{StampPlane, margin_of, widened};
+use crate::stamp_plane::{Line, StampPlane, margin_of, widened};
 use crate::{ErrorKind, FitOptions, Psf, PsfieldError};
 
 /// The dispersion of the atmosphere on a frame. It shifts light of wavelength `lambda` towards the
@@ -229,7 +229,12 @@ impl Shifted {
     /// The factor of a state's stamps in Fourier space. None if the state does not count.
     fn factor(&self, state: usize, plane: &StampPlane) -> Option<Array2<Complex64>> {
         let own = self.photons.iter().filter(|photon| photon.0 == state);
-        let own: Vec<_> = own.map(|&(_, weight, shift)| (weight, shift)).collect();
+        let shifted = |&(_, weight, shift): &(usize, f64, [f64; 2])| Line {
+            weight,
+            middle: shift,
+            length: [0.0, 0.0],
+        };
+        let own: Vec<_> = own.map(shifted).collect();
         (!own.is_empty()).then(|| plane.shift_factor(&own))
     }
 }

@@ -79,7 +79,7 @@ pub use {
 };
 
 pub use colour_scene::ColourScene;
-pub use colours::{open_bandpass, open_spectrum};
+pub use colours::{bandpass_file, open_bandpass, open_spectrum, spectrum_file, spectrum_in};
 pub use device::{
     CpuReason, GpuSeconds, MIN_SECONDS_FOR_GPU, Placement, PredictedSeconds, forget_gpus, open_gpu,
 };
@@ -109,7 +109,7 @@ pub use simulator::{
     SimulatorBuilder,
 };
 pub use spot_check::{PickedPixel, PixelPicker, SpotCheck};
-pub use stack_size::check_stack;
+pub use stack_size::{MAX_STACK_BYTES, check_stack};
 
 /// The names that most programs need.
 pub mod prelude {

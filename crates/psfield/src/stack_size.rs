@@ -5,7 +5,7 @@ use psf_types::StampGrid;
 use crate::{ErrorKind, PsfieldError};
 
 /// The largest stack of stamps that is allowed: 16 GiB.
-const MAX_STACK_BYTES: usize = 16 << 30;
+pub const MAX_STACK_BYTES: usize = 16 << 30;
 
 /// Checks that a stack of stamps is not larger than 16 GiB.
 ///

@@ -3,13 +3,20 @@
 use std::f64::consts::TAU;
 use std::sync::Arc;
 
+use ndarray::parallel::prelude::*;
 use ndarray::{Array2, ArrayView2, s};
-use psf_types::{DataError, StampGrid};
+use psf_types::StampGrid;
+use psf_types::maths::sinc;
 use rustfft::num_complex::Complex64;
 use rustfft::{Fft, FftPlanner};
 
+use crate::{ErrorKind, PsfieldError};
+
 /// Stamp pixels around the shifted stamps, in which the interpolation between pixels fades.
 const MARGIN: f64 = 8.0;
+
+/// The most pixels of widened stamps.
+const MOST_PIXELS: usize = 1 << 24;
 
 /// The pixels by which stamps grow on either side if they are shifted by these distances in stamp
 /// pixels.
@@ -18,18 +25,39 @@ pub(crate) fn margin_of(shifts: impl Iterator<Item = f64>) -> usize {
 }
 
 /// A grid with `margin` (x, y) more pixels on either side.
-pub(crate) fn widened(grid: StampGrid, margin: [usize; 2]) -> Result<StampGrid, DataError> {
+///
+/// # Errors
+/// [`ErrorKind::TooLarge`] for stamps of more than 16 million pixels.
+pub(crate) fn widened(grid: StampGrid, margin: [usize; 2]) -> Result<StampGrid, PsfieldError> {
+    let side = |count: usize, margin: usize| count.saturating_add(margin.saturating_mul(2));
+    let (nx, ny) = (side(grid.nx(), margin[0]), side(grid.ny(), margin[1]));
+    if nx.saturating_mul(ny) > MOST_PIXELS.max(grid.pixel_count()) {
+        let [right, up] = margin.map(|margin| margin as f64 / grid.oversampling());
+        let message = format!(
+            "light is shifted by up to {right:.3e} pixels along x and {up:.3e} along y, for which PSF stamps would need more \
+             than {MOST_PIXELS} pixels: check the units of the shifts"
+        );
+        return Err(PsfieldError::new(ErrorKind::TooLarge, message));
+    }
     let centre = (
         grid.centre_x() + margin[0] as f64,
         grid.centre_y() + margin[1] as f64,
     );
-    Ok(
-        StampGrid::new(grid.nx() + 2 * margin[0], grid.ny() + 2 * margin[1])?
-            .with_centre(centre.0, centre.1)?
-            .with_oversampling(grid.oversampling())?
-            .with_pixel_response_included(grid.pixel_response_included())
-            .with_interpolation(grid.interpolation()),
-    )
+    Ok(StampGrid::new(nx, ny)?
+        .with_centre(centre.0, centre.1)?
+        .with_oversampling(grid.oversampling())?
+        .with_pixel_response_included(grid.pixel_response_included())
+        .with_interpolation(grid.interpolation()))
+}
+
+/// A shift of light along a line, with equal light at each of its points, or to one point. Shifts are along x
+/// and y.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Line {
+    pub(crate) weight: f64,
+    pub(crate) middle: [f64; 2],
+    /// From the start to the end.
+    pub(crate) length: [f64; 2],
 }
 
 /// Transforms of stamps of one size, with room around them for shifts.
@@ -124,30 +152,42 @@ impl StampPlane {
         thinned
     }
 
-    /// The factor in Fourier space that shifts a stamp by several distances and adds up the results,
-    /// `[qy, qx]`: `sum_j w_j exp(-2 pi i q d_j)`. `shifts` are the weights `w_j` and the distances `d_j`
-    /// along x and y, in stamp pixels. At the highest frequency of an even number of pixels, the factor of
-    /// a shift is its real part, so that real stamps stay real.
-    pub(crate) fn shift_factor(&self, shifts: &[(f64, [f64; 2])]) -> Array2<Complex64> {
+    /// The factor in Fourier space that shifts a stamp by several distances, or along lines, and adds up
+    /// the results, `[qy, qx]`: `sum_j w_j exp(-2 pi i q m_j) sinc(q l_j)`, with the middles `m_j` and the
+    /// lengths `l_j` along x and y, in stamp pixels. At the highest frequency of an even number of pixels,
+    /// which is also the lowest, the factor is the mean of both, so that real stamps stay real.
+    pub(crate) fn shift_factor(&self, lines: &[Line]) -> Array2<Complex64> {
         let mut factor: Array2<Complex64> = Array2::zeros(self.size);
         let [ny, nx] = self.size;
+        // The exponential of a sum is the product of those of its terms.
         let turns = |n: usize, shift: f64| -> Vec<Complex64> {
             (0..n)
-                .map(|k| {
-                    let turn = Complex64::cis(-TAU * frequency(k, n) * shift);
-                    if 2 * k == n { turn.re.into() } else { turn }
-                })
+                .map(|k| Complex64::cis(-TAU * frequency(k, n) * shift))
                 .collect()
         };
-        for &(weight, [dx, dy]) in shifts {
-            // The exponential of a sum is the product of those of its terms.
-            let (xs, ys) = (turns(nx, dx), turns(ny, dy));
-            for (mut row, y) in factor.outer_iter_mut().zip(ys) {
-                let weighted = weight * y;
-                for (sum, x) in row.iter_mut().zip(&xs) {
-                    *sum += weighted * x;
+        let along =
+            |n: usize, length: f64| -> Vec<f64> { (0..n).map(|k| frequency(k, n) * length).collect() };
+        let is_highest = |k: usize, n: usize| 2 * k == n;
+        for line in lines {
+            let (xs, ys) = (turns(nx, line.middle[0]), turns(ny, line.middle[1]));
+            let (phases_x, phases_y) = (along(nx, line.length[0]), along(ny, line.length[1]));
+            let rows = factor.outer_iter_mut().into_par_iter();
+            rows.enumerate().for_each(|(j, mut row)| {
+                let weighted = line.weight * ys[j];
+                let conjugate = line.weight * ys[j].conj();
+                for ((i, sum), x) in row.iter_mut().enumerate().zip(&xs) {
+                    let (u, v) = (phases_x[i], phases_y[j]);
+                    let (plus, minus) = (sinc(u + v), || sinc(u - v));
+                    *sum += match (is_highest(i, nx), is_highest(j, ny)) {
+                        (false, false) => weighted * x * plus,
+                        (true, false) => 0.5 * weighted * (x * plus + x.conj() * minus()),
+                        (false, true) => 0.5 * x * (weighted * plus + conjugate * minus()),
+                        (true, true) => {
+                            (0.5 * ((weighted * x).re * plus + (conjugate * x).re * minus())).into()
+                        }
+                    };
                 }
-            }
+            });
         }
         factor
     }

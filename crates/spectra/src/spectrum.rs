@@ -92,14 +92,10 @@ impl Spectrum {
     /// Sets the redshift of the source.
     ///
     /// # Errors
-    /// [`SpectraError::Setting`] unless the redshift is above -1.
+    /// [`SpectraError::Setting`] unless the redshift is from -0.9 to 1e4.
     pub fn with_redshift(self, redshift: f64) -> Result<Self, SpectraError> {
-        SpectraError::check(
-            redshift > -1.0,
-            "a redshift",
-            "a finite number above -1",
-            redshift,
-        )?;
+        let is_sound = (-0.9..=1e4).contains(&redshift);
+        SpectraError::check(is_sound, "a redshift", "from -0.9 to 1e4", redshift)?;
         Ok(Self { redshift, ..self })
     }
 

@@ -81,7 +81,9 @@ pub fn stdpsf(data: &[u8]) -> usize {
 /// Field-varying PSFs of ScopeSim.
 pub fn scopesim(data: &[u8]) -> usize {
     let mut case = Case::new("scopesim", data);
-    let options = ScopesimOptions::new(0.25, Position::of_pixel(5, 5)).expect("a scale above 0");
+    let options = ScopesimOptions::new(0.25)
+        .expect("a scale above 0")
+        .with_field_centre(Position::of_pixel(5, 5));
     let at_wavelength = options.with_wavelength_um(1.5).expect("a wavelength above 0");
     for options in [options, at_wavelength] {
         case.read(|path| read_scopesim(path, &options));

@@ -126,12 +126,7 @@ def simulate(
     )
     along_y = _Axis.of(rows, scene.chunks[0], (y0, ny), settings["oversample"], of_rows)
     along_x = _Axis.of(columns, scene.chunks[1], (x0, nx), settings["oversample"], of_columns)
-    found = columns_of(catalog)
-    sources = (
-        None
-        if found is None
-        else {name: column for name, column in found.items() if column is not None}
-    )
+    sources = columns_of(catalog)
     token, dtype = tokenize(model), DTYPES[settings["precision"]]
     parts = scene[along_y.lit, along_x.lit].rechunk((along_y.light_chunks, along_x.light_chunks))
     depth, boundary = {0: along_y.depth, 1: along_x.depth}, {0: "none", 1: "none"}

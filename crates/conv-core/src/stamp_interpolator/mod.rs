@@ -72,6 +72,16 @@ impl StampInterpolator {
         &self.coefficients
     }
 
+    /// The value at the point with these weights along x and y.
+    pub(crate) fn at(&self, taps_x: &[(usize, f64)], taps_y: &[(usize, f64)]) -> f64 {
+        let along_x = |row| {
+            taps_x
+                .iter()
+                .map(move |&(index, w)| w * self.coefficients[[row, index]])
+        };
+        taps_y.iter().map(|&(row, w)| w * along_x(row).sum::<f64>()).sum()
+    }
+
     /// The PSF of a source shifted by `(dx, dy)` frame pixels from the centre of `target`, at the
     /// pixels of `target` `[y, x]`. The values remain fractions of the flux per frame pixel, for
     /// all oversamplings of the two grids.

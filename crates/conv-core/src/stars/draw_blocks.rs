@@ -3,7 +3,7 @@
 
 use std::sync::Arc;
 
-use ndarray::{ArrayViewMut2, Axis};
+use ndarray::{Array2, ArrayViewMut2, Axis, s};
 use psf_types::{PixelRegion, PointSource, Position, Progress, PsfModel, StampGrid};
 use rayon::prelude::*;
 
@@ -16,7 +16,7 @@ use super::spread::Spreader;
 use super::star_block::{BlockKey, StarBlock, block_of, region_of};
 use super::star_vectors::StarVectors;
 use crate::kept::Kept;
-use crate::overlap::split;
+use crate::overlap::{add_values, split};
 use crate::plan::PlanOptions;
 use crate::plan::psf_space::PsfSpace;
 use crate::simd::{Lanes, WithIsa};
@@ -110,6 +110,9 @@ type StarKey = ((i32, i32), usize);
 
 /// Stars of a block that are prepared together.
 const AT_ONCE: usize = 1 << 12;
+/// The tiles of more stars than this are added up in f64 before they are added to the image, so that the sum
+/// of very many stars in one place loses few digits.
+const MANY: usize = 1 << 14;
 /// The least number of stars for a task.
 const MIN_STARS_PER_TASK: usize = 1 << 10;
 /// Only the brighter tenth of a crowded block's stars may be too bright for transforms.
@@ -279,6 +282,10 @@ impl<T: ConvReal> BlockDrawer<'_, T> {
             region: self.region,
             progress: self.catalogue.progress,
         };
+        // The pixels that the block's stars may light.
+        let [(left, nx), (below, ny)] = [phased.spreader.lit(0, key.1), phased.spreader.lit(1, key.0)];
+        let first = (left, below);
+        let mut sum = (stars.len() > MANY).then(|| Array2::<f64>::zeros((ny, nx)));
         for some in stars.chunks(AT_ONCE) {
             let tiles: Vec<Result<_, ConvError>> = some
                 .par_chunks(MIN_STARS_PER_TASK)
@@ -289,9 +296,23 @@ impl<T: ConvReal> BlockDrawer<'_, T> {
                 .collect();
             for tile in tiles {
                 let (tile, of_tile) = tile?;
-                tile.add_to(&mut image, origin);
+                match &mut sum {
+                    Some(sum) => {
+                        let at = (tile.first_column - first.0, tile.first_row - first.1);
+                        for (v, row) in tile.values.outer_iter().zip(at.1..) {
+                            let row = sum.index_axis_mut(Axis(0), row as usize);
+                            let mut part = row.slice_move(s![at.0 as usize..at.0 as usize + v.len()]);
+                            part.zip_mut_with(&v, |sum, v| *sum += v.as_f64());
+                        }
+                    }
+                    None => tile.add_to(&mut image, origin),
+                }
                 missed.extend(of_tile);
             }
+        }
+        if let Some(sum) = sum {
+            let at = (first.0 - origin.0, first.1 - origin.1);
+            add_values(sum.mapv(T::nearest).view(), at, &mut image);
         }
         Ok(missed)
     }

@@ -8,13 +8,15 @@ use rayon::prelude::*;
 
 use super::phases::Star;
 use crate::overlap::{Piece, add_in_order, region};
-use crate::stamp_interpolator::{Kernel, MOST_TAPS, StampInterpolator, edge_reach_of, grid_reaching};
+use crate::stamp_interpolator::{Kernel, MOST_TAPS, StampInterpolator, Taps, edge_reach_of, grid_reaching};
 use crate::{ConvError, ConvReal};
 
 /// The number of sources that one task draws.
 const PER_TASK: usize = 32;
-/// The most painted sources that [`StarPainter::at_pixels`] holds in memory at a time.
-const SOURCES_IN_MEMORY: usize = 1024;
+/// The most pairs of a source and a pixel whose interpolation [`StarPainter::at_pixels`] holds in memory.
+const PAIRS_IN_MEMORY: usize = 1 << 21;
+/// It holds the interpolators of as many components as have so many pixels, and of one at least.
+const PIXELS_IN_MEMORY: usize = 1 << 25;
 
 /// Draws stars one by one in f64, each from all components of the model. It is the reference for
 /// [`crate::StarPlan`], and supports every model and anchoring.
@@ -96,12 +98,14 @@ impl<'a> StarPainter<'a> {
         })
     }
 
-    /// Computes the sources' light in single pixels `(column, row)` of the frame.
+    /// Computes the sources' light in single pixels `(column, row)` of the frame. The time grows with the
+    /// number of pairs of a source and a pixel that it lights. Beside it, each component is made ready for
+    /// interpolation once.
     ///
     /// # Errors
     /// [`ConvError`] if a PSF that is needed has no value. A source-anchored painter needs the PSF
     /// at every source that reaches one of the pixels. An output-anchored painter needs the PSF at
-    /// every frame pixel that such a source may light.
+    /// these pixels.
     pub fn at_pixels(
         &self,
         sources: &[PointSource],
@@ -109,20 +113,99 @@ impl<'a> StarPainter<'a> {
     ) -> Result<Vec<f64>, ConvError> {
         let sorted = SortedPixels::new(pixels);
         let lit = |source: &PointSource| sorted.within(self.lit(source));
-        let hit = |source: &&PointSource| self.reaches(source) && lit(source).next().is_some();
-        let hit: Vec<&PointSource> = sources.par_iter().filter(hit).collect();
+        let mut hit: Vec<(&PointSource, usize)> = sources
+            .par_iter()
+            .filter(|source| self.reaches(source))
+            .map(|source| (source, lit(source).count()))
+            .filter(|&(_, pairs)| pairs > 0)
+            .collect();
         let mut values = vec![0.0; pixels.len()];
-        for some in hit.chunks(SOURCES_IN_MEMORY) {
-            let painted: Vec<Result<_, ConvError>> =
-                some.par_iter().map(|source| self.paint(source)).collect();
-            for (source, painted) in some.iter().zip(painted) {
-                let (_, stamp) = painted?;
-                for (index, j, i) in lit(source) {
-                    values[index] += stamp[[j, i]];
+        while !hit.is_empty() {
+            let mut pairs = 0;
+            let some = hit.iter().take_while(|(_, of_source)| {
+                pairs += of_source;
+                pairs <= PAIRS_IN_MEMORY
+            });
+            let count = some.count().max(1);
+            let mut lights: Vec<LitPixels> = hit
+                .par_drain(..count)
+                .map(|(source, _)| self.lit_pixels_of(source, lit(source)))
+                .collect::<Result<_, ConvError>>()?;
+            self.interpolate(&mut lights, pixels)?;
+            for light in &lights {
+                for (&index, sum) in light.pixels.iter().zip(&light.sums) {
+                    values[index] += sum * light.flux;
                 }
             }
         }
         Ok(values)
+    }
+
+    /// A source, and pixels that it may light.
+    fn lit_pixels_of(
+        &self,
+        source: &PointSource,
+        lit: impl Iterator<Item = (usize, usize, usize)>,
+    ) -> Result<LitPixels, ConvError> {
+        let (star, lit) = (Star::new(source, self.frame), lit.collect::<Vec<_>>());
+        let (ours, target, s) = (
+            self.model.grid(),
+            self.stamps.target,
+            self.model.grid().oversampling(),
+        );
+        let taps = |length, shift: f64, centre: [f64; 2], at: &dyn Fn(usize) -> usize| {
+            let coordinate = |pair| centre[0] + s * (at(pair) as f64 - centre[1] - shift);
+            Taps::new(self.stamps.kernel, length, 0.0, lit.len(), coordinate)
+        };
+        let (dx, dy) = star.shift;
+        let taps_x = taps(ours.nx(), dx, [ours.centre_x(), target.centre_x()], &|p| lit[p].2);
+        let taps_y = taps(ours.ny(), dy, [ours.centre_y(), target.centre_y()], &|p| lit[p].1);
+        let mut coefficients = vec![0.0; self.model.stamp_count()];
+        if self.stamps.splines.is_none() {
+            let (x, y) = star.position;
+            let position = Position::new(x, y).map_err(ConvError::Result)?;
+            self.model.scaled_coefficients_into(position, &mut coefficients)?;
+        }
+        Ok(LitPixels {
+            flux: source.flux(),
+            pixels: lit.iter().map(|&(index, _, _)| index).collect(),
+            taps: [taps_x, taps_y],
+            sums: vec![0.0; lit.len()],
+            coefficients,
+        })
+    }
+
+    /// Adds the PSFs of all components to the sums, a few components at a time.
+    fn interpolate(&self, lights: &mut [LitPixels], pixels: &[(usize, usize)]) -> Result<(), ConvError> {
+        let (grid, anchor_is_output) = (self.model.grid(), self.stamps.splines.is_some());
+        let at_once = (PIXELS_IN_MEMORY / grid.pixel_count()).max(1);
+        let mut first = 0;
+        for stamps in self.model.stamps().axis_chunks_iter(Axis(0), at_once) {
+            let interpolators: Vec<StampInterpolator> = (0..stamps.len_of(Axis(0)))
+                .into_par_iter()
+                .map(|k| {
+                    let stamp = stamps.index_axis(Axis(0), k);
+                    StampInterpolator::with_kernel(stamp, grid, self.stamps.kernel)
+                })
+                .collect();
+            lights.par_iter_mut().try_for_each(|light| {
+                for (pair, sum) in light.sums.iter_mut().enumerate() {
+                    if anchor_is_output {
+                        let (x, y) = pixels[light.pixels[pair]];
+                        let position = Position::of_pixel(x as i64, y as i64);
+                        self.model
+                            .scaled_coefficients_into(position, &mut light.coefficients)?;
+                    }
+                    let [x, y] = [0, 1].map(|axis| light.taps[axis].of(pair));
+                    for (interpolator, a) in interpolators.iter().zip(&light.coefficients[first..]) {
+                        *sum += a * interpolator.at(x, y);
+                    }
+                }
+                Ok::<(), ConvError>(())
+            })?;
+            first += interpolators.len();
+        }
+        Ok(())
     }
 
     /// Gives the index of every source that may light some pixels `(column, row)` of the frame to `take`,
@@ -242,6 +325,19 @@ impl<'a> StarPainter<'a> {
         values.mapv_inplace(|v| v * source.flux());
         Ok((lit, values))
     }
+}
+
+/// The pixels that a source lights, and its light there.
+struct LitPixels {
+    flux: f64,
+    /// Indices of the pixels.
+    pixels: Vec<usize>,
+    /// For each pixel, the weights of the components' coefficients along x and y.
+    taps: [Taps; 2],
+    /// For each pixel, the PSF summed over the components so far.
+    sums: Vec<f64>,
+    /// The PSF of the source, or of the pixel that is computed.
+    coefficients: Vec<f64>,
 }
 
 /// Pixels sorted by rows: row, column, and the index before sorting.

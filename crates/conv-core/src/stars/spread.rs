@@ -77,8 +77,9 @@ impl SpreadAxis {
 /// Memory of one thread.
 #[derive(Debug)]
 struct Workspace<T> {
-    /// `[kernel, residue in y, residue in x]`.
-    planes: Aligned<T>,
+    /// `[kernel, residue in y, residue in x]`. In f64, so that the sum of very many stars in one place loses
+    /// no digits.
+    planes: Aligned<f64>,
     /// A kernel, or the result.
     plane: Aligned<T>,
     kernel: Aligned<T>,
@@ -156,8 +157,9 @@ impl<T: ConvReal> Spreader<T> {
     /// Returns whether it is faster to spread stars than to draw them one by one.
     pub(super) fn pays(&self, stars: usize, kernels: usize) -> bool {
         let planes = kernels * self.residues();
-        let values = planes * self.plane_len() + WHOLE_PLANES * self.fft.plane_len();
-        if planes == 0 || values * size_of::<T>() > MOST_BYTES {
+        let sums = planes * self.plane_len() * size_of::<f64>();
+        let bytes = sums + WHOLE_PLANES * self.fft.plane_len() * size_of::<T>();
+        if planes == 0 || bytes > MOST_BYTES {
             return false;
         }
         let ([x, y], taps) = (&self.axes, self.taps);
@@ -184,7 +186,7 @@ impl<T: ConvReal> Spreader<T> {
         self.workspaces.lend(workspace, |w| {
             let length = kernels * self.residues() * self.plane_len();
             w.planes.at_least(length);
-            w.planes.get_mut()[..length].fill(T::zero());
+            w.planes.get_mut()[..length].fill(0.0);
             let corner = (region.x0(), region.y0());
             for group in groups {
                 let planes = w.planes.get_mut();
@@ -209,7 +211,7 @@ impl<T: ConvReal> Spreader<T> {
         group: &Group<T>,
         corner: (i64, i64),
         kernels: usize,
-        planes: &mut [T],
+        planes: &mut [f64],
     ) {
         let ([x, y], pitch) = (&self.axes, self.fft.pitch());
         for star in &group.stars {
@@ -225,7 +227,7 @@ impl<T: ConvReal> Spreader<T> {
                     let plane = (kernel * y.oversampling + residue) * x.oversampling;
                     let row = &mut planes[plane * self.plane_len() + row * pitch..];
                     for (&column, &tap) in columns.iter().zip(&star.taps) {
-                        row[column] += weight * tap;
+                        row[column] += (weight * tap).as_f64();
                     }
                 }
             }
@@ -260,10 +262,14 @@ impl<T: ConvReal> Spreader<T> {
                 x.kernel,
                 w.column.get_mut(),
             );
-            let planes = &w.planes.get()[number * self.plane_len()..(number + 1) * self.plane_len()];
+            let length = self.plane_len();
+            let summed = &w.planes.get()[number * length..(number + 1) * length];
+            for (v, &sum) in w.plane.get_mut().iter_mut().zip(summed) {
+                *v = T::nearest(sum);
+            }
             self.fft.forward_multiply_swapped(
                 simd,
-                self.fft.plane(planes),
+                self.fft.plane(&w.plane.get()[..length]),
                 (y.length, x.length),
                 (w.kernel.get(), Some(x.kernel)),
                 w.sum.get_mut(),

@@ -42,7 +42,7 @@ pub(crate) fn is_logarithmic(unit: &str) -> bool {
 }
 
 fn is_pixel(lower: &str) -> bool {
-    ["pix", "pixel", "pixels"].contains(&lower)
+    ["pix", "pixel", "pixels", "px"].contains(&lower)
 }
 
 /// The unit before "per second".
@@ -52,15 +52,19 @@ fn per_second(unit: &str) -> Option<&str> {
     Some(before.trim_end_matches([' ', '.', '*']))
 }
 
-/// A unit of flux as a multiple of another one: 1 mJy is 1e-3 Jy.
+/// A unit of flux, in a pixel or in all, as a multiple of another one: 1 mJy is 1e-3 Jy.
 fn flux_of(unit: &str) -> (f64, String) {
     /// The flux density of magnitude 22.5 in the AB system, which is one nanomaggy (Oke and Gunn 1983).
     const NANOMAGGY_JY: f64 = 3.631e-6;
     let unit = unit.trim();
-    if let Some(before) = per_second(unit) {
-        let (factor, base) = flux_of(before);
-        return (factor, format!("{base}/s"));
-    }
+    // In upper case, too: `ELECTRONS/S`.
+    let lower = unit.to_ascii_lowercase();
+    let (unit, rate) = match per_second(&lower) {
+        Some(before) => (&unit[..before.len()], "/s"),
+        None => (unit, ""),
+    };
+    let unit = unit.strip_suffix("/pix").unwrap_or(unit);
+    let of = |factor: f64, base: &str| (factor, format!("{base}{rate}"));
     let prefix = unit.strip_suffix("Jy").and_then(|prefix| match prefix {
         "" => Some(1.0),
         "k" => Some(1e3),
@@ -71,18 +75,16 @@ fn flux_of(unit: &str) -> (f64, String) {
         _ => None,
     });
     if let Some(factor) = prefix {
-        return (factor, "Jy".to_owned());
+        return of(factor, "Jy");
     }
-    let lower = unit.to_ascii_lowercase();
-    let base = match lower.as_str() {
-        "nmgy" | "nanomaggy" | "nanomaggies" => return (NANOMAGGY_JY, "Jy".to_owned()),
-        "electron" | "electrons" | "e-" | "e" => "electron",
-        "photon" | "photons" | "ph" => "photon",
-        "count" | "counts" | "ct" | "cts" => "count",
-        "adu" | "dn" => "adu",
-        other => other,
-    };
-    (1.0, base.to_owned())
+    match unit.to_ascii_lowercase().as_str() {
+        "nmgy" | "nanomaggy" | "nanomaggies" => of(NANOMAGGY_JY, "Jy"),
+        "electron" | "electrons" | "e-" | "e" => of(1.0, "electron"),
+        "photon" | "photons" | "ph" => of(1.0, "photon"),
+        // SExtractor calls the units of any image counts.
+        "count" | "counts" | "ct" | "cts" | "adu" | "dn" => of(1.0, "count"),
+        other => of(1.0, other),
+    }
 }
 
 #[cfg(test)]
@@ -113,7 +115,11 @@ mod tests {
             ("e-", "electron", Some(1.0)),
             ("electron / s", "e-/s", Some(1.0)),
             ("electron / s", "electron", None),
-            ("count", "adu", None),
+            ("count", "adu", Some(1.0)),
+            ("electron / s", "ELECTRONS/S", Some(1.0)),
+            ("COUNTS/S", "DN/S", Some(1.0)),
+            ("mJy", "Jy/pix", Some(1e-3)),
+            ("Jy/s/s/s", "Jy/s", None),
             ("erg", "ERG", Some(1.0)),
         ] {
             let found = factor(unit, wanted);

@@ -7,7 +7,7 @@ use psf_types::DataError;
 use crate::catalogue::column_units::{DEGREES, MAGNITUDES, NONE, PIXELS};
 use crate::catalogue::sky_coordinates::SkyCoordinates;
 use crate::error::IoError;
-use crate::fits::columns::missing_column;
+use crate::fits::columns::{find, missing_column};
 use crate::fits::hdu::HduChoice;
 
 /// The columns of a catalogue by role, with default or chosen names.
@@ -66,13 +66,6 @@ pub struct CatalogColumns {
 pub(crate) const ROLES: [&str; 12] = [
     "x", "y", "ra", "dec", "flux", "mag", "re", "n", "q", "angle", "g1", "g2",
 ];
-
-/// The names of the roles, with the unit of their values: `pix`, `deg` or `mag`, and an empty text for
-/// fluxes and for numbers without a unit.
-pub fn column_units() -> impl Iterator<Item = (&'static str, &'static str)> {
-    ALL.into_iter()
-        .map(|role| (ROLES[role as usize], role.unit().unwrap_or_default()))
-}
 
 const ALL: [Role; ROLES.len()] = [
     Role::X,
@@ -149,6 +142,28 @@ impl Picked {
     }
 }
 
+/// A column that a catalogue needs.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct NeededColumn {
+    /// What it means: `x`, `flux` and so on.
+    pub role: &'static str,
+    /// Its name in the table.
+    pub name: String,
+    /// The unit of its values: `pix`, `deg`, `mag`, an empty text for numbers without a unit, or `None` for a
+    /// flux, which has the unit of the image.
+    pub unit: Option<&'static str>,
+}
+
+/// Why a column is needed, for the message that it is missing.
+fn purpose(role: Role) -> &'static str {
+    match role {
+        Role::X | Role::Y | Role::Ra | Role::Dec => ", but positions need x and y, or ra and dec",
+        Role::N => ", but galaxies need their Sersic index",
+        Role::G1 | Role::G2 => ", but a shear needs both columns g1 and g2",
+        _ => "",
+    }
+}
+
 impl CatalogColumns {
     /// The columns of positions in a table with these column names: [`Role::X`] and [`Role::Y`], or
     /// [`Role::Ra`] and [`Role::Dec`].
@@ -191,12 +206,35 @@ impl CatalogColumns {
         Ok(all)
     }
 
+    /// The columns that a catalogue needs of a table with these column names. `table` is the path of the table,
+    /// or its name in messages.
+    ///
+    /// # Errors
+    /// [`IoErrorKind::Table`](crate::IoErrorKind::Table) for a column that does not exist.
+    pub fn columns_of(
+        &self,
+        table: impl AsRef<Path>,
+        names: &[String],
+    ) -> Result<Vec<NeededColumn>, IoError> {
+        let table = table.as_ref();
+        let picked = self.sources(table, names)?;
+        let of = |(role, name): (Role, &str)| {
+            let place = find(table, names.iter(), name)?;
+            Ok(NeededColumn {
+                role: ROLES[role as usize],
+                name: names[place].clone(),
+                unit: role.unit(),
+            })
+        };
+        picked.iter().map(of).collect()
+    }
+
     /// The columns of these roles. A missing one is an error.
     fn picked(&self, path: &Path, names: &[String], roles: &[Role]) -> Result<Picked, IoError> {
         let needed = |&role: &Role| {
             self.found(names, role)
                 .map(|column| (role, column.to_owned()))
-                .ok_or_else(|| missing_column(path, names, self.names(role)[0]))
+                .ok_or_else(|| missing_column(path, names, self.names(role)[0], purpose(role)))
         };
         let columns = roles.iter().map(needed).collect::<Result<_, _>>()?;
         Ok(Picked { columns })
@@ -213,10 +251,19 @@ impl CatalogColumns {
         }
     }
 
-    /// The name of the column of a role, if it is among these names.
-    fn found(&self, names: &[String], role: Role) -> Option<&str> {
-        let is_in = |wanted: &&str| names.iter().any(|name| name.eq_ignore_ascii_case(wanted));
-        self.names(role).into_iter().find(is_in)
+    /// The column of a role, if it is among these names. Case is ignored, unless it decides between
+    /// several columns.
+    fn found<'a>(&'a self, names: &'a [String], role: Role) -> Option<&'a str> {
+        self.names(role).into_iter().find_map(|wanted| {
+            let mut same = names.iter().filter(|name| name.eq_ignore_ascii_case(wanted));
+            let first = same.clone().next()?;
+            let exact = names.iter().any(|name| name == wanted);
+            Some(if exact || same.nth(1).is_some() {
+                wanted
+            } else {
+                first.as_str()
+            })
+        })
     }
 
     fn is_in(&self, names: &[String], role: Role) -> bool {
@@ -451,17 +498,17 @@ mod tests {
         let all = of("", "X Y RA DEC Flux Mag").unwrap();
         assert_eq!(
             all,
-            picked(&[(Role::X, "x"), (Role::Y, "y"), (Role::Flux, "flux")])
+            picked(&[(Role::X, "X"), (Role::Y, "Y"), (Role::Flux, "Flux")])
         );
         let sky = of("ra=ALPHA,dec=DELTA,mag=M", "x y flux alpha delta m").unwrap();
-        let expected = [(Role::Ra, "ALPHA"), (Role::Dec, "DELTA"), (Role::Mag, "M")];
+        let expected = [(Role::Ra, "alpha"), (Role::Dec, "delta"), (Role::Mag, "m")];
         assert_eq!(sky, picked(&expected));
         assert_eq!(of("", "x ra dec mag").unwrap().place(Role::Ra), Some(0));
         let galaxies = of("re=R", "x y flux r n angle").unwrap();
         let of = |role| galaxies.name(role).map(String::as_str);
         assert_eq!(
             (of(Role::Re), of(Role::Q), of(Role::Angle)),
-            (Some("R"), None, Some("angle"))
+            (Some("r"), None, Some("angle"))
         );
     }
 

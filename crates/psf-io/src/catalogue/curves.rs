@@ -12,30 +12,43 @@ use crate::units::{in_unit, wavelength_in_um};
 ///
 /// The file is a text table (CSV, ECSV or separated by blanks; a line of names and comments with `#`
 /// are optional) or the only table of a FITS file with two columns or more. `unit` is the unit of the
-/// wavelengths: `um`, `nm`, `Angstrom`, `mm` or `m`. Without it, the file must state the unit: as
+/// wavelengths: `um`, `nm`, `Angstrom`, `mm` or `m`. If the curve is the `only` one, further columns are an
+/// error, but for those of errors and flags. Without a unit, the file must state the unit: as
 /// `TUNIT` in FITS, as `unit` in ECSV, or in the name of the column (`wavelength_nm`).
 ///
 /// ```
 /// # let directory = tempfile::tempdir()?;
 /// # let path = directory.path().join("filter.csv");
 /// std::fs::write(&path, "wavelength_nm,throughput\n500,0\n600,0.8\n")?;
-/// let (wavelengths_um, throughput) = psf_io::read_curve(&path, None)?;
+/// let (wavelengths_um, throughput) = psf_io::read_curve(&path, None, true)?;
 /// assert_eq!((wavelengths_um[1], throughput[1]), (0.6, 0.8));
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 ///
 /// # Errors
 /// [`IoErrorKind::Setting`] for an unknown unit, or if none is stated. [`IoErrorKind::Table`] for
-/// fewer than two columns. The errors of [`read_catalog`](crate::read_catalog).
-pub fn read_curve(path: impl AsRef<Path>, unit: Option<&str>) -> Result<(Vec<f64>, Vec<f64>), IoError> {
-    const UNITS: &str = "um, nm, Angstrom, mm or m";
+/// fewer than two columns, or for several curves where there should be one. The errors of [`read_catalog`](crate::read_catalog).
+pub fn read_curve(
+    path: impl AsRef<Path>,
+    unit: Option<&str>,
+    only: bool,
+) -> Result<(Vec<f64>, Vec<f64>), IoError> {
+    const UNITS: &str = "um, nm, Angstrom, mm or m; on the command line and in Python behind the name of the file, as in filter.txt:nm";
     let path = path.as_ref();
     let file = match TableFile::open(path)? {
         TableFile::Text(table) => TableFile::Text(table.with_first_row()),
         fits @ TableFile::Fits(_) => fits,
     };
     let ([wavelength, value], table) = file.pick(None, "wavelength and a value", |names| {
-        if let [wavelength, value, ..] = names {
+        if let [wavelength, value, others @ ..] = names {
+            if let (true, [_, ..]) = (only, &further_curves(others)[..]) {
+                let curves = [&[value.as_str()], &further_curves(others)[..]]
+                    .concat()
+                    .join(", ");
+                let problem =
+                    format!("the table has several curves ({curves}): keep the wavelengths and one of them");
+                return Err(IoError::new(path, IoErrorKind::Table, problem));
+            }
             return Ok([wavelength.clone(), value.clone()]);
         }
         let problem = format!(
@@ -53,9 +66,7 @@ pub fn read_curve(path: impl AsRef<Path>, unit: Option<&str>) -> Result<(Vec<f64
             "" => format!("the file does not state the unit of its wavelengths: give it ({UNITS})"),
             other => format!("{other:?} is not a unit of wavelengths: give {UNITS}"),
         };
-        IoError::new(path, IoErrorKind::Setting, problem)
-            .at(Place::Column(wavelength.clone()))
-            .with_setting("unit")
+        IoError::new(path, IoErrorKind::Setting, problem).at(Place::Column(wavelength.clone()))
     })?;
     let mut columns = table.read(&[&wavelength, &value], Nans::Refused)?.values;
     let values = columns.pop().expect("two columns");
@@ -64,6 +75,21 @@ pub fn read_curve(path: impl AsRef<Path>, unit: Option<&str>) -> Result<(Vec<f64
         *wavelength = in_unit(*wavelength, factor);
     }
     Ok((wavelengths, values))
+}
+
+/// Returns whether a text is a unit of wavelengths, in upper or lower case.
+pub fn is_wavelength_unit(unit: &str) -> bool {
+    wavelength_in_um(unit).is_some()
+}
+
+/// The columns that are curves, and not the errors or flags of one.
+fn further_curves(names: &[String]) -> Vec<&str> {
+    const OTHERS: [&str; 8] = ["err", "unc", "sig", "std", "flag", "weight", "mask", "note"];
+    let is_curve = |name: &&String| {
+        let lower = name.to_ascii_lowercase();
+        !lower.is_empty() && !OTHERS.iter().any(|part| lower.contains(part))
+    };
+    names.iter().filter(is_curve).map(String::as_str).collect()
 }
 
 /// The unit of a column of wavelengths that a file states. Empty if it states none.
@@ -87,7 +113,7 @@ mod tests {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("curve.txt");
         std::fs::write(&path, text).unwrap();
-        read_curve(&path, unit)
+        read_curve(&path, unit, false)
     }
 
     #[test]

@@ -14,10 +14,11 @@
 //! For other names, 1-based pixels, magnitudes, sky coordinates and galaxies see
 //! [`read_catalog_with`] and [`CatalogColumns`].
 //!
-//! - **Text**: fields are separated by commas (values may be quoted), tabs or blanks. The names of
+//! - **Text**: fields are separated by commas, tabs or blanks, and may be quoted. The names of
 //!   the columns are in the first line that does not start with `#`. If that line is a row of
 //!   numbers, the names are in the last comment before it. SExtractor's `ASCII_HEAD` is supported
-//!   too. Empty lines and later lines that start with `#` are skipped.
+//!   too. Empty lines and later lines that start with `#` are skipped. If the first column is not read, such a
+//!   line that looks like a row is an error.
 //! - **FITS**: the binary table that has the columns, such as `LDAC_OBJECTS` of a `FITS_LDAC`
 //!   catalogue. Each column holds one number per row, of any integer or float type. If several
 //!   tables have the columns, one must be chosen.
@@ -219,7 +220,7 @@ pub fn read_catalog_with(path: impl AsRef<Path>, options: &CatalogOptions) -> Re
 }
 
 /// Takes the stars and galaxies of a table in memory, as [`read_catalog_with`] takes those of a file. The
-/// values have the units of their roles ([`column_units`](columns::column_units)).
+/// values have the units of their roles ([`CatalogColumns::columns_of`]).
 ///
 /// # Errors
 /// The errors of [`read_catalog_with`] but for those of files.

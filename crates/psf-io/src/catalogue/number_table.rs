@@ -5,8 +5,7 @@ use std::path::{Path, PathBuf};
 use crate::error::{IoError, IoErrorKind, Place, Row};
 use crate::fits::columns::{Nans, NumberColumns, bad_value, find};
 
-/// A table in memory: columns of numbers, and the names of columns that hold anything else. A missing
-/// value is NaN.
+/// A table in memory, of columns of numbers. A missing value is NaN.
 ///
 /// ```
 /// use psf_io::{CatalogOptions, NumberTable, catalog_of};
@@ -22,7 +21,7 @@ use crate::fits::columns::{Nans, NumberColumns, bad_value, find};
 pub struct NumberTable {
     /// Stands for the path of a file in messages.
     name: PathBuf,
-    columns: Vec<(String, Option<Vec<f64>>)>,
+    columns: Vec<(String, Vec<f64>)>,
     rows: Option<usize>,
 }
 
@@ -46,15 +45,8 @@ impl NumberTable {
             let place = Place::Column(name.to_owned());
             return Err(IoError::new(&self.name, IoErrorKind::Table, problem).at(place));
         }
-        self.columns.push((name.to_owned(), Some(values)));
+        self.columns.push((name.to_owned(), values));
         Ok(self)
-    }
-
-    /// Adds the name of a column that is not read.
-    #[must_use]
-    pub fn with_other_column(mut self, name: &str) -> Self {
-        self.columns.push((name.to_owned(), None));
-        self
     }
 
     pub(super) fn name(&self) -> &Path {
@@ -76,16 +68,12 @@ impl NumberTable {
         let column = |name: &&str| {
             let place = find(&self.name, self.columns.iter().map(|(name, _)| name), name)?;
             let (name, values) = &self.columns[place];
-            let values = values.clone().ok_or_else(|| {
-                let place = Place::Column(name.clone());
-                IoError::new(&self.name, IoErrorKind::Table, "the column does not hold numbers").at(place)
-            })?;
             match values.iter().position(|value| !value.is_finite()) {
                 Some(row) if nans == Nans::Refused => {
                     let got = values[row].to_string();
                     Err(bad_value(&self.name, Row::Index(row), name, &got))
                 }
-                _ => Ok(values),
+                _ => Ok(values.clone()),
             }
         };
         Ok(NumberColumns {

@@ -59,7 +59,7 @@ impl<'a> Rows<'a> {
             options,
             numbers,
             places: columns.places(),
-            ignored: ignored(&table.names(), options),
+            ignored: options.ignored_columns(&table.names()),
             colours: if options.with_colours {
                 colours_of(path, table)?
             } else {
@@ -278,7 +278,7 @@ fn velocities_of(path: &Path, table: &AnyTable<'_>) -> Result<Option<[Vec<f64>; 
         0 => return Ok(None),
         1 => {
             let missing = VELOCITIES.iter().find(|column| !has(column)).expect("one of two");
-            return Err(missing_column(path, &names, missing));
+            return Err(missing_column(path, &names, missing, ""));
         }
         _ => {}
     }
@@ -313,7 +313,9 @@ fn in_unit(
         return Err(IoError::new(path, IoErrorKind::Table, problem).at(place));
     };
     if factor != 1.0 {
-        values.iter_mut().for_each(|value| *value *= factor);
+        for value in values {
+            *value *= factor;
+        }
     }
     Ok(())
 }
@@ -321,15 +323,17 @@ fn in_unit(
 /// Columns that change where a source is, or its light, but are not read.
 const NEVER_READ: [&str; 5] = ["pmra", "pmdec", "parallax", "epoch", "ref_epoch"];
 
-/// The columns among `names` that change a source and are not read.
-fn ignored(names: &[String], options: &CatalogOptions) -> Vec<String> {
-    let is = |name: &str, of: &[&str]| of.iter().any(|other| name.eq_ignore_ascii_case(other));
-    let unread = |name: &&String| {
-        is(name, &NEVER_READ)
-            || (!options.with_colours && is(name, &[SED, TEFF]))
-            || (!options.with_velocities && is(name, &VELOCITIES))
-    };
-    names.iter().filter(unread).cloned().collect()
+impl CatalogOptions {
+    /// The columns among `names` that may change a source and are not read.
+    pub fn ignored_columns(&self, names: &[String]) -> Vec<String> {
+        let is = |name: &str, of: &[&str]| of.iter().any(|other| name.eq_ignore_ascii_case(other));
+        let unread = |name: &&String| {
+            is(name, &NEVER_READ)
+                || (!self.with_colours && is(name, &[SED, TEFF]))
+                || (!self.with_velocities && is(name, &VELOCITIES))
+        };
+        names.iter().filter(unread).cloned().collect()
+    }
 }
 
 /// The columns of the velocities of sources.

@@ -97,19 +97,7 @@ impl SkyCoordinates {
                 &types[1],
             ));
         }
-        let unit = |keyword: &str| match header.header.get(keyword).and_then(Card::value) {
-            None => Ok(1.0),
-            Some(CardValue::Text(unit)) if unit.trim().is_empty() => Ok(1.0),
-            Some(unit) => {
-                let text = unit.to_string();
-                let in_deg = match &unit {
-                    CardValue::Text(unit) => angle_in_deg(unit),
-                    _ => None,
-                };
-                in_deg.ok_or_else(|| unsupported(keyword, "deg, arcmin, arcsec, mas or rad", &text))
-            }
-        };
-        let units = [unit("CUNIT1")?, unit("CUNIT2")?];
+        let units = [degrees(&header, "CUNIT1")?, degrees(&header, "CUNIT2")?];
         let axes = if swapped { ["2", "1"] } else { ["1", "2"] };
         let reference = [
             header.needed("CRPIX1", "the reference pixel")?,
@@ -141,7 +129,7 @@ impl SkyCoordinates {
             USUAL_POLE_LONGITUDE
         };
         let pole = header.number("LONPOLE")?.unwrap_or(default_pole);
-        let distortion = Distortion::from_header(header.header, &types[0], axes, native)?;
+        let distortion = Distortion::from_header(header.header, &types, axes, native)?;
         let turn = if first == "CAR" {
             // With the default, north points up at the reference point.
             let up = pole == default_pole || (latitude == 0.0 && pole == USUAL_POLE_LONGITUDE);
@@ -158,33 +146,7 @@ impl SkyCoordinates {
         };
         let rotation = rotation(longitude, latitude, turn);
         let name = first.to_owned();
-        let projection: Arc<dyn Projection + Send + Sync> = match first {
-            "TAN" | "TPV" => Arc::new(Tan::new()),
-            "SIN" => {
-                for keyword in ["1", "2"].map(|m| format!("PV{}_{m}", axes[1])) {
-                    if let Some(slant) = header.number(&keyword)?.filter(|&slant| slant != 0.0) {
-                        return Err(unsupported(
-                            &keyword,
-                            "0 (slant orthographic projections are not supported)",
-                            &slant.to_string(),
-                        ));
-                    }
-                }
-                Arc::new(Sin::new())
-            }
-            "ZEA" => Arc::new(Zea::new()),
-            "ARC" => Arc::new(ArcProjection::new()),
-            "STG" => Arc::new(Stg::new()),
-            "CAR" => Arc::new(Car::new()),
-            "ZPN" => Arc::new(zpn(&header, axes[1])?),
-            _ => {
-                return Err(unsupported(
-                    "CTYPE1",
-                    "a type of the projection TAN, TPV, SIN, ZEA, ARC, STG, ZPN or CAR",
-                    &types[0],
-                ));
-            }
-        };
+        let projection = projection(&header, first, axes[1])?;
         Ok(Self {
             projection,
             rotation,
@@ -246,6 +208,52 @@ impl std::fmt::Debug for SkyCoordinates {
             .field("matrix", &self.matrix)
             .field("distortion", &self.distortion)
             .finish_non_exhaustive()
+    }
+}
+
+/// A projection by its name.
+fn projection(
+    header: &World<'_>,
+    name: &str,
+    latitude_axis: &str,
+) -> Result<Arc<dyn Projection + Send + Sync>, WorldCoordinatesError> {
+    Ok(match name {
+        "TAN" | "TPV" => Arc::new(Tan::new()),
+        "SIN" => {
+            for keyword in ["1", "2"].map(|m| format!("PV{latitude_axis}_{m}")) {
+                if let Some(slant) = header.number(&keyword)?.filter(|&slant| slant != 0.0) {
+                    return Err(unsupported(
+                        &keyword,
+                        "0 (slant orthographic projections are not supported)",
+                        &slant.to_string(),
+                    ));
+                }
+            }
+            Arc::new(Sin::new())
+        }
+        "ZEA" => Arc::new(Zea::new()),
+        "ARC" => Arc::new(ArcProjection::new()),
+        "STG" => Arc::new(Stg::new()),
+        "CAR" => Arc::new(Car::new()),
+        "ZPN" => Arc::new(zpn(header, latitude_axis)?),
+        _ => {
+            return Err(unsupported(
+                "CTYPE1",
+                "a type of the projection TAN, TPV, SIN, ZEA, ARC, STG, ZPN or CAR",
+                &header.text("CTYPE1")?,
+            ));
+        }
+    })
+}
+
+/// The degrees of the unit that a card names. Without the card, the unit is a degree.
+fn degrees(header: &World<'_>, keyword: &str) -> Result<f64, WorldCoordinatesError> {
+    const UNITS: &str = "deg, arcmin, arcsec, mas or rad";
+    match header.header.get(keyword).and_then(Card::value) {
+        None => Ok(1.0),
+        Some(CardValue::Text(unit)) if unit.trim().is_empty() => Ok(1.0),
+        Some(CardValue::Text(unit)) => angle_in_deg(&unit).ok_or_else(|| unsupported(keyword, UNITS, &unit)),
+        Some(other) => Err(unsupported(keyword, UNITS, &other.to_string())),
     }
 }
 

@@ -144,7 +144,7 @@ pub fn read_columns<const N: usize>(
         let missing = names
             .iter()
             .find(|name| !found.iter().any(|f| f.eq_ignore_ascii_case(name)));
-        missing.map_or(Ok(()), |name| Err(missing_column(path, found, name)))
+        missing.map_or(Ok(()), |name| Err(missing_column(path, found, name, "")))
     })?;
     let columns = table.read(&names, Nans::Refused)?.values;
     Ok(columns.try_into().expect("one column per name"))

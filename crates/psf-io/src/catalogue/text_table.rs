@@ -113,19 +113,22 @@ impl TextTable {
         let comments: Vec<&[u8]> = lines(before)
             .map_while(|(_, start, end)| before[start..end].strip_prefix(b"#"))
             .collect();
-        let of_name = |(column, unit): (String, String)| column.eq_ignore_ascii_case(name).then_some(unit);
+        // Case is ignored, unless it decides between several columns.
+        let pick = |units: Vec<(String, String)>| {
+            let exact = units.iter().find(|(column, _)| column == name);
+            let any = || units.iter().find(|(column, _)| column.eq_ignore_ascii_case(name));
+            exact
+                .or_else(any)
+                .map_or_else(String::new, |(_, unit)| unit.clone())
+        };
         if let Some(columns) = ecsv::units(&comments) {
             let columns = columns.map_err(|why| {
                 let problem = format!("the header of this ECSV file is not valid: {why}");
                 IoError::new(&self.path, IoErrorKind::Table, problem)
             })?;
-            return Ok(columns.into_iter().find_map(of_name).unwrap_or_default());
+            return Ok(pick(columns));
         }
-        Ok(comments
-            .into_iter()
-            .filter_map(sextractor_unit)
-            .find_map(of_name)
-            .unwrap_or_default())
+        Ok(pick(comments.into_iter().filter_map(sextractor_unit).collect()))
     }
 
     /// The error for a choice among the tables of this file.
@@ -197,6 +200,11 @@ impl TextTable {
         let rows = &self.text[self.rows_from..];
         let skipped = self.first_line - 1;
         let mut on_row = |line: u64, fields: &[&[u8]]| {
+            // The last tab of a line separates nothing.
+            let fields = match (&self.separator, fields) {
+                (Separator::Byte(b'\t'), [rest @ .., b""]) if rest.len() == self.names.len() => rest,
+                _ => fields,
+            };
             if fields.len() == self.names.len() {
                 return function(line, fields);
             }
@@ -573,6 +581,7 @@ mod tests {
             "x,y\n1,2 \n3,4\n   \n",
             "x,y\n1,2\n \t\n3,4\n\t ",
             "x\ty\n1\t2\n3\t4\n   ",
+            "x\ty\t\n1\t2\t\n3\t4\t\n",
             "x y  \n1 2\n3 4\n   ",
         ] {
             assert_eq!(read(text.as_bytes()).unwrap(), expected, "{text:?}");

@@ -157,21 +157,21 @@ impl Distortion {
     /// usual native latitude of the reference point.
     pub(crate) fn from_header(
         header: &HeaderCards,
-        ctype: &str,
+        types: &[String; 2],
         axes: [&str; 2],
         reference: f64,
     ) -> Result<Self, WorldCoordinatesError> {
         let world = World { header };
         refuse_tables(header)?;
-        let is = |name| ctype.get(5..8) == Some(name);
-        let suffix = ctype.get(8..).unwrap_or_default().trim_end();
-        if !["", "-SIP"].contains(&suffix) {
-            return Err(unsupported(
-                &format!("CTYPE{}", if ctype.starts_with("RA") { axes[0] } else { axes[1] }),
-                "without a distortion after the projection, or with -SIP",
-                ctype,
-            ));
+        let is = |name| types[0].get(5..8) == Some(name);
+        let suffix_of = |ctype: &str| ctype.get(8..).unwrap_or_default().trim_end().to_owned();
+        for (keyword, ctype) in ["CTYPE1", "CTYPE2"].iter().zip(types) {
+            if !["", "-SIP"].contains(&suffix_of(ctype).as_str()) {
+                const SIP: &str = "without a distortion after the projection, or with -SIP";
+                return Err(unsupported(keyword, SIP, ctype));
+            }
         }
+        let announced = types.iter().any(|ctype| suffix_of(ctype) == "-SIP");
         // Headers processed by several programs may hold SIP although CTYPEi does not end in -SIP.
         // astropy then applies SIP and ignores the `PVi_m` of SCAMP, and so does this code.
         let order = ["A_ORDER", "B_ORDER"]
@@ -189,7 +189,10 @@ impl Distortion {
             let keyword = card.keyword();
             (keyword.starts_with("A_") || keyword.starts_with("B_")) && sip_degree(&keyword).is_some()
         };
-        if order.is_some() || (suffix == "-SIP" && header.iter().any(is_term)) {
+        if order.is_some() || (announced && header.iter().any(is_term)) {
+            if !is("TAN") {
+                refuse_moved_reference(&world, axes[0], reference)?;
+            }
             return Ok(Self::Sip([sip(&world, "A")?, sip(&world, "B")?]));
         }
         // SCAMP's headers say TAN. With TAN, terms `PVi_m` of the latitude, and terms of the

@@ -22,6 +22,8 @@ pub(crate) struct Column {
     form: String,
     /// Number of values per row.
     repeat: usize,
+    /// True if each row holds one text and nothing else.
+    is_text: bool,
     /// The type letter of TFORM.
     pub(crate) code: u8,
 }
@@ -76,10 +78,14 @@ impl<'a> Table<'a> {
     /// Reads a column that has one text in each row.
     pub(crate) fn read_texts(&self, name: &str) -> Result<Vec<String>, IoError> {
         let column = self.column(name)?;
-        if column.code != b'A' {
+        // CFITSIO takes the width of a text from TDIM, too. It divides by it, and reads texts of this width.
+        let dimensions = self.hdu.text(&format!("TDIM{}", column.number));
+        let folds = dimensions.filter(|text| text.trim() != format!("({})", column.repeat));
+        if !column.is_text || folds.is_some() {
             let problem = format!(
-                "the column has the format {}, but texts are needed (format A)",
-                column.form
+                "the column has the format {}{}, but texts are needed, one in each row (format A)",
+                column.form,
+                folds.map_or_else(String::new, |text| format!(" and the dimensions {text}"))
             );
             let place = Place::Column(column.name.clone());
             return Err(self.hdu.error(IoErrorKind::Table, problem).at(place));
@@ -160,16 +166,21 @@ impl Column {
     fn new(number: usize, name: String, form: String) -> Option<Self> {
         let text = form.trim();
         let digits = text.bytes().take_while(u8::is_ascii_digit).count();
-        let repeat = if digits == 0 {
+        let repeat: usize = if digits == 0 {
             1
         } else {
             text[..digits].parse().ok()?
         };
         let code = text.as_bytes().get(digits)?.to_ascii_uppercase();
+        // `60A12` is several texts in one row, each of this width.
+        let width = text.get(digits + 1..)?.trim();
+        let one = width.is_empty() || width.parse() == Ok(repeat);
+        let is_text = code == b'A' && repeat > 0 && one;
         let column = Self {
             number,
             name: name.trim().to_owned(),
             repeat,
+            is_text,
             code,
             form,
         };
@@ -223,7 +234,7 @@ pub(crate) fn find<'a>(
         .filter(|(_, n)| n.eq_ignore_ascii_case(name));
     match (found.next(), found.next()) {
         (Some((place, _)), None) => Ok(place),
-        (None, _) => Err(missing_column(path, names, name)),
+        (None, _) => Err(missing_column(path, names, name, "")),
         (Some(_), Some(_)) => {
             const TWICE: &str = "the column exists more than once: rename or remove one";
             Err(IoError::new(path, IoErrorKind::Table, TWICE).at(Place::Column(name.to_owned())))
@@ -231,14 +242,18 @@ pub(crate) fn find<'a>(
     }
 }
 
-/// The error for a table that lacks a required column.
+/// The error for a table that lacks a required column. `why` ends the first sentence.
 pub(crate) fn missing_column<'a>(
     path: &Path,
     names: impl IntoIterator<Item = &'a String>,
     name: &str,
+    why: &str,
 ) -> IoError {
     let found = listed(names).join(", ");
-    let message = format!("there is no such column. The columns are {found}");
+    let message = match found.as_str() {
+        "" => format!("there is no such column{why}. The table has no columns"),
+        found => format!("there is no such column{why}. The columns are {found}"),
+    };
     IoError::new(path, IoErrorKind::Table, message).at(Place::Column(name.to_owned()))
 }
 
@@ -286,7 +301,7 @@ pub(crate) enum Nans {
 pub(crate) struct NumberColumns {
     pub(crate) values: Vec<Vec<f64>>,
     pub(crate) rows: usize,
-    /// The line number of each row of a text table. `None` for a FITS table, which has no lines.
+    /// The line number of each row of a text table. `None` for a table in FITS or in memory, which has no lines.
     pub(crate) lines: Option<Vec<u64>>,
 }
 
@@ -322,6 +337,12 @@ mod tests {
         assert_eq!(width("0D"), Some(0));
         let elements = ["1PB(20)", " qi", "1P", "1D"].map(|form| of(form).and_then(|c| c.element()));
         assert_eq!(elements, [Some(b'B'), Some(b'I'), None, None]);
+        for one in ["20A", "A", " 8A8 "] {
+            assert!(of(one).is_some_and(|c| c.is_text), "{one}");
+        }
+        for several in ["28A14", "0A", "60A0", "28A13", "60A(0)", "60A0x", "60A-3", "20E"] {
+            assert!(of(several).is_some_and(|c| !c.is_text), "{several}");
+        }
         for bad in ["", "7", "Z", "99999999999999999999999D"] {
             assert!(of(bad).is_none(), "{bad}");
         }

@@ -258,7 +258,7 @@ impl Hdu {
     /// The value of a keyword, if the keyword exists. A value of another type is an error.
     pub(crate) fn optional<T: FromValue>(
         &self,
-        keyword: &'static str,
+        keyword: &str,
         expected: &'static str,
     ) -> Result<Option<T>, IoError> {
         let Some(card) = self.header.get(keyword) else {
@@ -272,11 +272,7 @@ impl Hdu {
 
     /// The value of a keyword. A missing keyword is an error, and so is a value of another type.
     /// The error describes an allowed value by `expected`.
-    pub(crate) fn required<T: FromValue>(
-        &self,
-        keyword: &'static str,
-        expected: &'static str,
-    ) -> Result<T, IoError> {
+    pub(crate) fn required<T: FromValue>(&self, keyword: &str, expected: &'static str) -> Result<T, IoError> {
         self.optional(keyword, expected)?
             .ok_or_else(|| self.missing_keyword(keyword, expected))
     }

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use crate::catalogue;
 use crate::error::IoError;
-use crate::fits::hdu::HduChoice;
+use crate::fits::hdu::{Hdu, HduChoice, HduKind};
 use crate::fits::image::squeezed;
 use crate::fits::structure::{FitsStructure, is_fits};
 use crate::psf::{model, psfex, samples, scopesim, stdpsf, stpsf};
@@ -23,7 +23,7 @@ pub enum FileKind {
     Stpsf,
     /// An STDPSF library: [`read_stdpsf`](crate::read_stdpsf).
     Stdpsf,
-    /// A field-varying PSF of ScopeSim: [`read_scopesim`](crate::read_scopesim).
+    /// A PSF of ScopeSim that varies over the field or with the wavelength: [`read_scopesim`](crate::read_scopesim).
     Scopesim,
     /// An image: [`read_image`](crate::read_image).
     Image,
@@ -46,7 +46,7 @@ impl std::fmt::Display for FileKind {
             Self::Psfex => "a PSFEx model",
             Self::Stpsf => "an STPSF library",
             Self::Stdpsf => "an STDPSF library",
-            Self::Scopesim => "a field-varying PSF of ScopeSim",
+            Self::Scopesim => "a PSF of ScopeSim",
             Self::Image => "an image",
             Self::Cube => "a cube",
             Self::PointTable => "a table of positions",
@@ -105,6 +105,41 @@ pub fn detect_hdu(path: impl AsRef<Path>, choice: Option<&HduChoice>) -> Result<
         3 => FileKind::Cube,
         _ => FileKind::OtherFits,
     })
+}
+
+/// What a FITS file of another kind is, if it is a PSF of other software that psfield cannot read, and what
+/// to do with it.
+///
+/// # Errors
+/// The [errors of any FITS file](crate#bad-files).
+pub fn foreign_psf(path: impl AsRef<Path>) -> Result<Option<&'static str>, IoError> {
+    const PIFF: &str = "a PSF of Piff, which only Piff can evaluate: draw its stamps at a grid of positions (PSF.draw), \
+                        and give psfield the stamps with their positions";
+    const PS_FIELD: &str = "a psField file of SDSS: reconstruct its PSFs at a grid of positions (read_PSF), and give psfield \
+                            the stamps with their positions";
+    let structure = FitsStructure::scan(path.as_ref())?;
+    let is_table = |hdu: &&Hdu| hdu.kind == HduKind::BinaryTable;
+    let named = |wanted: fn(&str) -> bool| {
+        let names = structure.hdus.iter().filter(is_table).filter_map(Hdu::name);
+        names
+            .into_iter()
+            .any(|name| wanted(&name.trim().to_ascii_lowercase()))
+    };
+    if named(|name| matches!(name, "psf" | "piff")) && named(|name| name.contains('_')) {
+        return Ok(Some(PIFF));
+    }
+    let has = |hdu: &Hdu, wanted: &str| {
+        let mut columns =
+            (1..=hdu.value::<i64>("TFIELDS").unwrap_or(0)).map(|n| hdu.text(&format!("TTYPE{n}")));
+        columns.any(|name| name.is_some_and(|name| name.trim().eq_ignore_ascii_case(wanted)))
+    };
+    let eigen = |hdu: &Hdu| has(hdu, "RROWS") && has(hdu, "RNROW");
+    Ok(structure
+        .hdus
+        .iter()
+        .filter(is_table)
+        .any(eigen)
+        .then_some(PS_FIELD))
 }
 
 /// Number of axes of the first image. If there are more than two axes, axes of length 1 at the end

@@ -1,13 +1,16 @@
-//! Field-varying PSFs of ScopeSim.
+//! PSFs of ScopeSim that vary over the field or with the wavelength.
 //!
 //! # Layout
 //!
 //! | HDU | content |
 //! |---|---|
-//! | 0, primary | `ETYPE` = `FVPSF`, `ECAT` = number of the map's HDU, `EDATA` = number of the first HDU with PSFs (both counted from 0, the primary) |
+//! | 0, primary | `ECAT` = number of the map's HDU (negative: there is no map, the PSF is the same everywhere), `EDATA` = number of the first HDU with PSFs (both counted from 0, the primary); `ETYPE` = `FVPSF`, which may be missing |
 //! | the map, an image | `[y, x]`: the number of the layer (counted from 0) that applies in each pixel; linear world coordinates `CRPIXn`, `CDELTn`, `CRVALn`, measured from the centre of the field in `CUNITn` (degrees by default) |
 //! | the map, a binary table | columns `x`, `y` (arcseconds from the centre of the field) and `layer` |
 //! | PSFs, one HDU per wavelength | cube `[layer, y, x]`; `WAVE0` = wavelength in micrometres, `CDELT1` = size of a PSF pixel in `CUNIT1` (degrees by default) |
+//!
+//! A constant PSF of one wavelength is an image like any other. Only several wavelengths make it a file of
+//! this kind.
 //!
 //! # Interpretation
 //!
@@ -82,10 +85,23 @@ impl ScopesimPsf {
     }
 }
 
-/// Returns whether a file is marked as a field-varying PSF of ScopeSim.
+/// Returns whether a file is marked as a PSF of ScopeSim that varies over the field or with the wavelength.
 pub(crate) fn is_scopesim(structure: &FitsStructure) -> bool {
-    let kind = structure.hdus.first().and_then(|hdu| hdu.text("ETYPE"));
-    kind.is_some_and(|kind| kind.trim().eq_ignore_ascii_case("FVPSF"))
+    let Some(primary) = structure.hdus.first() else {
+        return false;
+    };
+    let kind = primary.text("ETYPE");
+    if kind.is_some_and(|kind| kind.trim().eq_ignore_ascii_case("FVPSF")) {
+        return true;
+    }
+    let numbers = ["ECAT", "EDATA"].map(|keyword| primary.value::<i64>(keyword));
+    let images = |hdu: &&Hdu| hdu.kind == HduKind::Image && hdu.header.get("WAVE0").is_some();
+    let count = structure.hdus.iter().filter(images).count();
+    match numbers {
+        [Some(map), Some(_)] if map < 0 => count > 1,
+        [Some(_), Some(_)] => count > 0,
+        _ => false,
+    }
 }
 
 /// A ratio this close to a whole number is rounded to it, because headers state arcseconds as
@@ -106,7 +122,8 @@ fn near_whole(ratio: f64) -> f64 {
 /// ```no_run
 /// use psf_io::{ScopesimOptions, read_scopesim};
 /// use psf_types::Position;
-/// let options = ScopesimOptions::new(0.004, Position::new(2047.5, 2047.5)?)?.with_wavelength_um(2.15)?;
+/// let centre = Position::new(2047.5, 2047.5)?;
+/// let options = ScopesimOptions::new(0.004)?.with_field_centre(centre).with_wavelength_um(2.15)?;
 /// let psf = read_scopesim("MAORY_MCAO_FVPSF_4mas.fits", &options)?;
 /// println!("{} layers at {} nodes", psf.layers().len(), psf.nodes().len());
 /// # Ok::<(), Box<dyn std::error::Error>>(())
@@ -128,22 +145,44 @@ pub fn read_scopesim(path: impl AsRef<Path>, options: &ScopesimOptions) -> Resul
     let path = path.as_ref();
     let structure = FitsStructure::scan(path)?;
     if !is_scopesim(&structure) {
-        return Err(structure
-            .missing("card ETYPE = 'FVPSF' in its primary header: it is no field-varying PSF of ScopeSim"));
+        return Err(structure.missing(
+            "keywords ECAT and EDATA of a PSF of ScopeSim in its primary header, and an image with WAVE0",
+        ));
     }
     let primary = &LibraryCards::new(&structure.hdus[0]);
-    let map_index = primary.required_count("ECAT", 0, MAP)?;
+    let is_constant = structure.hdus[0].value::<i64>("ECAT").is_some_and(|map| map < 0);
+    let map_index = if is_constant {
+        None
+    } else {
+        Some(primary.required_count("ECAT", 0, MAP)?)
+    };
     let first = primary.required_count("EDATA", 1, DATA)?;
-    let map_hdu = structure.hdus.get(map_index).ok_or_else(|| {
-        primary.bad_value(
-            "ECAT",
-            MAP,
-            format!("{map_index}, but there are {} HDUs", structure.hdus.len()),
-        )
-    })?;
+    if !is_constant && options.field_centre.is_none() {
+        const CENTRE: &str = "this is a PSF of ScopeSim, which does not state where its field lies on the frame: give the centre \
+                              of the field (x, y) in 0-based pixels";
+        let error = IoError::new(path, IoErrorKind::Setting, CENTRE);
+        return Err(error.with_setting("field_centre"));
+    }
     let kernels = Kernels::choose(&structure, first, map_index, options)?;
     let (layer_count, ny, nx) = kernels[0].shape;
-    let map = LayerMap::read(&structure, map_hdu, layer_count)?;
+    let map = match map_index {
+        Some(number) => {
+            let hdu = structure.hdus.get(number).ok_or_else(|| {
+                let count = structure.hdus.len();
+                primary.bad_value("ECAT", MAP, format!("{number}, but there are {count} HDUs"))
+            })?;
+            LayerMap::read(&structure, hdu, layer_count)?
+        }
+        None if layer_count == 1 => LayerMap {
+            offsets_arcsec: vec![(0.0, 0.0)],
+            layers: vec![0],
+        },
+        None => {
+            return Err(kernels[0]
+                .hdu
+                .axes_error("a PSF [y, x], because the file has no map of layers"));
+        }
+    };
 
     let nodes = map
         .offsets_arcsec
@@ -198,22 +237,31 @@ pub fn read_scopesim(path: impl AsRef<Path>, options: &ScopesimOptions) -> Resul
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ScopesimOptions {
     pixel_scale_arcsec: f64,
-    field_centre: Position,
+    field_centre: Option<Position>,
     wavelength_um: Option<f64>,
 }
 
 impl ScopesimOptions {
-    /// Sets the size of a frame pixel in arcseconds, and the position of the centre of the field in
-    /// 0-based pixels of the frame.
+    /// Sets the size of a frame pixel in arcseconds.
     ///
     /// # Errors
     /// [`DataError::Setting`] unless the scale is a finite number above 0.
-    pub fn new(pixel_scale_arcsec: f64, field_centre: Position) -> Result<Self, DataError> {
+    pub fn new(pixel_scale_arcsec: f64) -> Result<Self, DataError> {
         Ok(Self {
             pixel_scale_arcsec: positive("pixel scale in arcseconds", pixel_scale_arcsec)?,
-            field_centre,
+            field_centre: None,
             wavelength_um: None,
         })
+    }
+
+    /// Sets the position of the centre of the field in 0-based pixels of the frame. A PSF that varies over
+    /// the field needs it.
+    #[must_use]
+    pub fn with_field_centre(self, field_centre: Position) -> Self {
+        Self {
+            field_centre: Some(field_centre),
+            ..self
+        }
     }
 
     /// Chooses the PSFs whose wavelength is nearest to this one, in micrometres. Without a choice, the
@@ -234,7 +282,7 @@ impl ScopesimOptions {
     }
 
     /// The position of the centre of the field on the frame.
-    pub fn field_centre(&self) -> Position {
+    pub fn field_centre(&self) -> Option<Position> {
         self.field_centre
     }
 
@@ -245,9 +293,10 @@ impl ScopesimOptions {
 
     /// The position at an offset from the centre of the field.
     fn position(&self, x_arcsec: f64, y_arcsec: f64) -> Result<Position, DataError> {
+        let centre = self.field_centre.unwrap_or(Position::of_pixel(0, 0));
         Position::new(
-            self.field_centre.x() + x_arcsec / self.pixel_scale_arcsec,
-            self.field_centre.y() + y_arcsec / self.pixel_scale_arcsec,
+            centre.x() + x_arcsec / self.pixel_scale_arcsec,
+            centre.y() + y_arcsec / self.pixel_scale_arcsec,
         )
     }
 }
@@ -278,12 +327,12 @@ impl<'a> Kernels<'a> {
     fn choose(
         structure: &'a FitsStructure,
         first: usize,
-        map: usize,
+        map: Option<usize>,
         options: &ScopesimOptions,
     ) -> Result<Vec<Self>, IoError> {
         let mut cubes = Vec::new();
         for hdu in structure.hdus.iter().skip(first) {
-            if hdu.kind == HduKind::Image && hdu.index != map && !hdu.axes.is_empty() {
+            if hdu.kind == HduKind::Image && Some(hdu.index) != map && !hdu.axes.is_empty() {
                 cubes.push((wavelength(&LibraryCards::new(hdu))?, hdu));
             }
         }

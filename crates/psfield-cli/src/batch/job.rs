@@ -1,6 +1,5 @@
 //! A job of a batch: its parsed options, and the state of its files.
 
-use std::any::TypeId;
 use std::ffi::OsString;
 use std::hash::Hasher;
 use std::path::{Path, PathBuf};
@@ -11,7 +10,7 @@ use psfield::{JOB_KEYWORD, SpotCheck};
 
 use crate::UsageError;
 use crate::batch::jobs_file::{JobsFile, Setting, Settings};
-use crate::files::{FileUses, NamedFiles, OutputFile};
+use crate::files::{FileType, FileUses, NamedFiles, Use};
 use crate::simulate::{JobMark, SimulateArgs};
 use crate::values::plain_text;
 
@@ -85,11 +84,11 @@ impl Job {
     }
 
     fn new(number: usize, mut settings: Settings, command: &mut Command) -> Result<Self, String> {
-        let name = settings.take("name").map(|name| name.value);
+        let name = settings.take("name").map(|name| name.value());
         if settings.has("overwrite") {
             return Err("overwrite applies only to the whole batch: psfield batch --overwrite".to_owned());
         }
-        let name = name.or_else(|| Some(settings.get("output")?.value.clone()));
+        let name = name.or_else(|| Some(settings.get("output")?.value()));
         let (args, files, arguments) = parsed(&settings, command)?;
         Ok(Self {
             number,
@@ -171,12 +170,8 @@ fn is_flag(arg: &clap::Arg) -> bool {
     matches!(arg.get_action(), ArgAction::SetTrue)
 }
 
-fn is_path(arg: &clap::Arg) -> bool {
-    is_output(arg) || arg.get_value_parser().type_id() == TypeId::of::<PathBuf>()
-}
-
 fn is_output(arg: &clap::Arg) -> bool {
-    arg.get_value_parser().type_id() == TypeId::of::<OutputFile>()
+    FileType::of_argument(arg).is_some_and(|known| known.used == Use::Output)
 }
 
 fn option<'a>(command: &'a Command, name: &str) -> Option<&'a clap::Arg> {
@@ -187,7 +182,7 @@ fn option<'a>(command: &'a Command, name: &str) -> Option<&'a clap::Arg> {
 
 /// Parses the value of a flag: `true` or `false`.
 fn flag(name: &str, setting: &Setting) -> Result<bool, String> {
-    match setting.value.as_str() {
+    match setting.value().as_str() {
         "true" => Ok(true),
         "false" => Ok(false),
         other => Err(format!("{name}: true or false is needed, not {other:?}")),
@@ -207,17 +202,24 @@ fn arguments(settings: &Settings, command: &Command) -> Result<Vec<OsString>, St
             }
             continue;
         }
-        let value = match known {
-            Some(arg) if is_path(arg) => setting.folder.join(&setting.value).into_os_string(),
-            _ => OsString::from(&setting.value),
+        let within = |value: &str| match known.and_then(FileType::of_argument) {
+            Some(file_type) => (file_type.within)(&setting.folder, value),
+            None => OsString::from(value),
         };
-        if name == SCENE {
-            scene = Some(value);
-            continue;
+        let values = match known {
+            // An option that may be repeated takes the values of a list one by one.
+            Some(arg) if matches!(arg.get_action(), ArgAction::Append) => setting.list.clone(),
+            _ => vec![setting.value()],
+        };
+        for value in values.iter().map(|value| within(value)) {
+            if name == SCENE {
+                scene = Some(value);
+                continue;
+            }
+            let mut argument = OsString::from(format!("--{name}="));
+            argument.push(value);
+            arguments.push(argument);
         }
-        let mut argument = OsString::from(format!("--{name}="));
-        argument.push(value);
-        arguments.push(argument);
     }
     if let Some(scene) = scene {
         arguments.extend([OsString::from("--"), scene]);
@@ -232,7 +234,7 @@ fn digest(settings: &Settings, command: &Command) -> String {
     let mut hasher = fnv::FnvHasher::default();
     for (name, setting) in settings.iter() {
         let known = option(command, name);
-        let off = known.is_some_and(is_flag) && setting.value == "false";
+        let off = known.is_some_and(is_flag) && setting.value() == "false";
         if off || known.is_some_and(is_output) || WITHOUT_EFFECT_ON_RESULTS.contains(&name) {
             continue;
         }
@@ -242,7 +244,7 @@ fn digest(settings: &Settings, command: &Command) -> String {
         } else {
             name
         };
-        for text in [name, &setting.value] {
+        for text in [name, &setting.value()] {
             hasher.write(text.as_bytes());
             // A separator after each string keeps ("ab", "c") apart from ("a", "bc").
             hasher.write(&[0xff]);
@@ -300,8 +302,9 @@ impl JobState {
 fn judge(file: &Path, digest: &str) -> Result<(), String> {
     let header = psf_io::read_header(file).map_err(|e| {
         format!(
-            "{} exists and is not an image of this job: delete it, or run all jobs again with --overwrite ({e})",
-            file.display()
+            "{} exists and is not an image of this job: delete it, or run all jobs again with --overwrite ({})",
+            file.display(),
+            psfield::error_text(&e)
         )
     })?;
     let text = |keyword: &str| match header.get(keyword).and_then(Card::value) {

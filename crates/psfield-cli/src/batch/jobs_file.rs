@@ -1,6 +1,7 @@
 //! Reads jobs files. The options of the jobs are not parsed here.
 
 use std::collections::BTreeMap;
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
@@ -31,15 +32,17 @@ impl JobsFile {
                 return Err(UsageError(what).into());
             }
         };
-        let bytes = std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
+        let text = match psf_types::read_text_file(path) {
+            Err(error) if error.kind() == ErrorKind::InvalidData => {
+                return Err(UsageError(format!("{}: {error}", path.display())).into());
+            }
+            read => read.with_context(|| format!("cannot read {}", path.display()))?,
+        };
         let folder = path.parent().unwrap_or(Path::new(""));
         let parsed = if is_toml {
-            match std::str::from_utf8(&bytes) {
-                Ok(text) => Self::from_toml(text, folder),
-                Err(e) => Err(format!("not UTF-8 text: {e}")),
-            }
+            Self::from_toml(&text, folder)
         } else {
-            Self::from_csv(&bytes, folder)
+            Self::from_csv(text.as_bytes(), folder)
         };
         let file = parsed.map_err(|what| UsageError(format!("{}: {what}", path.display())))?;
         if file.jobs.is_empty() {
@@ -120,7 +123,7 @@ impl JobsFile {
             let mut options = Settings::default();
             for (name, value) in names.iter().zip(&row).filter(|(_, value)| !value.is_empty()) {
                 options
-                    .set(name, value.to_owned(), folder)
+                    .set(name, vec![value.to_owned()], folder)
                     .map_err(|what| format!("{place}: {what}"))?;
             }
             jobs.push((place, options));
@@ -150,16 +153,16 @@ pub(crate) fn settings(table: Table, folder: &Path) -> Result<Settings, String> 
         let value = match value {
             Value::Array(values) => {
                 let texts: Result<Vec<_>, _> = values.iter().map(|value| text(&name, value)).collect();
-                texts?.join(",")
+                texts?
             }
             Value::Table(pairs) => {
                 let texts: Result<Vec<_>, _> = pairs
                     .iter()
                     .map(|(key, value)| Ok(format!("{key}={}", text(&name, value)?)))
                     .collect::<Result<_, String>>();
-                texts?.join(",")
+                vec![texts?.join(",")]
             }
-            single => text(&name, &single)?,
+            single => vec![text(&name, &single)?],
         };
         settings.set(&name, value, folder)?;
     }
@@ -204,9 +207,17 @@ impl FromStr for Assignment {
 /// The value of an option.
 #[derive(Debug, Clone)]
 pub(super) struct Setting {
-    pub(super) value: String,
+    /// The values of a list in TOML, or one value.
+    pub(super) list: Vec<String>,
     /// The folder to which a relative path refers.
     pub(super) folder: PathBuf,
+}
+
+impl Setting {
+    /// The values, separated by commas.
+    pub(super) fn value(&self) -> String {
+        self.list.join(",")
+    }
 }
 
 /// Options by name, without leading hyphens.
@@ -216,16 +227,16 @@ pub(crate) struct Settings(BTreeMap<String, Setting>);
 impl Settings {
     /// Sets an option given on the command line.
     pub(super) fn add(&mut self, of: Assignment) -> Result<(), UsageError> {
-        self.set(&of.option, of.value, Path::new(""))
+        self.set(&of.option, vec![of.value], Path::new(""))
             .map_err(|what| UsageError(format!("--set: {what}")))
     }
 
     /// Sets an option. Returns an error if it is set already. Underscores in the name count as
     /// hyphens: `stamp_size` is `stamp-size`.
-    pub(crate) fn set(&mut self, option: &str, value: String, folder: &Path) -> Result<(), String> {
+    pub(crate) fn set(&mut self, option: &str, list: Vec<String>, folder: &Path) -> Result<(), String> {
         let name = old_names::option("simulate", &option.trim().replace('_', "-"));
         let folder = folder.to_owned();
-        match self.0.insert(name, Setting { value, folder }) {
+        match self.0.insert(name, Setting { list, folder }) {
             Some(_) => Err(format!("{option} is given twice")),
             None => Ok(()),
         }

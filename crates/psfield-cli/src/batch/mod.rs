@@ -5,6 +5,7 @@ mod jobs_file;
 
 use std::fs::File;
 use std::io::{ErrorKind, Read, Seek, SeekFrom, Write};
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -143,6 +144,26 @@ impl BatchArgs {
 /// The largest number of failed jobs that are named at the end.
 const MOST_NAMED: usize = 10;
 
+/// Simulates a job. A panic is the failure of this job alone. What it may have left half made is not used
+/// again.
+fn simulated(
+    job: &Job,
+    replace: bool,
+    simulators: &mut Simulators,
+    context: &Context,
+) -> anyhow::Result<Report> {
+    let run = || job.marked(replace).simulate(simulators, context);
+    caught(run).unwrap_or_else(|| {
+        simulators.forget();
+        anyhow::bail!("this job met an error in psfield, which standard error shows: please report it")
+    })
+}
+
+/// Runs work. Returns `None` if it panics.
+fn caught<R>(work: impl FnOnce() -> R) -> Option<R> {
+    catch_unwind(AssertUnwindSafe(work)).ok()
+}
+
 /// Runs a job and returns its report. Skips the job if another batch works on it or, without
 /// `overwrite`, if its files exist.
 fn report_of<'a>(
@@ -169,7 +190,7 @@ fn report_of<'a>(
     let lock = if is_done { Ok(None) } else { job.lock() };
     let state = match &lock {
         _ if is_done => JobState::Done,
-        Err(error) => JobState::Refused(error.to_string()),
+        Err(error) => JobState::Refused(psfield::error_text(error)),
         Ok(None) => JobState::InProgress,
         Ok(Some(_)) if overwrite => JobState::Partial,
         Ok(Some(_)) => JobState::of(job),
@@ -185,7 +206,7 @@ fn report_of<'a>(
         JobState::Missing | JobState::Partial => {
             let context = context.for_part(&format!("job {} ({})", job.number, job.name));
             let made = simulators.made;
-            match job.marked(replace).simulate(simulators, &context) {
+            match simulated(job, replace, simulators, &context) {
                 Ok(simulated) => {
                     match simulated.verdict() {
                         Ok(()) => report.status = Status::Done,
@@ -301,7 +322,7 @@ fn append(mut log: &File, line: &str) -> std::io::Result<()> {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
@@ -321,6 +342,12 @@ mod tests {
             blocks("[defaults]", "and one in CSV"),
             blocks("output,catalog", "A job's line"),
         ]
+    }
+
+    #[test]
+    fn a_panic_of_a_job_is_caught() {
+        assert_eq!(caught(|| 1), Some(1));
+        assert_eq!(caught(|| -> i32 { panic!("in one job") }), None);
     }
 
     #[test]
@@ -377,11 +404,8 @@ mod tests {
         );
     }
 
-    /// Jobs files with random errors are accepted or refused, and never cause a panic. The parser
-    /// of the file and the checks of the options are both tested.
-    #[test]
-    fn spoilt_jobs_are_understood_or_refused_by_name() {
-        const CASES: u64 = 4000;
+    /// A text with a few random errors.
+    pub(crate) fn spoilt(text: &str, case: u64) -> String {
         const MARKS: [&str; 24] = [
             ",",
             "\"",
@@ -408,19 +432,27 @@ mod tests {
             "overwrite = true\n",
             "x=",
         ];
+        let mut rng = ChaCha8Rng::seed_from_u64(case);
+        let mut text: Vec<char> = text.chars().collect();
+        for _ in 0..rng.random_range(1..4) {
+            let at = rng.random_range(0..text.len());
+            let length = rng.random_range(0..3).min(text.len() - at);
+            let mark = MARKS[rng.random_range(0..MARKS.len())];
+            text.splice(at..at + length, mark.chars());
+        }
+        text.into_iter().collect()
+    }
+
+    /// Jobs files with random errors are accepted or refused, and never cause a panic. The parser
+    /// of the file and the checks of the options are both tested.
+    #[test]
+    fn spoilt_jobs_are_understood_or_refused_by_name() {
+        const CASES: u64 = 4000;
         let seeds = samples();
         let (mut understood, mut refused) = (0, 0);
         for case in 0..CASES {
-            let mut rng = ChaCha8Rng::seed_from_u64(case);
-            let is_toml = rng.random::<bool>();
-            let mut text: Vec<char> = seeds[usize::from(!is_toml)].chars().collect();
-            for _ in 0..rng.random_range(1..4) {
-                let at = rng.random_range(0..text.len());
-                let length = rng.random_range(0..3).min(text.len() - at);
-                let mark = MARKS[rng.random_range(0..MARKS.len())];
-                text.splice(at..at + length, mark.chars());
-            }
-            let text: String = text.into_iter().collect();
+            let is_toml = case % 2 == 0;
+            let text = spoilt(&seeds[usize::from(!is_toml)], case);
             let folder = Path::new("night");
             let parsed = if is_toml {
                 JobsFile::from_toml(&text, folder)

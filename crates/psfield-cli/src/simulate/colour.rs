@@ -1,7 +1,6 @@
 //! Scenes in colour: the options, and the simulation.
 
-use std::path::PathBuf;
-use std::str::FromStr;
+use std::path::Path;
 
 use anyhow::Context as _;
 use conv_core::{ConvReal, TileCounts};
@@ -10,17 +9,18 @@ use psf_io::{Card, CardValue, ImageReader};
 use psf_types::{FrameShape, Image, NoProgress, Progress};
 use psfield::{
     ColourScene, ColourSimulator, Dispersion, PixelPicker, Psf, PsfieldError, Scene, Simulator, SpotCheck,
-    open_bandpass,
+    open_bandpass, spectrum_file, spectrum_in,
 };
 
 use crate::UsageError;
 use crate::context::{Context, with_option};
+use crate::files::{BandpassName, FileUses, Layer, SpectrumName};
 use crate::simulate::SimulateArgs;
 use crate::simulate::execute::{FitsRows, MakesImage, StreamsImage};
 use crate::simulate::exposure_args::Exposing;
 use crate::simulate::prepared::{timed, warn_of_coarse_stamps};
 use crate::simulate::report::{Report, Seconds};
-use crate::simulate::scene::{ReadScene, SceneArgs, with_nan_as};
+use crate::simulate::scene::{LeftOut, ReadScene, SceneArgs, with_nan_as};
 
 /// The bandpass of the image, and the spectra of the light.
 #[derive(Debug, Clone, clap::Args)]
@@ -35,7 +35,7 @@ pub(super) struct ColourArgs {
     /// Each source then has the PSF of its own spectrum: the mean over its detected photons. Fluxes
     /// are those in the bandpass.
     #[arg(long, value_name = "FILE[:UNIT]")]
-    pub(super) bandpass: Option<String>,
+    pub(super) bandpass: Option<BandpassName>,
     /// Spectrum of SCENE.fits, and of catalogues without a column sed or teff
     ///
     /// blackbody:KELVIN, powerlaw:INDEX (f_lambda proportional to lambda^INDEX), or FILE[:UNIT][:VALUES],
@@ -46,7 +46,7 @@ pub(super) struct ColourArgs {
     /// A catalogue may have a column sed with the name of each source's spectrum, or a column teff with
     /// the temperature of a black body (kelvin).
     #[arg(long, value_name = "SPECTRUM", requires = "bandpass")]
-    pub(super) sed: Option<String>,
+    pub(super) sed: Option<SpectrumName>,
     /// Dispersion of the atmosphere: zenith=DEG,scale=ARCSEC and more
     ///
     /// Light of each wavelength is shifted towards the zenith by its refraction (Filippenko 1982).
@@ -75,26 +75,6 @@ pub(super) struct ColourArgs {
         hide_short_help = true
     )]
     pub(super) layer: Vec<Layer>,
-}
-
-/// An image and its spectrum.
-#[derive(Debug, Clone, PartialEq)]
-pub(super) struct Layer {
-    pub(super) image: PathBuf,
-    pub(super) spectrum: String,
-}
-
-impl FromStr for Layer {
-    type Err = String;
-    fn from_str(text: &str) -> Result<Self, String> {
-        match text.split_once(":sed=") {
-            Some((image, spectrum)) if !image.is_empty() && !spectrum.is_empty() => Ok(Self {
-                image: image.into(),
-                spectrum: spectrum.to_owned(),
-            }),
-            _ => Err("an image and its spectrum are needed, as in red.fits:sed=blackbody:4000".to_owned()),
-        }
-    }
 }
 
 /// A simulator of several spectra, and the scene of each.
@@ -151,6 +131,19 @@ impl SimulateArgs {
         lacks.then(|| "--layer needs a first image (SCENE.fits), whose spectrum is --sed".to_owned())
     }
 
+    /// Checks that no output replaces a spectrum, also one that the catalogue or the cube names.
+    fn check_spectra(&self, names: &[String]) -> anyhow::Result<()> {
+        let mut uses = FileUses::default();
+        for file in names.iter().filter_map(|name| spectrum_file(name)) {
+            uses.read(Path::new(file), "a spectrum of the scene");
+        }
+        let outputs = std::iter::once(self.output.to_path_buf()).chain(self.exposure.outputs(&self.output));
+        for output in outputs {
+            uses.write(&output, "another output").map_err(UsageError)?;
+        }
+        Ok(())
+    }
+
     /// Simulates a scene in colour.
     pub(super) fn simulate_in_colour<T: ConvReal>(
         &self,
@@ -172,6 +165,7 @@ impl SimulateArgs {
         })?;
         seconds.read += taken;
         drop(spinner);
+        self.check_spectra(light.names())?;
         self.note_of_scene(&read, context);
 
         let shape = (read.shape.ny(), read.shape.nx());
@@ -203,9 +197,7 @@ impl SimulateArgs {
             context.warn(&warning.to_string());
         }
         self.warn_of_placement(&made.placement, context);
-        for warning in simulator.warnings(&scenes) {
-            context.warn(&with_option(&warning, warning.setting()));
-        }
+        Self::warn_of_scene(|| simulator.warnings(&scenes), &mut seconds, context);
         let in_colour = InColour {
             simulator: &simulator,
             scenes: &scenes,
@@ -242,8 +234,9 @@ impl SceneArgs {
         }
         let (mut read, first) = match cube {
             Some(SpectralCube { planes, read }) => {
+                let folder = folder_of(self.scene.as_deref());
                 for (spectrum, plane) in planes {
-                    light.add_image(&spectrum, plane)?;
+                    light.add_image(&spectrum_in(folder, &spectrum), plane)?;
                 }
                 (read, None)
             }
@@ -281,9 +274,8 @@ impl SceneArgs {
             added.with_context(|| layer.image.display().to_string())?;
         }
         let catalog = self.read_catalog(&read.header, |options| options.with_colours(true))?;
-        (read.invalid_rows, read.rows_off_projection) =
-            (catalog.invalid_rows(), catalog.rows_off_projection());
-        let added = light.add_catalog(catalog, colour.sed.as_deref());
+        read.left_out = LeftOut::of(&catalog);
+        let added = light.add_catalog(catalog, colour.sed.as_deref(), folder_of(self.catalog.as_deref()));
         let file = || {
             self.catalog
                 .as_ref()
@@ -331,12 +323,16 @@ impl SceneArgs {
             scene: Scene::dark(),
             shape: FrameShape::new(nx, ny)?,
             header,
-            invalid_rows: 0,
-            rows_off_projection: 0,
+            left_out: LeftOut::default(),
             nan_pixels: 0,
         };
         Ok(Some(SpectralCube { planes, read }))
     }
+}
+
+/// The folder of a file, which is that of the program for a relative path or none.
+fn folder_of(file: Option<&Path>) -> &Path {
+    file.and_then(Path::parent).unwrap_or(Path::new(""))
 }
 
 /// A cube, each plane with the name of its spectrum.

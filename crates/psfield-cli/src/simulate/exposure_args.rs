@@ -60,6 +60,12 @@ impl ExposureArgs {
         wanted.then(|| output.beside("truth"))
     }
 
+    /// The files that are written besides `output`.
+    pub(super) fn outputs(&self, output: &OutputFile) -> impl Iterator<Item = PathBuf> {
+        let named = [&self.truth, &self.quality].map(|file| file.as_deref().cloned());
+        named.into_iter().flatten().chain(self.default_truth(output))
+    }
+
     /// Returns the detector to apply, if any. Checks all that can be checked before the work.
     pub(super) fn exposing(
         &self,

@@ -161,7 +161,7 @@ pub(crate) struct SimulateArgs {
         hide_short_help = true,
         help = memory_help(),
         long_help = format!(
-            "{}\n\nThe default has room for two images of the frame and for the stamps of the PSF model, so it is the same on every machine. Each execution makes again the parts of a plan that exceed the limit, which is slow. The memory of scene and image comes in addition. Applies only to the methods auto and lowrank.",
+            "{}\n\nThe default has room for two images of the frame and for the stamps of the PSF model, so it is the same on every machine. Each execution makes again the parts of a plan that exceed the limit, which is slow. The memory of scene and image comes in addition, and so does that of galaxies, which grows with the number of components and with the sizes of the galaxies. Applies only to the methods auto and lowrank.",
             memory_help()
         )
     )]
@@ -313,6 +313,8 @@ impl SimulateArgs {
         let mut seconds = Seconds::default();
         let psf = self.psf(simulators, &mut seconds, context)?;
         if let Some(bandpass) = &self.colour.bandpass {
+            // Plans of spectra are made for each run.
+            simulators.made += 1;
             return self.simulate_in_colour::<T>(bandpass, &psf, exposing.as_ref(), seconds, context);
         }
         let spinner = context.spinner("reading");
@@ -327,9 +329,7 @@ impl SimulateArgs {
         let simulator = self.simulator::<T>(&psf, read.shape, simulators)?;
         let kind = (&read.scene, rows.is_some());
         let made = self.prepare(&simulator, kind, simulators, &mut seconds, context)?;
-        for warning in simulator.warnings(&read.scene) {
-            context.warn(&with_option(&warning, warning.setting()));
-        }
+        Self::warn_of_scene(|| simulator.warnings(&read.scene), &mut seconds, context);
         let (ready, streamed) = ((&*simulator, &made), rows.is_some());
         let outcome = if let Some(reader) = rows {
             let scene = (&*simulator, &read.scene);
@@ -351,8 +351,16 @@ impl SimulateArgs {
         }
     }
 
-    /// Notes the size of a frame that the user did not give.
+    /// Notes the size of a frame that the user did not give, and warns of columns of the catalogue that
+    /// change a source but are not read.
     fn note_of_scene<T: ConvReal>(&self, read: &ReadScene<T>, context: &Context) {
+        if let (Some(path), [_, ..]) = (&self.scene.catalog, &read.left_out.columns[..]) {
+            context.warn(&format!(
+                "{}: not read, though they may change the sources: the columns {}",
+                path.display(),
+                read.left_out.columns.join(", ")
+            ));
+        }
         if self.scene.scene.is_none() && self.scene.shape.is_none() {
             let (s, shape) = (self.scene.finer(), read.shape);
             let (nx, ny) = (shape.nx() / s, shape.ny() / s);
@@ -390,8 +398,8 @@ impl SimulateArgs {
             shape: [shape.nx(), shape.ny()],
             sources: sources.0,
             galaxies: sources.1,
-            invalid_rows: read.invalid_rows,
-            rows_off_projection: read.rows_off_projection,
+            invalid_rows: read.left_out.invalid_rows,
+            rows_off_projection: read.left_out.rows_off_projection,
             nan_pixels: outcome.nan_pixels,
             streamed: false,
             plan: plan.cloned(),

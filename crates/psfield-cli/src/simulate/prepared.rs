@@ -6,9 +6,9 @@ use std::time::Instant;
 
 use conv_core::ConvReal;
 use psf_types::{FrameShape, NoProgress};
-use psfield::{Device, Placement, Preparation, Psf, PsfieldError, Scene, Simulator};
+use psfield::{Device, Placement, Preparation, Psf, PsfieldError, Scene, SimulationWarning, Simulator};
 
-use crate::context::Context;
+use crate::context::{Context, with_option};
 use crate::simulate::SimulateArgs;
 use crate::simulate::report::Seconds;
 
@@ -31,6 +31,12 @@ impl Simulators {
             most,
             ..Self::default()
         }
+    }
+
+    /// Forgets all simulators and PSFs.
+    pub(crate) fn forget(&mut self) {
+        self.kept.clear();
+        self.psf = None;
     }
 
     /// Forgets all simulators and all open GPUs, after an error of a GPU: it may be lost, together
@@ -162,6 +168,19 @@ impl SimulateArgs {
         }
         self.warn_of_placement(&made.placement, context);
         Ok(made)
+    }
+
+    /// Prints the warnings about a scene. The time in which they are found counts as planning.
+    pub(super) fn warn_of_scene(
+        warnings: impl FnOnce() -> Vec<SimulationWarning>,
+        seconds: &mut Seconds,
+        context: &Context,
+    ) {
+        let clock = Instant::now();
+        for warning in warnings() {
+            context.warn(&with_option(&warning, warning.setting()));
+        }
+        seconds.plan += clock.elapsed().as_secs_f64();
     }
 
     /// Warns if the work is not done on the GPU that was requested.

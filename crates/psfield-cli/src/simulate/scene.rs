@@ -3,7 +3,9 @@
 use std::path::{Path, PathBuf};
 
 use conv_core::ConvReal;
-use psf_io::{Catalog, CatalogOptions, HduChoice, HeaderCards, ImageReader, IoError, SkyCoordinates};
+use psf_io::{
+    Card, CardValue, Catalog, CatalogOptions, HduChoice, HeaderCards, ImageReader, IoError, SkyCoordinates,
+};
 use psf_types::{FrameShape, Image};
 use psfield::{Scene, ScenePixels, SimulateOptions, Simulator};
 
@@ -124,13 +126,31 @@ pub(super) struct ReadScene<T: ConvReal> {
     pub(super) shape: FrameShape,
     /// The header of the scene's image or of the file `--wcs`.
     pub(super) header: HeaderCards,
-    /// Invalid rows of the catalogue, which were skipped.
-    pub(super) invalid_rows: usize,
-    /// Rows of the catalogue at positions on the sky that the projection does not reach. They were
-    /// skipped.
-    pub(super) rows_off_projection: usize,
+    /// What was left out of the catalogue.
+    pub(super) left_out: LeftOut,
     /// NaN pixels of the image that `--nan-as` has replaced. 0 if the image is read by rows.
     pub(super) nan_pixels: usize,
+}
+
+/// What was left out of a catalogue.
+#[derive(Debug, Clone, Default)]
+pub(super) struct LeftOut {
+    /// The number of invalid rows.
+    pub(super) invalid_rows: usize,
+    /// The number of rows at positions on the sky that the projection does not reach.
+    pub(super) rows_off_projection: usize,
+    /// The columns that change a source and were not read.
+    pub(super) columns: Vec<String>,
+}
+
+impl LeftOut {
+    pub(super) fn of(catalog: &Catalog) -> Self {
+        Self {
+            invalid_rows: catalog.invalid_rows(),
+            rows_off_projection: catalog.rows_off_projection(),
+            columns: catalog.ignored_columns().to_vec(),
+        }
+    }
 }
 
 /// Adds the option `--nan-as` to an error about a pixel, unless the user has set this option.
@@ -211,14 +231,13 @@ impl SceneArgs {
             (None, None) => (self.dark_shape::<T>(field)?, HeaderCards::new()),
         };
         let catalog = self.read_catalog(&header, |options| options)?;
-        let (invalid_rows, rows_off_projection) = (catalog.invalid_rows(), catalog.rows_off_projection());
+        let left_out = LeftOut::of(&catalog);
         let (stars, galaxies) = catalog.into_parts();
         let read = ReadScene {
             scene: scene.with_stars(stars).with_galaxies(galaxies),
             shape,
             header,
-            invalid_rows,
-            rows_off_projection,
+            left_out,
             nan_pixels,
         };
         Ok((read, rows))
@@ -253,8 +272,7 @@ impl SceneArgs {
     ) -> anyhow::Result<(ReadScene<T>, Catalog)> {
         let mut read = self.without_catalog().read::<T>(false, field)?.0;
         let catalog = self.read_catalog(&read.header, |options| options.with_velocities(true))?;
-        (read.invalid_rows, read.rows_off_projection) =
-            (catalog.invalid_rows(), catalog.rows_off_projection());
+        read.left_out = LeftOut::of(&catalog);
         Ok((read, catalog))
     }
 
@@ -282,6 +300,11 @@ impl SceneArgs {
             None => SkyCoordinates::from_header(header),
         };
         let mut options = more(self.columns.options()?);
+        let unit = header.get("BUNIT").filter(|_| self.scene.is_some());
+        match unit.and_then(Card::value) {
+            Some(CardValue::Text(unit)) if !unit.trim().is_empty() => options = options.with_flux_unit(unit),
+            _ => {}
+        }
         let unusable = match sky {
             Ok(sky) => {
                 options = options.with_sky(sky);
@@ -294,7 +317,15 @@ impl SceneArgs {
             (Err(error), Some(why)) if error.setting() == Some("sky") && !header.is_empty() => {
                 let file = self.scene.as_ref().or(self.wcs.as_ref());
                 let file = file.map_or_else(String::new, |file| format!("{}: ", file.display()));
-                Err(anyhow::anyhow!("{file}{why}").context(error))
+                let why = anyhow::anyhow!("{file}{why}");
+                // A header may have world coordinates of a kind that is not supported.
+                Err(match header.get("CTYPE1") {
+                    None => why.context(error),
+                    Some(_) => why.context(format!(
+                        "{}: the positions on the sky have no pixels",
+                        path.display()
+                    )),
+                })
             }
             (result, _) => Ok(result?),
         }

@@ -1,5 +1,6 @@
 //! `psfield series`.
 
+use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 use std::time::{Instant, SystemTime};
 
@@ -15,7 +16,7 @@ use serde::Deserialize;
 
 use crate::UsageError;
 use crate::batch::{Settings, parsed, settings, simulate_command};
-use crate::context::{Context, object, with_option};
+use crate::context::{Context, object};
 use crate::files::{FileUses, OutputFile, OutputFolder, beside};
 use crate::simulate::exposure_args::Exposing;
 use crate::simulate::prepared::warn_of_coarse_stamps;
@@ -115,15 +116,11 @@ const UNSUPPORTED: [&str; 6] = ["bandpass", "sed", "layer", "dispersion", "quali
 impl SeriesArgs {
     pub(crate) fn run(self, context: &Context) -> anyhow::Result<()> {
         let folder = self.series.parent().unwrap_or(Path::new(""));
-        let text = std::fs::read_to_string(&self.series)
+        let text = psf_types::read_text_file(&self.series)
             .with_context(|| format!("cannot read {}", self.series.display()))?;
         let in_file = |what: String| UsageError(format!("{}: {what}", self.series.display()));
-        let mut file: SeriesFile = toml::from_str(&text).map_err(|e| in_file(e.to_string()))?;
-        let start = file.start_time().map_err(in_file)?;
-        let table = std::mem::take(&mut file.simulate);
-        let (options, mut inputs) = self.options(table, folder).map_err(in_file)?;
-        let tables = [&file.light_curves, &file.pointing.path].into_iter().flatten();
-        inputs.extend(tables.map(|path| folder.join(path)));
+        let (file, start) = SeriesFile::parse(&text).map_err(in_file)?;
+        let (options, inputs) = self.options(&file, folder).map_err(in_file)?;
         let exposures = file.exposures().map_err(in_file)?;
         let series = Series {
             pointing: file
@@ -142,10 +139,10 @@ impl SeriesArgs {
     }
 
     /// Parses the options of `simulate`, with the output of the first exposure. Returns also the files that
-    /// they name.
-    fn options(&self, table: toml::Table, folder: &Path) -> Result<(SimulateArgs, Vec<PathBuf>), String> {
+    /// the series reads.
+    fn options(&self, file: &SeriesFile, folder: &Path) -> Result<(SimulateArgs, Vec<PathBuf>), String> {
         let in_table = |what: String| format!("[simulate]: {what}");
-        let mut options: Settings = settings(table, folder).map_err(in_table)?;
+        let mut options: Settings = settings(file.simulate.clone(), folder).map_err(in_table)?;
         for name in OF_SERIES {
             if options.has(name) {
                 return Err(in_table(format!(
@@ -166,9 +163,14 @@ impl SeriesArgs {
             }
         }
         let first = self.frame(0).display().to_string();
-        options.set("output", first, Path::new("")).map_err(in_table)?;
+        options
+            .set("output", vec![first], Path::new(""))
+            .map_err(in_table)?;
         let (args, files, _) = parsed(&options, &mut simulate_command()).map_err(in_table)?;
-        Ok((args, files.inputs))
+        let mut inputs = files.inputs;
+        let tables = [&file.light_curves, &file.pointing.path].into_iter().flatten();
+        inputs.extend(tables.map(|path| folder.join(path)));
+        Ok((args, inputs))
     }
 
     /// Checks, before any work, that no output replaces an input, and that no output exists unless
@@ -183,16 +185,25 @@ impl SeriesArgs {
         for input in inputs {
             uses.read(input, "an input of the series");
         }
-        for number in 0..exposures {
+        let outputs = (0..exposures).flat_map(|number| {
             let frame = self.frame(number);
             let truth = truth.then(|| beside(&frame, "truth"));
             let sources = sources.then(|| self.sources(number));
-            for output in [Some(frame.clone()), truth, sources].into_iter().flatten() {
-                uses.write(&output, "another output").map_err(UsageError)?;
-                psf_io::check_output(output, self.overwrite)?;
-            }
+            [Some(frame), truth, sources].into_iter().flatten()
+        });
+        // Only outputs that exist can be inputs. So the others, which may be many, need no look.
+        let names: HashSet<PathBuf> = outputs.collect();
+        let folder = || format!("{}: the folder cannot be read", self.out.display());
+        let entries = std::fs::read_dir(&*self.out).with_context(folder)?;
+        let found: std::io::Result<Vec<PathBuf>> = entries.map(|entry| Ok(entry?.path())).collect();
+        let mut found = found.with_context(folder)?;
+        found.retain(|path| names.contains(path));
+        found.sort();
+        for output in &found {
+            uses.write(output, "another output").map_err(UsageError)?;
+            psf_io::check_output(output, self.overwrite)?;
         }
-        Ok(())
+        Ok(psf_io::check_output(self.frame(0), self.overwrite)?)
     }
 
     /// The image of an exposure.
@@ -303,9 +314,7 @@ impl SeriesArgs {
                 context.warn(&warning.to_string());
             }
             options.warn_of_placement(&made.placement, context);
-            for warning in simulator.warnings(exposure.scene()) {
-                context.warn(&with_option(&warning, warning.setting()));
-            }
+            SimulateArgs::warn_of_scene(|| simulator.warnings(exposure.scene()), &mut seconds, context);
         }
         let [dx, dy] = exposure.shift_px();
         let mut cards = exposure_time_cards(start, times)?.to_vec();
@@ -331,6 +340,7 @@ impl SeriesArgs {
         let read = ReadScene {
             scene: Scene::dark(),
             header: read.header.shifted_origin(-dx * s, -dy * s),
+            left_out: read.left_out.clone(),
             ..*read
         };
         // The table of sources waits for the image.
@@ -364,6 +374,13 @@ impl SeriesArgs {
 }
 
 impl SeriesFile {
+    /// The content of a file, and the time of its start.
+    fn parse(text: &str) -> Result<(Self, SystemTime), String> {
+        let file: Self = toml::from_str(text).map_err(|e| e.to_string())?;
+        let start = file.start_time()?;
+        Ok((file, start))
+    }
+
     /// The time of the start.
     fn start_time(&self) -> Result<SystemTime, String> {
         let text = match &self.start {
@@ -416,5 +433,54 @@ impl SeriesFile {
         let path = folder.join(path);
         let [rows, times, factors] = psf_io::read_columns(&path, ["row", "time", "factor"])?;
         LightCurves::new(&rows, &times, &factors).with_context(|| path.display().to_string())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::batch::tests::spoilt;
+
+    /// The file of the help.
+    fn sample() -> &'static str {
+        let start = SAMPLE.find("start =").unwrap();
+        let end = SAMPLE.find("starts_s =").unwrap();
+        &SAMPLE[start..end]
+    }
+
+    /// Files with random errors are understood or refused, and never cause a panic.
+    #[test]
+    fn spoilt_series_are_understood_or_refused() {
+        const CASES: u64 = 4000;
+        let series = SeriesArgs {
+            series: "night/series.toml".into(),
+            out: OutputFolder::from(std::ffi::OsString::from("frames")),
+            overwrite: false,
+        };
+        let folder = Path::new("night");
+        let checked = |text: &str| {
+            let (file, _) = SeriesFile::parse(text)?;
+            let (_, inputs) = series.options(&file, folder)?;
+            file.exposures()?;
+            Ok::<_, String>(inputs)
+        };
+        let inputs = checked(sample()).unwrap();
+        for name in ["night.fits", "stars.csv", "camera.toml", "pointing.csv"] {
+            assert!(inputs.contains(&folder.join(name)), "{name}: {inputs:?}");
+        }
+        let (mut understood, mut refused) = (0, 0);
+        for case in 0..CASES {
+            match checked(&spoilt(sample(), case)) {
+                Ok(_) => understood += 1,
+                Err(why) => {
+                    assert!(!why.is_empty());
+                    refused += 1;
+                }
+            }
+        }
+        assert!(
+            understood > 0 && refused > 0,
+            "{understood} understood, {refused} refused"
+        );
     }
 }

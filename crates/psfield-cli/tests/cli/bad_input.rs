@@ -50,6 +50,28 @@ fn bad_samples(needles: &[&str], spoil: impl FnOnce(&mut Vec<u8>)) {
     }
 }
 
+/// A device or a pipe in place of a file of settings may never end.
+#[cfg(unix)]
+#[test]
+fn settings_are_read_from_files_alone() {
+    // In a folder of their own, because the test compares all files of the other one.
+    let (desk, endless) = (Desk::new(), Desk::empty());
+    endless.shell("mkfifo pipe.toml; ln -s /dev/zero zero.toml");
+    for name in ["pipe.toml", "zero.toml"] {
+        let path = endless.path(name);
+        let path = path.display();
+        for command in [
+            format!("series {path} -o out"),
+            format!("batch {path}"),
+            format!("simulate scene.fits --psf samples.fits --detector {path} -o x.fits"),
+            format!("expose scene.fits --detector {path} -o x.fits"),
+            format!("sample {path} -o x.fits"),
+        ] {
+            desk.refused(&command, 1, &[name, "not a regular file"]);
+        }
+    }
+}
+
 #[test]
 fn truncated_samples() {
     bad_samples(&["cut short", "HDU 0"], |bytes| bytes.truncate(BLOCK * 3));

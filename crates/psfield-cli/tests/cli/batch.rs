@@ -185,7 +185,8 @@ fn jobs_of_one_kind_are_prepared_once() {
     assert_eq!(said[1]["reused"], true);
     for stage in ["fit", "plan"] {
         assert!(said[0]["report"]["seconds"][stage].as_f64().unwrap() > 0.0);
-        assert_eq!(said[1]["report"]["seconds"][stage], 0.0);
+        // Only warnings are looked for again.
+        assert!(said[1]["report"]["seconds"][stage].as_f64().unwrap() < 1e-3);
     }
     // A job with another PSF is between them, and only one PSF is kept.
     desk.write_samples("other.fits", &samples(4, 1));

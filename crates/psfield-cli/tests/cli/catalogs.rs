@@ -467,3 +467,96 @@ fn a_catalogue_that_lights_nothing_is_noticed() {
     desk.write("one.csv", "x,y,flux\n500,5,1\n30,14,2\n");
     desk.done(&format!("{simulate} --catalog one.csv -o one.fits"));
 }
+
+/// The unit of the scene's image is that of fluxes.
+#[test]
+fn fluxes_have_the_unit_of_the_image() {
+    let desk = desk();
+    let image = Image::new(Array2::<f64>::zeros((NY, NX))).unwrap();
+    let unit = Card::new("BUNIT", "Jy", "").unwrap();
+    psf_io::write_image(
+        desk.path("jansky.fits"),
+        &image,
+        &HeaderCards::new(),
+        &[unit],
+        false,
+    )
+    .unwrap();
+    desk.write("plain.csv", "x,y,flux\n30.25,25.5,0.1\n");
+    let ecsv = |unit: &str| {
+        format!(
+            "# %ECSV 1.0\n# ---\n# datatype:\n# - {{name: x, datatype: float64}}\n# - {{name: y, datatype: float64}}\n\
+             # - {{name: flux, unit: {unit}, datatype: float64}}\nx y flux\n30.25 25.5 100\n"
+        )
+    };
+    desk.write("milli.ecsv", ecsv("mJy"));
+    desk.write("electrons.ecsv", ecsv("electron"));
+    let simulate = "simulate jansky.fits --psf fine.fits --precision f64 --tolerance 0 -o";
+    desk.done(&format!("{simulate} plain.fits --catalog plain.csv"));
+    desk.done(&format!("{simulate} milli.fits --catalog milli.ecsv"));
+    assert!(difference(&desk.image("milli.fits"), &desk.image("plain.fits")) < DOUBLE);
+    desk.refused(
+        &format!("{simulate} no.fits --catalog electrons.ecsv"),
+        1,
+        &["electrons.ecsv", "column \"flux\"", "electron", "Jy"],
+    );
+}
+
+#[test]
+fn columns_that_are_not_read_are_named_once() {
+    let desk = desk();
+    desk.write("moving.csv", "x,y,flux,pmra,parallax,id\n30,25,100,3,4,5\n");
+    let run = desk.run(&format!(
+        "simulate --psf fine.fits {SHAPE} --catalog moving.csv -o moving.fits"
+    ));
+    let warned = run.stderr.matches("pmra, parallax").count();
+    assert_eq!((run.code, warned), (Some(0), 1), "{}", run.stderr);
+    // A series and a batch warn, too.
+    desk.write(
+        "jobs.toml",
+        "[[job]]\npsf = 'fine.fits'\ncatalog = 'moving.csv'\nshape = [61, 51]\noutput = 'job.fits'\n",
+    );
+    let run = desk.run("batch jobs.toml");
+    assert!(run.stderr.contains("pmra, parallax"), "{}", run.stderr);
+    desk.write(
+        "series.toml",
+        "start = '2026-11-27T21:00:00'\ncount = 2\nexposure_s = 10\n\
+         [simulate]\npsf = 'fine.fits'\ncatalog = 'moving.csv'\nshape = [61, 51]\n",
+    );
+    let run = desk.run("series series.toml -o frames");
+    assert_eq!(run.stderr.matches("pmra, parallax").count(), 1, "{}", run.stderr);
+}
+
+/// Old cards of the matrix (Pan-STARRS): a frame whose columns count against the right ascension, or not.
+#[test]
+fn old_cards_of_the_matrix_change_positions() {
+    let desk = desk();
+    let with = |keyword: &str, name: &str| {
+        let number = |keyword: &str, value: f64| Card::new(keyword, value, "").unwrap();
+        let cards = [
+            Card::new("CTYPE1", "RA---TAN", "").unwrap(),
+            Card::new("CTYPE2", "DEC--TAN", "").unwrap(),
+            number("CRPIX1", 31.0),
+            number("CRPIX2", 26.0),
+            number("CRVAL1", 150.0),
+            number("CRVAL2", 2.0),
+            number("CDELT1", 1e-4),
+            number("CDELT2", 1e-4),
+            number(keyword, -1.0),
+        ];
+        let image = Image::new(Array2::<f64>::zeros((NY, NX))).unwrap();
+        psf_io::write_image(desk.path(name), &image, &HeaderCards::new(), &cards, false).unwrap();
+    };
+    with("PC1_1", "new.fits");
+    with("PC001001", "old.fits");
+    desk.write("sky.csv", "ra,dec,flux\n150.001,2.0005,100\n");
+    let simulate = |scene: &str, name: &str| {
+        desk.done(&format!(
+            "simulate {scene} --psf fine.fits --catalog sky.csv -o {name}"
+        ));
+        desk.image(name)
+    };
+    let (new, old) = (simulate("new.fits", "a.fits"), simulate("old.fits", "b.fits"));
+    assert!(new.slice(s![.., ..30]).sum() > 50.0, "the star lies on the left");
+    assert_eq!(new, old);
+}

@@ -1,7 +1,8 @@
 //! No output replaces an input or another output, by whatever name or link, and even with
 //! `--overwrite`.
 
-use crate::desk::{Desk, samples};
+use crate::desk::{Desk, points, samples};
+use crate::states::coloured;
 
 /// A folder with an input for every command.
 fn desk() -> Desk {
@@ -127,4 +128,106 @@ fn links_and_spellings_do_not_hide_an_input() {
     );
     std::fs::hard_link(desk.path("jobs.toml"), desk.path("log.jsonl")).unwrap();
     desk.refused("batch jobs.toml --log log.jsonl", 2, &["--log", "the jobs file"]);
+}
+
+/// A folder with a PSF that depends on the wavelength, and light with spectra in files.
+fn colours() -> Desk {
+    let desk = Desk::empty();
+    desk.write_samples("colour.fits", &coloured());
+    for name in ["scene.fits", "layer.fits"] {
+        desk.write_image(name, points(&[(20, 20, 1000.0)]));
+    }
+    desk.write(
+        "band.csv",
+        "wavelength_um,throughput\n0.5,0\n0.6,1\n0.8,1\n0.9,0\n",
+    );
+    desk.write("detector.toml", "photon_noise = true\n");
+    desk.write("sed.csv", "wavelength_nm,value\n400,1\n1000,2\n");
+    desk.write("other.csv", "wavelength_nm,value\n400,2\n1000,1\n");
+    desk.write(
+        "stars.csv",
+        "x,y,flux,sed\n3,4,5,sed.csv\n8,9,5,other.csv:photons\n",
+    );
+    desk
+}
+
+#[test]
+fn files_inside_texts_are_files() {
+    let desk = colours();
+    let image = "scene.fits --psf colour.fits --bandpass band.csv --sed sed.csv";
+    let layered = format!("{image} --layer layer.fits:sed=other.csv:photons@z=0.1");
+    let sources = "--catalog stars.csv --shape 61,51 --psf colour.fits --bandpass band.csv:um";
+    for (command, output) in [
+        (image, "band.csv"),
+        (image, "sed.csv"),
+        (&layered, "layer.fits"),
+        (&layered, "other.csv"),
+        (sources, "band.csv"),
+        (sources, "sed.csv"),
+        (sources, "other.csv"),
+    ] {
+        for place in [
+            format!("-o {output}"),
+            format!("-o out.fits --detector detector.toml --truth {output}"),
+        ] {
+            desk.refused(
+                &format!("simulate {command} {place} --overwrite"),
+                2,
+                &[output, "choose another"],
+            );
+        }
+    }
+    desk.done(&format!("simulate {layered} -o out.fits"));
+    desk.done(&format!("simulate {sources} -o out.fits --overwrite"));
+}
+
+#[test]
+fn files_inside_texts_of_jobs_begin_in_the_folder_of_the_jobs_file() {
+    let desk = colours();
+    let layers = "--layer layer.fits:sed=other.csv --layer layer.fits:sed=blackbody:4000";
+    desk.done(&format!(
+        "simulate scene.fits --psf colour.fits --bandpass band.csv --sed sed.csv {layers} -o alone.fits"
+    ));
+    std::fs::create_dir(desk.path("sub")).unwrap();
+    for name in [
+        "colour.fits",
+        "scene.fits",
+        "layer.fits",
+        "band.csv",
+        "sed.csv",
+        "other.csv",
+    ] {
+        std::fs::rename(desk.path(name), desk.path("sub").join(name)).unwrap();
+    }
+    // Files of the same names in the current folder are not meant.
+    desk.write("band.csv", "wavelength_um,throughput\n0.5,1\n0.51,1\n");
+    desk.write("sed.csv", "no spectrum");
+    desk.write("other.csv", "no spectrum");
+    let job = "[[job]]\nscene = 'scene.fits'\npsf = 'colour.fits'\nbandpass = 'band.csv:um'\nsed = 'sed.csv'\n\
+               layer = ['layer.fits:sed=other.csv', 'layer.fits:sed=blackbody:4000']\n";
+    desk.write("sub/jobs.toml", format!("{job}output = 'job.fits'\n"));
+    let run = desk.done("batch sub/jobs.toml");
+    assert!(run.stdout.contains("\"reused\":false"), "{}", run.stdout);
+    assert_eq!(desk.image("sub/job.fits"), desk.image("alone.fits"));
+    for output in ["band.csv", "sed.csv", "other.csv", "layer.fits"] {
+        desk.write("sub/wrong.toml", format!("{job}output = '{output}'\n"));
+        desk.refused(
+            "batch sub/wrong.toml --overwrite",
+            2,
+            &[output, "choose another name"],
+        );
+    }
+}
+
+#[test]
+fn spectra_of_a_catalogue_begin_in_its_folder() {
+    let desk = colours();
+    let simulate = "simulate --shape 61,51 --psf colour.fits --bandpass band.csv";
+    desk.done(&format!("{simulate} --catalog stars.csv -o here.fits"));
+    std::fs::create_dir(desk.path("sub")).unwrap();
+    for name in ["stars.csv", "sed.csv", "other.csv"] {
+        std::fs::rename(desk.path(name), desk.path("sub").join(name)).unwrap();
+    }
+    desk.done(&format!("{simulate} --catalog sub/stars.csv -o there.fits"));
+    assert_eq!(desk.image("here.fits"), desk.image("there.fits"));
 }

@@ -152,3 +152,19 @@ fn a_log_has_whole_lines() {
         scene().dim()
     );
 }
+
+/// A warning that cannot be printed does not stop the work.
+#[cfg(target_os = "linux")]
+#[test]
+fn a_full_standard_error_stops_nothing() {
+    let desk = desk();
+    desk.write("far.csv", "x,y,flux,pmra\n9000,9000,1,2\n");
+    let simulate = "simulate --psf samples.fits --catalog far.csv --shape 61,51 --overwrite -o";
+    let run = desk.shell(&format!("exec \"$PSFIELD\" {simulate} full.fits 2> /dev/full"));
+    assert_eq!(run.code, Some(0), "{run:?}");
+    desk.shell(&format!(
+        "{{ \"$PSFIELD\" {simulate} closed.fits > /dev/null; echo $? > status; }} 2>&1 | true"
+    ));
+    assert_eq!(desk.bytes("status"), b"0\n");
+    assert_eq!(desk.image("full.fits"), desk.image("closed.fits"));
+}

@@ -76,3 +76,39 @@ fn a_lack_of_memory_is_an_error_and_no_crash() {
     }
     assert!(given == desk.content());
 }
+
+/// A check of stars through large stamps needs little more memory than the run itself.
+#[cfg(target_os = "linux")]
+#[test]
+fn a_spot_check_needs_little_memory() {
+    const STAMP: usize = 1023;
+    /// The interpolated stamps of all stars would take 0.8 GB. The check may take this much (MB).
+    const MORE: usize = 250;
+    let desk = Desk::empty();
+    let stamps = Array3::from_shape_fn((1, STAMP, STAMP), |(_, y, x)| {
+        let [u, v] = [x, y].map(|v| v as f64 - (STAMP / 2) as f64);
+        (1.0 + (u * u + v * v) / 9.0).powi(-2)
+    });
+    let positions = SamplePositions::new(vec![Position::of_pixel(0, 0)], None).unwrap();
+    let samples = PsfSamples::new(stamps, positions, StampGrid::new(STAMP, STAMP).unwrap()).unwrap();
+    psf_io::write_samples(desk.path("large.fits"), &samples, &[], Precision::Double, true).unwrap();
+    let rows: Vec<String> = (0..100)
+        .map(|i| format!("{}.3,{}.6,100", 10 * (i % 10), 10 * (i / 10)))
+        .collect();
+    desk.write("stars.csv", format!("x,y,flux\n{}\n", rows.join("\n")));
+    let run = |check: usize, name: &str| {
+        let command = format!(
+            "simulate --psf large.fits --catalog stars.csv --shape 100,100 --spot-check {check} -o {name} --json --threads 2 -q"
+        );
+        let report = desk.done(&command).json();
+        let verdict = report["spot_check"]["passed"].clone();
+        (
+            report["peak_memory_bytes"].as_u64().unwrap() as usize >> 20,
+            verdict,
+        )
+    };
+    let (alone, _) = run(0, "alone.fits");
+    let (checked, verdict) = run(200, "checked.fits");
+    assert_eq!(verdict, true);
+    assert!(checked < alone + MORE, "{alone} and {checked} MiB");
+}

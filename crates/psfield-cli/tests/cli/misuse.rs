@@ -562,7 +562,7 @@ const CASES: &[Case] = &[
     ("evaluate p-word.psf --at at.csv -o out.fits", 1, &["p-word.psf", "HDU 1", "POLDEG1", "\"one\""]),
     ("evaluate p-sampling.psf --at at.csv -o out.fits", 1, &["p-sampling.psf", "HDU 1", "PSF_SAMP", "above 0"]),
     ("evaluate p-terms.psf --at at.csv -o out.fits", 1, &["p-terms.psf", "HDU 1", "PSFAXIS3", "7"]),
-    ("evaluate p-name.psf --at at.csv -o out.fits", 1, &["p-name.psf", "HDU 1", "POLNAME1", "\"MAG\""]),
+    ("evaluate p-name.psf --at at.csv -o out.fits", 1, &["p-name.psf", "MAG", "--psf-context"]),
     ("evaluate p-scale.psf --at at.csv -o out.fits", 1, &["p-scale.psf", "HDU 1", "POLSCAL1", "other than 0"]),
     ("evaluate p-group.psf --at at.csv -o out.fits", 1, &["p-group.psf", "HDU 1", "POLGRP1", "got 5"]),
     ("evaluate model.fits --at at.csv -o there.fits", 1, &["there.fits", "exists", "--overwrite"]),

@@ -1,7 +1,10 @@
 //! `psfield series`.
 
+use std::time::{Duration, Instant};
+
 use ndarray::Array2;
 use psfield::psf_io::{Card, CardValue};
+use psfield::psf_types::{PsfSamples, SamplePositions, StateKind};
 
 use crate::desk::{Desk, NX, NY, difference, samples};
 
@@ -180,6 +183,14 @@ fn wrong_series_say_what_to_do() {
             "bandpass",
         ),
         ("shape = [61, 51]\n", "shaped = [61, 51]\n", 2, "shaped"),
+        (
+            "count = 3\n",
+            "count = 1152921504606846976\n",
+            2,
+            "at most 1000000 exposures",
+        ),
+        ("jitter_px = 0.1\n", "jitter_px = 1500\n", 1, "check the units"),
+        ("jitter_px = 0.1\n", "jitter_px = 1e6\n", 1, "check the units"),
         ("curves.csv", "none.csv", 1, "none.csv"),
         ("\"samples.fits\"", "\"none.fits\"", 1, "none.fits"),
     ];
@@ -229,4 +240,34 @@ fn outputs_do_not_replace_inputs() {
     );
     let run = desk.run("series late.toml -o late");
     assert!(run.code == Some(1) && run.stderr.contains("9999"), "{run:?}");
+}
+
+/// Neither a long drift nor many exposures take long.
+#[test]
+fn large_numbers_are_quick() {
+    const QUICK: Duration = Duration::from_secs(20);
+    let desk = desk();
+    let quick = |text: &str, out: &str| {
+        desk.write("large.toml", text);
+        let clock = Instant::now();
+        let run = desk.run(&format!("series large.toml -o {out}"));
+        assert!(clock.elapsed() < QUICK, "{text}: {:?}", clock.elapsed());
+        run
+    };
+    // By 600 pixels along x and y in each exposure.
+    let drift = SERIES.replace("[0.05, 0.0]", "[19.7, 19.7]");
+    let run = quick(&drift.replace("count = 3", "count = 1"), "drift");
+    assert_eq!(run.code, Some(0), "{run:?}");
+    // A million exposures, of which the PSF knows the first.
+    let samples = samples(3, 3);
+    let (at, field) = (samples.positions().as_slice(), samples.positions().field());
+    let positions = SamplePositions::in_every_state(at, field, StateKind::Time, &[0.0, 100.0]).unwrap();
+    let stamps = ndarray::concatenate(ndarray::Axis(0), &[samples.stamps(), samples.stamps()]).unwrap();
+    let timed = PsfSamples::new(stamps, positions, samples.grid()).unwrap();
+    desk.write_samples("samples.fits", &timed);
+    let run = quick(&SERIES.replace("count = 3", "count = 1000000"), "many");
+    assert!(
+        run.code == Some(1) && run.stderr.contains("from 0 to 100 s"),
+        "{run:?}"
+    );
 }

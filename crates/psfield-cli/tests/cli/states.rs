@@ -11,7 +11,7 @@ use crate::desk::{Desk, difference, points, samples};
 const SINGLE: f64 = 1e-6;
 
 /// Samples at two wavelengths: the desk's PSF, and one that is sheared to (x, x).
-fn coloured() -> PsfSamples {
+pub(crate) fn coloured() -> PsfSamples {
     let red = samples(3, 1);
     let mut blue = red.stamps().to_owned();
     blue.swap_axes(1, 2);

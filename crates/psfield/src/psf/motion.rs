@@ -7,7 +7,7 @@ use rustfft::num_complex::Complex64;
 
 use super::Psf;
 use super::resample::{StampChange, native_picks};
-use crate::stamp_plane::{StampPlane, margin_of, widened};
+use crate::stamp_plane::{Line, StampPlane, margin_of, widened};
 use crate::{ErrorKind, PsfieldError};
 
 /// The motion of light over the frame during an exposure: by how far it is shifted, and for which
@@ -22,8 +22,8 @@ use crate::{ErrorKind, PsfieldError};
 /// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct Motion {
-    /// Weights, whose sum is 1, and shifts along x and y.
-    points: Vec<(f64, [f64; 2])>,
+    /// Motions at constant speed, each during a part of the exposure, in frame pixels. The weights' sum is 1.
+    lines: Vec<Line>,
     jitter_px: f64,
 }
 
@@ -36,8 +36,8 @@ const LONGEST: f64 = 1e5;
 /// The longest part of a line, in frame pixels, for one quadrature. Its error is about 3e-9 of the peak
 /// for a Gaussian PSF of 0.4 pixels r.m.s., and less for wider ones.
 const LONGEST_PART: f64 = 0.5;
-/// A line of at most this length, in frame pixels, counts as its middle. The error is about 1e-6 of the
-/// peak for a Gaussian PSF of 0.4 pixels r.m.s., and less for wider ones.
+/// A line of at most this length, in frame pixels, has its middle as its only point. The error is about
+/// 1e-6 of the peak for a Gaussian PSF of 0.4 pixels r.m.s., and less for wider ones.
 const SHORTEST_LINE: f64 = 2e-3;
 /// Motions whose shifts differ by at most this distance, in frame pixels, are equal.
 const EQUAL: f64 = 1e-9;
@@ -47,8 +47,17 @@ const DEVIATIONS: f64 = 6.0;
 impl Motion {
     /// No motion: all light is shifted by the same distance (x, y).
     pub fn fixed(shift: [f64; 2]) -> Self {
+        Self::of_line(shift, [0.0, 0.0])
+    }
+
+    fn of_line(middle: [f64; 2], length: [f64; 2]) -> Self {
+        let line = Line {
+            weight: 1.0,
+            middle,
+            length,
+        };
         Self {
-            points: vec![(1.0, shift)],
+            lines: vec![line],
             jitter_px: 0.0,
         }
     }
@@ -60,26 +69,13 @@ impl Motion {
     pub fn along_line(from: [f64; 2], to: [f64; 2]) -> Result<Self, PsfieldError> {
         let [dx, dy] = [to[0] - from[0], to[1] - from[1]];
         let length = dx.hypot(dy);
-        let at = |part: f64| [from[0] + part * dx, from[1] + part * dy];
-        if length <= SHORTEST_LINE {
-            return Ok(Self::fixed(at(0.5)));
-        }
         if !(length <= LONGEST && from.iter().all(|v| v.is_finite())) {
             let message = format!(
                 "light moves by {length:.3e} pixels in one exposure, more than {LONGEST:.0e}: check the units, pixels and seconds"
             );
             return Err(PsfieldError::new(ErrorKind::Data, message));
         }
-        // Equal lengths get equally many parts, whatever their rounding.
-        let parts = (length / LONGEST_PART - EQUAL).ceil().max(1.0) as usize;
-        let width = 1.0 / parts as f64;
-        let nodes = (0..parts).flat_map(|part| {
-            QUADRATURE.map(|(node, weight)| (weight * width, at((part as f64 + node) * width)))
-        });
-        Ok(Self {
-            points: nodes.collect(),
-            jitter_px: 0.0,
-        })
+        Ok(Self::of_line([from[0] + 0.5 * dx, from[1] + 0.5 * dy], [dx, dy]))
     }
 
     /// One motion after another, each with its part of the time. The parts are scaled to the sum 1. All
@@ -89,27 +85,30 @@ impl Motion {
     /// [`ErrorKind::Data`] for a shift that is not finite, a negative part, motions with different
     /// jitter, or no motion.
     pub fn sequence(motions: impl IntoIterator<Item = (f64, Self)>) -> Result<Self, PsfieldError> {
-        let mut points = Vec::new();
+        let mut lines = Vec::new();
         let mut jitter = None;
         for (part, motion) in motions {
             if *jitter.get_or_insert(motion.jitter_px) != motion.jitter_px {
                 const DIFFERS: &str = "motions in a sequence must have the same jitter";
                 return Err(PsfieldError::new(ErrorKind::Data, DIFFERS));
             }
-            points.extend(motion.points.into_iter().map(|(weight, at)| (weight * part, at)));
+            lines.extend(motion.lines.into_iter().map(|line| Line {
+                weight: line.weight * part,
+                ..line
+            }));
         }
-        let sum: f64 = points.iter().map(|(weight, _)| weight).sum();
-        let sound = |&(weight, [x, y]): &(f64, [f64; 2])| weight >= 0.0 && x.is_finite() && y.is_finite();
-        if !(sum > 0.0 && sum.is_finite() && points.iter().all(sound)) {
+        let sum: f64 = lines.iter().map(|line| line.weight).sum();
+        let sound = |line: &Line| line.weight >= 0.0 && line.middle.iter().all(|v| v.is_finite());
+        if !(sum > 0.0 && sum.is_finite() && lines.iter().all(sound)) {
             const MESSAGE: &str =
                 "a motion needs finite shifts, and parts of the time that are 0 or more, not all 0";
             return Err(PsfieldError::new(ErrorKind::Data, MESSAGE));
         }
-        for (weight, _) in &mut points {
-            *weight /= sum;
+        for line in &mut lines {
+            line.weight /= sum;
         }
         let jitter_px = jitter.unwrap_or(0.0);
-        Ok(Self { points, jitter_px })
+        Ok(Self { lines, jitter_px })
     }
 
     /// Adds fast random motion, normally distributed, with this r.m.s. along each axis in frame pixels.
@@ -126,49 +125,77 @@ impl Motion {
 
     /// The mean shift along x and y.
     pub fn mean(&self) -> [f64; 2] {
-        [0, 1].map(|axis| self.points.iter().map(|(weight, at)| weight * at[axis]).sum())
+        [0, 1].map(|axis| {
+            self.lines
+                .iter()
+                .map(|line| line.weight * line.middle[axis])
+                .sum()
+        })
     }
 
     /// The weights and the shifts (x, y) of points that stand for the motion, without jitter.
-    pub fn points(&self) -> &[(f64, [f64; 2])] {
-        &self.points
+    pub fn points(&self) -> Vec<(f64, [f64; 2])> {
+        self.lines.iter().flat_map(points_of).collect()
     }
 
     /// This motion, shifted by `-origin`.
     #[must_use]
     pub fn about(&self, origin: [f64; 2]) -> Self {
-        let moved = |&(weight, at): &(f64, [f64; 2])| (weight, [at[0] - origin[0], at[1] - origin[1]]);
+        let moved = |line: &Line| Line {
+            middle: [0, 1].map(|axis| line.middle[axis] - origin[axis]),
+            ..*line
+        };
         Self {
-            points: self.points.iter().map(moved).collect(),
+            lines: self.lines.iter().map(moved).collect(),
             jitter_px: self.jitter_px,
         }
     }
 
     /// Returns whether two motions agree to 1e-9 pixel.
     pub(crate) fn equals(&self, other: &Self) -> bool {
-        let close = |a: f64, b: f64| (a - b).abs() <= EQUAL;
+        let close = |a: [f64; 2], b: [f64; 2]| (0..2).all(|axis| (a[axis] - b[axis]).abs() <= EQUAL);
+        let same = |(a, b): (&Line, &Line)| {
+            (a.weight - b.weight).abs() <= EQUAL && close(a.middle, b.middle) && close(a.length, b.length)
+        };
         self.jitter_px == other.jitter_px
-            && self.points.len() == other.points.len()
-            && self
-                .points
-                .iter()
-                .zip(&other.points)
-                .all(|((v, a), (w, b))| close(*v, *w) && close(a[0], b[0]) && close(a[1], b[1]))
+            && self.lines.len() == other.lines.len()
+            && self.lines.iter().zip(&other.lines).all(same)
     }
 
     /// The distance along x and y up to which light moves, in frame pixels.
     pub(super) fn reach(&self) -> [f64; 2] {
         [0, 1].map(|axis| {
-            let shifts = self.points.iter().map(|(_, at)| at[axis].abs());
-            shifts.fold(0.0, f64::max) + DEVIATIONS * self.jitter_px
+            let ends = |line: &Line| line.middle[axis].abs() + 0.5 * line.length[axis].abs();
+            self.lines.iter().map(ends).fold(0.0, f64::max) + DEVIATIONS * self.jitter_px
         })
     }
 
     /// Returns whether this motion leaves PSFs as they are.
     pub(crate) fn is_none(&self) -> bool {
-        let at_rest = |(_, [x, y]): &(f64, [f64; 2])| x.abs() <= EQUAL && y.abs() <= EQUAL;
-        self.jitter_px == 0.0 && self.points.iter().all(at_rest)
+        let small = |v: f64| v.abs() <= EQUAL;
+        let at_rest = |line: &Line| line.middle.iter().chain(&line.length).all(|&v| small(v));
+        self.jitter_px == 0.0 && self.lines.iter().all(at_rest)
     }
+}
+
+/// The weights and the shifts of points that stand for the line.
+fn points_of(line: &Line) -> impl Iterator<Item = (f64, [f64; 2])> {
+    let Line {
+        weight,
+        middle,
+        length,
+    } = *line;
+    let distance = length[0].hypot(length[1]);
+    // Equal lengths get equally many parts, whatever their rounding.
+    let parts = (distance / LONGEST_PART - EQUAL).ceil().max(1.0) as usize;
+    let width = 1.0 / parts as f64;
+    let at = move |part: f64| [0, 1].map(|axis| middle[axis] + (part - 0.5) * length[axis]);
+    let quadrature = (0..parts).flat_map(move |part| {
+        QUADRATURE.map(|(node, w)| (weight * w * width, at((part as f64 + node) * width)))
+    });
+    let short = distance <= SHORTEST_LINE;
+    let only = short.then_some((weight, middle));
+    only.into_iter().chain(quadrature.filter(move |_| !short))
 }
 
 impl Psf {
@@ -250,11 +277,14 @@ impl Moving {
     /// more.
     pub(super) fn factor(&self, motion: &Motion, offset: [f64; 2]) -> Array2<Complex64> {
         let s = self.oversampling;
-        let scaled =
-            |&(weight, [dx, dy]): &(f64, [f64; 2])| (weight, [dx * s + offset[0], dy * s + offset[1]]);
-        let shifts: Vec<_> = motion.points.iter().map(scaled).collect();
+        let scaled = |line: &Line| Line {
+            weight: line.weight,
+            middle: [0, 1].map(|axis| line.middle[axis] * s + offset[axis]),
+            length: line.length.map(|length| length * s),
+        };
+        let lines: Vec<_> = motion.lines.iter().map(scaled).collect();
         let jitter = self.plane.gaussian_factor(motion.jitter_px * s);
-        self.plane.shift_factor(&shifts) * jitter.mapv(Complex64::from)
+        self.plane.shift_factor(&lines) * jitter.mapv(Complex64::from)
     }
 }
 

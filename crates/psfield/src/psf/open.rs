@@ -17,9 +17,12 @@ use crate::{ErrorKind, FitOptions, PsfieldError};
 /// formats. It is an error to give a setting for a file of another format.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct PsfFileOptions {
-    /// Chooses one of several models in a file (PSFEx), or one of several images (STPSF, STDPSF, a
+    /// Chooses one of several models in a file (PSFEx; of a table of models, a row by its `CCDNAME` or its
+    /// number from 0), or one of several images (STPSF, STDPSF, a
     /// cube or a single stamp).
     pub extension: Option<HduChoice>,
+    /// The values of quantities on which the PSF depends besides the position, by their names (PSFEx).
+    pub contexts: Vec<(String, f64)>,
     /// Chooses one of several detectors (STDPSF).
     pub detector: Option<usize>,
     /// The order of the planes, which determines the position of each plane (STPSF).
@@ -74,7 +77,7 @@ impl PsfFileOptions {
     /// applies.
     pub(crate) fn unknown_to(&self, kind: FileKind) -> Option<(&'static str, &'static str)> {
         use FileKind::{Cube, Image, PsfModel, PsfSamples, Psfex, Scopesim, Stdpsf, Stpsf};
-        const SCOPESIM: &str = "field-varying PSFs of ScopeSim";
+        const SCOPESIM: &str = "PSFs of ScopeSim";
         const CHOSEN: &str = "PSFEx models, STPSF and STDPSF libraries, and plain stamps";
         const PLAIN: &str = "cubes and single stamps without a table POSITIONS";
         const CUBES: &str = "cubes without positions";
@@ -83,6 +86,7 @@ impl PsfFileOptions {
         let stamps = &[Cube, Image][..];
         let table = [
             (self.extension.is_some(), SEVERAL, "extension", CHOSEN),
+            (!self.contexts.is_empty(), &[Psfex], "contexts", "PSFEx models"),
             (self.detector.is_some(), &[Stdpsf], "detector", "STDPSF libraries"),
             (
                 self.plane_order.is_some(),
@@ -100,7 +104,7 @@ impl PsfFileOptions {
                 self.wavelength_um.is_some(),
                 &[Scopesim, Cube, PsfSamples, PsfModel],
                 "wavelength_um",
-                "PSF samples, PSF models, cubes over wavelength and field-varying PSFs of ScopeSim",
+                "PSF samples, PSF models, cubes over wavelength and PSFs of ScopeSim",
             ),
             (
                 self.time_s.is_some(),
@@ -227,9 +231,9 @@ impl Psf {
     /// |---|---|---|
     /// | [PSF samples](psf_io::samples) | unit flux | all of `choices` |
     /// | [PSF model](psf_io::model) | the file's own setting | `outside` and `normalisation` of `choices` |
-    /// | [PSFEx model](psf_io::psfex) | unit flux | `outside` and `normalisation` of `choices`; `file.extension` |
+    /// | [PSFEx model](psf_io::psfex) | unit flux | `outside` and `normalisation` of `choices`; `file.extension`, `file.contexts` |
     /// | [STPSF](psf_io::stpsf), [STDPSF](psf_io::stdpsf) library | none | all of `choices` (by default every component, interpolated bilinearly); `file.plane_order`, `file.detector`, `file.extension`, `file.skip_invalid` |
-    /// | [ScopeSim's field-varying PSF](psf_io::scopesim) | unit flux | `outside` and `normalisation` of `choices`; `file.pixel_scale_arcsec`, `file.field_centre`, `file.wavelength_um` |
+    /// | [PSF of ScopeSim](psf_io::scopesim) | unit flux | `outside` and `normalisation` of `choices`; `file.pixel_scale_arcsec`, `file.field_centre`, `file.wavelength_um` |
     /// | cube without positions | unit flux | all of `choices`; `file.positions`, `file.oversampling`, `file.centre`, `file.extension` |
     /// | single stamp: one PSF everywhere | unit flux | all of `choices` (by default nearest interpolation); `file.oversampling`, `file.centre`, `file.extension` |
     ///
@@ -347,7 +351,7 @@ fn read(path: &Path, file: &PsfFileOptions) -> Result<(Origin, FileKind, SourceF
     let (origin, notes) = match kind {
         FileKind::PsfModel => (Origin::Record(psf_io::read_model(path)?), Vec::new()),
         FileKind::Psfex => {
-            let model = psf_io::read_psfex(path, choice)?;
+            let model = psf_io::read_psfex_at(path, choice, &file.contexts)?;
             let record = record_of_psfex(&model)?;
             psfex = Some(model);
             (Origin::Record(record), Vec::new())
@@ -374,7 +378,15 @@ fn read(path: &Path, file: &PsfFileOptions) -> Result<(Origin, FileKind, SourceF
         FileKind::Cube | FileKind::Image => plain(path, kind, file)?,
         // Files without a PSF come here, too, because the error of this reader says best what they
         // lack.
-        _ => (unfitted(psf_io::read_samples(path)?), Vec::new()),
+        _ => {
+            if kind == FileKind::OtherFits
+                && let Some(what) = psf_io::foreign_psf(path)?
+            {
+                let message = format!("{}: this is {what}", path.display());
+                return Err(PsfieldError::new(ErrorKind::Format, message));
+            }
+            (unfitted(psf_io::read_samples(path)?), Vec::new())
+        }
     };
     let origin = match file.pixel_response_included {
         Some(included) => origin.with_pixel_response_included(included)?,
@@ -396,18 +408,18 @@ fn missing(path: &Path, kind: FileKind, setting: &'static str, what: &str) -> Ps
 
 fn scopesim_options(path: &Path, file: &PsfFileOptions) -> Result<ScopesimOptions, PsfieldError> {
     const SCALE: &str = "which does not state the size of a frame pixel: give it in arcseconds";
-    const CENTRE: &str = "which does not state where its field lies on the frame: give the centre of the field (x, y) in \
-                          0-based pixels";
     let lacks = |setting, what| missing(path, FileKind::Scopesim, setting, what);
     let scale = file
         .pixel_scale_arcsec
         .ok_or_else(|| lacks("pixel_scale_arcsec", SCALE))?;
-    let centre = file.field_centre.ok_or_else(|| lacks("field_centre", CENTRE))?;
-    let options = ScopesimOptions::new(scale, centre)?;
-    Ok(match file.wavelength_um {
-        Some(wavelength) => options.with_wavelength_um(wavelength)?,
-        None => options,
-    })
+    let mut options = ScopesimOptions::new(scale)?;
+    if let Some(centre) = file.field_centre {
+        options = options.with_field_centre(centre);
+    }
+    if let Some(wavelength) = file.wavelength_um {
+        options = options.with_wavelength_um(wavelength)?;
+    }
+    Ok(options)
 }
 
 /// Reads a cube or a single stamp that has no table of positions.

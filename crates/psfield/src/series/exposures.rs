@@ -2,6 +2,9 @@
 
 use crate::{ErrorKind, PsfieldError};
 
+/// The most exposures of a series.
+const MOST: usize = 1_000_000;
+
 /// The exposures of a series: when each begins, in seconds after the start of the series, and how long
 /// all of them last.
 ///
@@ -22,7 +25,7 @@ impl Exposures {
     /// Exposures that begin at these times, in seconds.
     ///
     /// # Errors
-    /// [`ErrorKind::Setting`] without exposures, for an exposure time that is not above 0, or for
+    /// [`ErrorKind::Setting`] without exposures or for more than a million, for an exposure time that is not above 0, or for
     /// exposures that overlap or are not in the order of time.
     pub fn new(starts_s: Vec<f64>, exposure_s: f64) -> Result<Self, PsfieldError> {
         let refused = |setting, message: String| Err(PsfieldError::of_setting(setting, message));
@@ -34,6 +37,7 @@ impl Exposures {
         if starts_s.is_empty() {
             return refused("starts_s", "a series needs at least one exposure".to_owned());
         }
+        check_count(starts_s.len()).map_err(|error| error.with_setting("starts_s"))?;
         if let Some(number) = starts_s.iter().position(|start| !start.is_finite()) {
             let message = format!(
                 "exposure {number} begins at {} s: give a finite time",
@@ -60,6 +64,7 @@ impl Exposures {
     /// # Errors
     /// As for [`new`](Self::new).
     pub fn regular(count: usize, exposure_s: f64, cadence_s: f64) -> Result<Self, PsfieldError> {
+        check_count(count)?;
         let starts = (0..count).map(|number| number as f64 * cadence_s).collect();
         Self::new(starts, exposure_s).map_err(|error| match error.setting() {
             Some("starts_s") if count > 0 => error.with_setting("cadence_s"),
@@ -87,6 +92,14 @@ impl Exposures {
         let start = self.starts_s[number];
         (start, start + self.exposure_s)
     }
+}
+
+fn check_count(count: usize) -> Result<(), PsfieldError> {
+    if count <= MOST {
+        return Ok(());
+    }
+    let message = format!("a series has at most {MOST} exposures, not {count}");
+    Err(PsfieldError::of_setting("count", message))
 }
 
 /// The start and the end of an exposure, and between them the times of a table that lie inside it.
@@ -135,6 +148,9 @@ mod tests {
             assert_eq!(error.setting(), Some(setting), "{error}");
             assert!(error.to_string().contains(part), "{error}");
         }
+        let error = Exposures::regular(1 << 60, 1.0, 1.0).unwrap_err();
+        assert_eq!(error.setting(), Some("count"));
+        assert!(error.to_string().contains("at most 1000000 exposures"), "{error}");
         let error = Exposures::regular(3, 10.0, 9.0).unwrap_err();
         assert_eq!(error.setting(), Some("cadence_s"));
     }

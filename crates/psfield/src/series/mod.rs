@@ -525,7 +525,7 @@ impl<T: ConvReal> SeriesSimulator<T> {
             if flux == 0.0 {
                 continue;
             }
-            for &(weight, [dx, dy]) in trail.points() {
+            for (weight, [dx, dy]) in trail.points() {
                 let at = Position::new(at.x() + dx, at.y() + dy)?;
                 match galaxy {
                     Some(galaxy) => {

@@ -2,7 +2,7 @@
 
 use conv_core::{ConvError, ConvReal, Direct, GalaxyErrors, RowStream, ScenePixelFilter};
 use ndarray::{Array2, ArrayView2, s};
-use psf_types::{Image, PointSource, Position, Progress};
+use psf_types::{Anchor, Image, PointSource, Position, Progress};
 use rand::seq::IteratorRandom;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -19,6 +19,8 @@ const SOURCES: usize = 32;
 /// Stars that are spread over planes keep the light beyond the reach of their stamps, up to this part of
 /// their flux ([`conv_core::edge_reach_of`]). Stars that are drawn one by one do not.
 const BEYOND_STAMPS: f64 = 5e-7;
+/// Plans for stars add up at most so many stars of one place in the working precision.
+const GROUP: usize = 2048;
 /// The largest number of image rows whose light a streamed check keeps in memory at once.
 const BAND: usize = 512;
 
@@ -309,7 +311,7 @@ impl<T: ConvReal> Simulator<T> {
                 Ok(norm) => {
                     // Numbers of equal size that are added in one pixel may all be rounded in one
                     // direction.
-                    let added = 0.25 * place.count as f64 * T::epsilon().as_f64();
+                    let added = 0.25 * self.additions(place.count) as f64 * T::epsilon().as_f64();
                     let error = (tolerance + rounding + added) * norm * place.light;
                     for (pixel, is_on_stamp) in lit {
                         if is_on_stamp {
@@ -330,6 +332,14 @@ impl<T: ConvReal> Simulator<T> {
         let of_pixels = (frame, of_frame.as_slice());
         let take = |pixel: usize, errors: GalaxyErrors| allowed[pixel].add_galaxy(errors);
         Ok(galaxies.errors_at_pixels(scene.galaxies(), &light_of, of_pixels, rounding, take)?)
+    }
+
+    /// The most numbers that are added one by one for so many stars in one pixel.
+    fn additions(&self, stars: usize) -> usize {
+        match self.options.anchor {
+            Anchor::Output => stars,
+            _ => stars.min(GROUP),
+        }
     }
 
     /// Converts pixels of the image to pixels of the frame.

@@ -2,80 +2,103 @@
 
 use std::path::Path;
 
-use ndarray::Array3;
+use ndarray::{Array3, s};
 
-use super::{COLUMN, EXTENSION, PsfexAxis, PsfexFigures, PsfexModel, PsfexPolynomial};
+use super::contexts::Contexts;
+use super::{COLUMN, EXTENSION, PsfexFigures, PsfexModel, rows};
 use crate::error::{IoError, invalid};
 use crate::fits::card::{Card, CardValue, padded};
-use crate::fits::columns::Table;
+use crate::fits::columns::{Nans, Table};
 use crate::fits::hdu::{Hdu, HduChoice, HduKind};
 use crate::fits::header_cards::HeaderCards;
 use crate::fits::image_out::{cards, in_single_precision, write_cards, write_fits};
 use crate::fits::structure::{FitsStructure, PSF};
-
-/// The part of a coordinate's name between its letter and `_IMAGE`. It names the method by which
-/// SExtractor measures the position.
-const POSITION_KINDS: [&str; 5] = ["", "WIN", "PSF", "PEAK", "MODEL"];
 
 /// Returns whether a file holds PSFEx models.
 pub(crate) fn is_psfex(structure: &FitsStructure) -> bool {
     structure.hdus.iter().any(holds_psf)
 }
 
-/// Returns whether a table is a PSFEx model, judged by its name or its column.
+/// Returns whether a table is a PSFEx model, judged by its name or its column, or holds such models in its
+/// rows.
 fn holds_psf(hdu: &Hdu) -> bool {
     let is = |keyword: &str, text: &str| {
         hdu.text(keyword)
             .is_some_and(|value| value.trim().eq_ignore_ascii_case(text))
     };
-    hdu.kind == HduKind::BinaryTable
-        && (is("EXTNAME", EXTENSION) || (is("TTYPE1", COLUMN) && hdu.header.get("POLNAXIS").is_some()))
+    let is_model = is("EXTNAME", EXTENSION) || (is("TTYPE1", COLUMN) && hdu.header.get("PSF_SAMP").is_some());
+    (hdu.kind == HduKind::BinaryTable && is_model) || rows::has_models(hdu)
 }
 
-/// Reads a PSFEx model in the [layout of PSFEx](super).
+/// Reads a PSFEx model in the [layout of PSFEx](super), whose PSF depends on nothing but the position.
 ///
 /// A file holds one model per image extension. `extension` chooses one of several models.
 ///
 /// # Errors
-/// [`IoErrorKind::Setting`](crate::IoErrorKind::Setting) for several models without a choice, or
-/// for a choice that is none of them, [`Header`](crate::IoErrorKind::Header) for an unsupported
-/// polynomial (see the [layout](super)), [`Table`](crate::IoErrorKind::Table) for a column that is
-/// missing or has another format, [`Data`](crate::IoErrorKind::Data) for a value that is not finite
-/// or out of range, and the [errors of any FITS file](crate#bad-files).
+/// The errors of [`read_psfex_at`].
 pub fn read_psfex(path: impl AsRef<Path>, extension: Option<&HduChoice>) -> Result<PsfexModel, IoError> {
+    read_psfex_at(path, extension, &[])
+}
+
+/// Reads a PSFEx model in the [layout of PSFEx](super). Of the other quantities on which its PSF depends
+/// besides the position, `contexts` gives the values, by their names (`POLNAMEi`, such as `MAG_AUTO`).
+///
+/// A file holds one model per image extension, or one per row of a table (legacypipe). `extension` chooses
+/// one of several models: an extension, or a row by its `CCDNAME` or its number from 0.
+///
+/// # Errors
+/// [`IoErrorKind::Setting`](crate::IoErrorKind::Setting) for several models without a choice, for a choice that is none of them, for a
+/// context without a value, or a value of no context, [`Header`](crate::IoErrorKind::Header) for an
+/// unsupported polynomial (see the [layout](super)), [`Table`](crate::IoErrorKind::Table) for a column that
+/// is missing or has another format, [`Data`](crate::IoErrorKind::Data) for a value that is not finite
+/// or out of range, and the [errors of any FITS file](crate#bad-files).
+pub fn read_psfex_at(
+    path: impl AsRef<Path>,
+    extension: Option<&HduChoice>,
+    contexts: &[(String, f64)],
+) -> Result<PsfexModel, IoError> {
     let path = path.as_ref();
     let structure = FitsStructure::scan(path)?;
-    let hdu = chosen(&structure, extension)?;
+    let of_table = structure.hdus.iter().find(|hdu| rows::has_models(hdu));
+    let row;
+    let (hdu, header, number) = if let Some(hdu) = of_table {
+        row = rows::chosen(hdu, extension)?;
+        (hdu, &row.0, row.1)
+    } else {
+        let hdu = chosen(&structure, extension)?;
+        (hdu, hdu, 0)
+    };
     let table = Table::new(hdu)?;
     hdu.ensure(
-        table.rows == 1,
+        table.rows == 1 || of_table.is_some(),
         "NAXIS2",
         "must be 1, because the table of a PSFEx model has one row",
     )?;
-    let polynomial = polynomial(path, hdu)?;
-    let terms = PsfexPolynomial::term_count(polynomial.as_ref().map_or(0, PsfexPolynomial::degree));
-    let (shape, values_per_row) = plane_shape(hdu, terms)?;
-    check_dimensions(hdu, &table, shape)?;
-    let values = table.read(COLUMN, values_per_row)?;
-    let planes = Array3::from_shape_vec(shape, values).expect("as many values as the axes say");
-    let sampling = hdu.required::<f64>("PSF_SAMP", SAMPLING)?;
+    let read = Contexts::read(path, header, contexts)?;
+    let terms = read
+        .exponents()
+        .ok_or_else(|| header.keyword_error("POLDEG1", FEWER))?;
+    let planes = planes(hdu, header, &table, terms.len(), (number, of_table.is_some()))?;
+    let (planes, polynomial) = read.of_position(path, header, planes, &terms)?;
+    let sampling = header.required::<f64>("PSF_SAMP", SAMPLING)?;
     // The inverse of a smaller number above 0 may be infinite.
     if sampling < f64::MIN_POSITIVE {
-        return Err(hdu.keyword_error("PSF_SAMP", SAMPLING));
+        return Err(header.keyword_error("PSF_SAMP", SAMPLING));
     }
     let model = PsfexModel::new(planes, sampling, polynomial).map_err(invalid(path))?;
     Ok(model.with_figures(PsfexFigures {
-        fwhm_px: hdu.optional_real("PSF_FWHM")?,
-        loaded: hdu.optional("LOADED", COUNT)?,
-        accepted: hdu.optional("ACCEPTED", COUNT)?,
-        chi2: hdu.optional_real("CHI2")?,
+        fwhm_px: header.optional_real("PSF_FWHM")?,
+        loaded: header.optional("LOADED", COUNT)?,
+        accepted: header.optional("ACCEPTED", COUNT)?,
+        chi2: header.optional_real("CHI2")?,
     }))
 }
 
 const SAMPLING: &str = "the size of a pixel of the PSF in frame pixels, a number above 0";
 const COUNT: &str = "a whole number";
 const LENGTH: &str = "the length of an axis of PSF_MASK, a whole number above 0";
-const TERMS: &str = "the number of terms of the polynomial, (d+1)(d+2)/2 for POLDEG1 = d";
+const FEWER: &str = "smaller: the polynomial has more than 10000 terms";
+const TERMS: &str = "the number of terms of the polynomial";
 
 /// The table of the chosen PSFEx model. Without a choice, the file must hold one model.
 fn chosen<'a>(structure: &'a FitsStructure, extension: Option<&HduChoice>) -> Result<&'a Hdu, IoError> {
@@ -92,125 +115,98 @@ fn chosen<'a>(structure: &'a FitsStructure, extension: Option<&HduChoice>) -> Re
     }
 }
 
-/// The polynomial, or `None` for a constant PSF.
-fn polynomial(path: &Path, hdu: &Hdu) -> Result<Option<PsfexPolynomial>, IoError> {
-    const AXES: &str = "0 (a constant PSF) or 2 (a PSF that depends on x and y)";
-    const GROUPS: &str = "1 (polynomials of several groups of coordinates are not supported)";
-    const GROUP: &str = "1, the only group of coordinates";
-    const DEGREE: &str = "the degree of the polynomial, 0 to 10";
-    match hdu.required::<i64>("POLNAXIS", AXES)? {
-        0 => return Ok(None),
-        2 => {}
-        more if more > 2 && hdu.header.get("POLNAME3").is_some() => {
-            const THIRD: &str = "absent (PSFs that depend on more than the position are not supported)";
-            return Err(hdu.keyword_error("POLNAME3", THIRD));
-        }
-        _ => return Err(hdu.keyword_error("POLNAXIS", AXES)),
-    }
-    if hdu.required::<i64>("POLNGRP", GROUPS)? != 1 {
-        return Err(hdu.keyword_error("POLNGRP", GROUPS));
-    }
-    for keyword in ["POLGRP1", "POLGRP2"] {
-        if hdu.optional(keyword, GROUP)?.unwrap_or(1_i64) != 1 {
-            return Err(hdu.keyword_error(keyword, GROUP));
-        }
-    }
-    let degree = usize::try_from(hdu.required::<i64>("POLDEG1", DEGREE)?)
-        .ok()
-        .filter(|&degree| degree <= PsfexPolynomial::MAX_DEGREE)
-        .ok_or_else(|| hdu.keyword_error("POLDEG1", DEGREE))?;
-    let (x, y) = (axis(path, hdu, &X_KEYWORDS)?, axis(path, hdu, &Y_KEYWORDS)?);
-    PsfexPolynomial::new(x, y, degree)
-        .map(Some)
-        .map_err(invalid(path))
-}
-
-/// The cards of a coordinate: the keywords of its name, offset and scale, the first letter of its
-/// name, and a text about the supported names for errors.
-type AxisKeywords = ([&'static str; 3], char, &'static str);
-
-const X_KEYWORDS: AxisKeywords = (
-    ["POLNAME1", "POLZERO1", "POLSCAL1"],
-    'X',
-    "the column coordinate in pixels, such as X_IMAGE or XWIN_IMAGE (PSFs that depend on anything else are not supported)",
-);
-const Y_KEYWORDS: AxisKeywords = (
-    ["POLNAME2", "POLZERO2", "POLSCAL2"],
-    'Y',
-    "the row coordinate in pixels, such as Y_IMAGE or YWIN_IMAGE (PSFs that depend on anything else are not supported)",
-);
-
-/// Reads a coordinate, which is 1-based in the file.
-fn axis(path: &Path, hdu: &Hdu, keywords: &AxisKeywords) -> Result<PsfexAxis, IoError> {
-    const OFFSET: &str = "the offset of a coordinate in pixels, a number";
-    const SCALE: &str = "the scale of a coordinate in pixels, a number other than 0";
-    let &([name_keyword, zero_keyword, scale_keyword], letter, expected) = keywords;
-    let name = hdu.required::<String>(name_keyword, expected)?;
-    let name = name.trim().to_ascii_uppercase();
-    let kind = name
-        .strip_prefix(letter)
-        .and_then(|rest| rest.strip_suffix("_IMAGE"));
-    if !kind.is_some_and(|kind| POSITION_KINDS.contains(&kind)) {
-        return Err(hdu.keyword_error(name_keyword, expected));
-    }
-    let zero = hdu.required::<f64>(zero_keyword, OFFSET)?;
-    let scale = hdu.required::<f64>(scale_keyword, SCALE)?;
-    if scale == 0.0 {
-        return Err(hdu.keyword_error(scale_keyword, SCALE));
-    }
-    PsfexAxis::new(&name, zero - 1.0, scale).map_err(invalid(path))
-}
-
-/// The shape `[term, y, x]` from the header, and the total number of values.
-fn plane_shape(hdu: &Hdu, terms: usize) -> Result<((usize, usize, usize), usize), IoError> {
-    const AXES: &str = "3 (columns, rows, terms), or 2 if the polynomial has one term";
-    let axes = hdu.required::<i64>("PSFNAXIS", AXES)?;
-    let (nx, ny) = (
-        hdu.required_length("PSFAXIS1", LENGTH)?,
-        hdu.required_length("PSFAXIS2", LENGTH)?,
-    );
-    match axes {
-        3 if hdu.required_length("PSFAXIS3", TERMS)? != terms => {
-            return Err(hdu.keyword_error("PSFAXIS3", TERMS));
-        }
-        2 if terms == 1 => {}
-        3 => {}
-        _ => return Err(hdu.keyword_error("PSFNAXIS", AXES)),
-    }
-    let count = nx
-        .checked_mul(ny)
-        .and_then(|pixels| pixels.checked_mul(terms))
-        .ok_or_else(|| hdu.keyword_error("PSFAXIS1", "smaller (the planes would be larger than any file)"))?;
-    Ok(((terms, ny, nx), count))
-}
-
-/// Checks that the dimensions of the column, if it states them, agree with the header.
-fn check_dimensions(
+/// The planes `[term, y, x]` in a row of the table. `header` states their axes, or else the column.
+fn planes(
     hdu: &Hdu,
+    header: &Hdu,
     table: &Table<'_>,
-    (terms, ny, nx): (usize, usize, usize),
-) -> Result<(), IoError> {
-    let number = table.column(COLUMN)?.number;
-    let keyword = format!("TDIM{number}");
-    let given = hdu.header.get(&keyword).is_some();
-    let agrees = hdu
-        .text(&keyword)
-        .is_some_and(|text| folds_to(&text, &[nx, ny, terms]));
-    hdu.ensure(agrees || !given, &keyword, "must be (PSFAXIS1,PSFAXIS2,PSFAXIS3)")
+    terms: usize,
+    (row, is_padded): (usize, bool),
+) -> Result<Array3<f64>, IoError> {
+    const AXES: &str = "3 (columns, rows, terms), or 2 if the polynomial has one term";
+    const TOO_LARGE: &str = "smaller (the planes would be larger than any file)";
+    let column = table.column(COLUMN)?;
+    let dimensions = format!("TDIM{}", column.number);
+    let given = hdu.header.get(&dimensions).is_some();
+    let stored = hdu.text(&dimensions).and_then(|text| lengths(&text));
+    let needed = "must be (columns, rows, terms)";
+    hdu.ensure(stored.is_some() || !given, &dimensions, needed)?;
+    let shape = match (&stored, header.optional::<i64>("PSFNAXIS", AXES)?) {
+        (Some(stored), None) if stored.len() == terms.min(2) + 1 || stored.len() == 3 => {
+            [stored[0], stored[1], stored.get(2).copied().unwrap_or(1)]
+        }
+        (_, None) => return Err(header.missing_keyword("PSFNAXIS", AXES)),
+        (_, Some(axes)) => {
+            if axes != 3 && !(axes == 2 && terms == 1) {
+                return Err(header.keyword_error("PSFNAXIS", AXES));
+            }
+            let more = match axes {
+                3 => header.required_length("PSFAXIS3", TERMS)?,
+                _ => 1,
+            };
+            [
+                header.required_length("PSFAXIS1", LENGTH)?,
+                header.required_length("PSFAXIS2", LENGTH)?,
+                more,
+            ]
+        }
+    };
+    if shape[2] != terms {
+        let keyword = if header.header.get("PSFNAXIS").is_some() {
+            "PSFAXIS3"
+        } else {
+            dimensions.as_str()
+        };
+        return Err(header.header_error(
+            keyword,
+            format!(
+                "there are {} planes, but the polynomial has {terms} terms",
+                shape[2]
+            ),
+        ));
+    }
+    // The planes of a table of models have the size of the largest ones, filled up with zeros.
+    let room = match stored {
+        Some(stored) if is_padded && stored.len() == 3 => [stored[0], stored[1], stored[2]],
+        Some(stored) => {
+            hdu.ensure(
+                trimmed(&stored) == trimmed(&shape),
+                &dimensions,
+                "must be (PSFAXIS1,PSFAXIS2,PSFAXIS3)",
+            )?;
+            shape
+        }
+        None => shape,
+    };
+    hdu.ensure(
+        (0..3).all(|axis| shape[axis] <= room[axis]),
+        &dimensions,
+        "is smaller than the planes",
+    )?;
+    let count = room
+        .iter()
+        .try_fold(1_usize, |product, &n| product.checked_mul(n))
+        .ok_or_else(|| header.keyword_error("PSFAXIS1", TOO_LARGE))?;
+    // Of several rows, only the values of the chosen one must be finite, which the model checks.
+    let nans = if is_padded { Nans::Kept } else { Nans::Refused };
+    let values = table.read_with(COLUMN, count, nans)?;
+    let of_row = values[row * count..(row + 1) * count].to_vec();
+    let all =
+        Array3::from_shape_vec((room[2], room[1], room[0]), of_row).expect("as many values as the axes say");
+    Ok(all.slice_move(s![..shape[2], ..shape[1], ..shape[0]]))
 }
 
-/// Returns whether `(a,b,...)` lists these lengths. Lengths of 1 at the end may be left out.
-fn folds_to(text: &str, expected: &[usize]) -> bool {
-    let lengths: Option<Vec<usize>> = text
-        .trim()
-        .strip_prefix('(')
-        .and_then(|text| text.strip_suffix(')'))
-        .and_then(|text| text.split(',').map(|n| n.trim().parse().ok()).collect());
-    let trimmed = |lengths: &[usize]| {
-        let kept = lengths.iter().rposition(|&n| n != 1).map_or(0, |last| last + 1);
-        lengths[..kept].to_vec()
-    };
-    lengths.is_some_and(|lengths| trimmed(&lengths) == trimmed(expected))
+/// The lengths of `(a,b,...)`.
+fn lengths(text: &str) -> Option<Vec<usize>> {
+    let inner = text.trim().strip_prefix('(')?.strip_suffix(')')?;
+    let numbers: Option<Vec<usize>> = inner.split(',').map(|n| n.trim().parse().ok()).collect();
+    numbers.filter(|numbers| (2..=9).contains(&numbers.len()) && !numbers.contains(&0))
+}
+
+/// Lengths without those of 1 at the end.
+fn trimmed(lengths: &[usize]) -> &[usize] {
+    let kept = lengths.iter().rposition(|&n| n != 1).map_or(0, |last| last + 1);
+    &lengths[..kept]
 }
 
 /// Writes a PSFEx model in the [layout of PSFEx](super), which SExtractor and GalSim

@@ -9,7 +9,7 @@
 //! | in the table | meaning |
 //! |---|---|
 //! | column `PSF_MASK` | single-precision planes `[term, y, x]`, `TDIMn = (nx, ny, terms)` |
-//! | `POLNAXIS` | 2, or 0 for a constant PSF |
+//! | `POLNAXIS` | 2, or 0 for a constant PSF (for other quantities, see below) |
 //! | `POLNAME1`, `POLNAME2` | the coordinates in 1-based pixels of the frame: `X_IMAGE` and `Y_IMAGE`, or windowed ones (`XWIN_IMAGE` ...) |
 //! | `POLZEROi`, `POLSCALi` | offset and scale of each coordinate |
 //! | `POLNGRP`, `POLGRPi`, `POLDEG1` | one group of both coordinates, of total degree `POLDEG1` |
@@ -31,11 +31,20 @@
 //! [`StampInterpolation::Lanczos3`](psf_types::StampInterpolation::Lanczos3). Positions are 1-based
 //! in the file and 0-based in [`PsfexModel`].
 //!
-//! # Unsupported files
-//! A polynomial in anything but the position (a magnitude, a colour, a header keyword), in only one
-//! coordinate, or of several groups is an error, which names the keyword.
+//! # Other quantities
+//! A polynomial may depend on up to 10 quantities (*contexts*), in several groups. Of those other than the
+//! position (a magnitude, a colour, a header keyword), the user chooses the values
+//! ([`read_psfex_at`](crate::read_psfex_at)). A polynomial in one coordinate does not depend on the other.
+//! `POLNAXIS` may be missing if the names are given, `PSFNAXIS` if `TDIMn` is given.
+//!
+//! # Tables of models
+//! legacypipe writes the models of all CCDs of an exposure as rows of one table. The keywords above are its
+//! columns (`polnaxis`, `polzero1`, ...), and `psf_mask` has the size of the largest model, filled up with
+//! zeros.
 
+mod contexts;
 pub(crate) mod file;
+mod rows;
 
 use std::f64::consts::PI;
 

@@ -1,0 +1,3 @@
+#![no_main]
+
+psfield_fuzz::fuzz!(psfield_fuzz::targets::curve);
