@@ -462,7 +462,7 @@ fn one_galaxy(changed: &str, value: f64, unit: &str) -> [Vec<u8>; 3] {
     [ecsv.into_bytes(), fits(&[binary]), ascii.into_bytes()]
 }
 
-/// What is read of a catalogue, and its value.
+/// A value of a catalogue, and the number that it must be.
 type Expected = (fn(&Catalog) -> f64, f64);
 
 #[test]

@@ -557,7 +557,7 @@ fn damaged_models_are_refused_soon_and_without_much_memory() {
         .filter(|card| !card.starts_with("POLNAME"))
         .collect();
     let mut spoilt = cut(&whole);
-    // What the column or the names tell may be missing.
+    // Cards that repeat the column or the names may be missing.
     let told = |card: &&str| !["POLNAXIS", "POLNGRP", "PSFNAXIS"].contains(card);
     spoilt.extend(without(
         &whole,

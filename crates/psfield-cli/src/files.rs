@@ -48,7 +48,7 @@ impl JsonTo {
     }
 }
 
-/// What an argument means for the file that it names.
+/// The use of a file that an argument names.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Use {
     Input,

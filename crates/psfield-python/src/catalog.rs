@@ -119,7 +119,7 @@ pub(crate) fn catalog_columns(names: Vec<String>) -> PyResult<(Vec<RoleOfColumn>
 
 /// Stars and galaxies, with positions in pixels of the frame.
 #[pyclass(module = "psfield._native", frozen)]
-#[derive(Debug, Default, Clone)]
+#[derive(Debug, Default)]
 pub(crate) struct Sources {
     pub(crate) stars: Vec<PointSource>,
     pub(crate) galaxies: Vec<SersicSource>,

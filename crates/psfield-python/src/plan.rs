@@ -228,7 +228,8 @@ impl Plan {
     ) -> PyResult<Simulated<'py>> {
         self.check_process()?;
         memory::check("the image", self.image_bytes(usize::from(out.is_none())))?;
-        let sources = sources.map_or_else(Sources::default, |sources| sources.clone());
+        let none = Sources::default();
+        let sources = sources.as_deref().unwrap_or(&none);
         in_precision!(self, simulator => {
             let scene = scene.as_ref().map(|scene| readonly::<_, Ix2>(scene, "scene")).transpose()?;
             let mut out = out.as_ref().map(writable::<_, Ix2>).transpose()?;
@@ -264,7 +265,7 @@ impl Plan {
                 let scenes = lights.outer_iter().enumerate().map(check);
                 let scenes: Vec<Scene<'_, _>> = pool.install(|| scenes.collect::<Result<_, _>>())?;
                 if let Some(light) = lights.outer_iter().next() {
-                    self.ready(simulator, Some(light), Sources::default(), watch, pool)?;
+                    self.ready(simulator, Some(light), &Sources::default(), watch, pool)?;
                 }
                 pool.install(|| many_simulated(simulator, &scenes, target, watch))
             })?;
@@ -303,7 +304,8 @@ impl Plan {
         seed: u64,
     ) -> PyResult<String> {
         memory::check("the check", self.image_bytes(2))?;
-        let sources = sources.map_or_else(Sources::default, |sources| sources.clone());
+        let none = Sources::default();
+        let sources = sources.as_deref().unwrap_or(&none);
         let check = in_precision!(self, simulator => {
             let image = readonly::<_, Ix2>(&image, "image")?;
             let scene = scene.as_ref().map(|scene| readonly::<_, Ix2>(scene, "scene")).transpose()?;
@@ -328,7 +330,7 @@ impl Plan {
         &self,
         simulator: &Simulator<T>,
         light: Option<ArrayView2<'a, T>>,
-        sources: Sources,
+        sources: &'a Sources,
         watch: &Watch,
         pool: &ThreadPool,
     ) -> Result<Scene<'a, T>, Failure> {
@@ -339,7 +341,7 @@ impl Plan {
                 .into(),
             None => Scene::dark(),
         };
-        let scene = scene.with_stars(sources.stars).with_galaxies(sources.galaxies);
+        let scene = scene.with_stars(&sources.stars).with_galaxies(&sources.galaxies);
         if !simulator.is_prepared(&scene, false) {
             let _making = threads::turn(&self.making, watch)?;
             pool.install(|| simulator.prepare(&scene, false, watch))?;

@@ -26,7 +26,7 @@ use crate::stamp_interpolator::{Kernel, MOST_REACH};
 const NODES: usize = 8;
 /// The nodes and weights of a block.
 const GAUSS: [(f64, f64); NODES] = gauss_legendre();
-/// Those of the whole stamp far from a galaxy.
+/// The nodes and weights of the whole stamp far from a galaxy.
 const GAUSS_4: [(f64, f64); 4] = gauss_legendre();
 /// A block is at least this multiple of its own radius away from the centre of the galaxy, as the
 /// isophotes measure it. Then the error of the polynomial is below 1e-7 of the light on the block.

@@ -145,7 +145,7 @@ impl Picked {
 /// A column that a catalogue needs.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct NeededColumn {
-    /// What it means: `x`, `flux` and so on.
+    /// Its meaning: `x`, `flux` and so on.
     pub role: &'static str,
     /// Its name in the table.
     pub name: String,

@@ -27,7 +27,8 @@ use crate::units::{in_unit, wavelength_in_um};
 ///
 /// # Errors
 /// [`IoErrorKind::Setting`] for an unknown unit, or if none is stated. [`IoErrorKind::Table`] for
-/// fewer than two columns, or for several curves where there should be one. The errors of [`read_catalog`](crate::read_catalog).
+/// fewer than two columns, or for several curves where there should be one. The errors of
+/// [`read_catalog`](crate::read_catalog).
 pub fn read_curve(
     path: impl AsRef<Path>,
     unit: Option<&str>,

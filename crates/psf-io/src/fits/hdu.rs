@@ -134,6 +134,14 @@ impl Hdu {
         self.kind == HduKind::Image && !self.axes.is_empty() && self.axes.iter().all(|&n| n > 0)
     }
 
+    /// Returns whether this HDU is a binary table with a column of this name, in upper or lower case.
+    pub(crate) fn has_column(&self, name: &str) -> bool {
+        let mut names =
+            (1..=self.value::<i64>("TFIELDS").unwrap_or(0)).map(|n| self.text(&format!("TTYPE{n}")));
+        self.kind == HduKind::BinaryTable
+            && names.any(|found| found.is_some_and(|found| found.trim().eq_ignore_ascii_case(name)))
+    }
+
     pub(crate) fn is_ascii_table(&self) -> bool {
         self.text("XTENSION").as_deref() == Some("TABLE")
     }

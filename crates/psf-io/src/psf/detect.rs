@@ -23,7 +23,8 @@ pub enum FileKind {
     Stpsf,
     /// An STDPSF library: [`read_stdpsf`](crate::read_stdpsf).
     Stdpsf,
-    /// A PSF of ScopeSim that varies over the field or with the wavelength: [`read_scopesim`](crate::read_scopesim).
+    /// A PSF of ScopeSim that varies over the field or with the wavelength:
+    /// [`read_scopesim`](crate::read_scopesim).
     Scopesim,
     /// An image: [`read_image`](crate::read_image).
     Image,
@@ -107,8 +108,8 @@ pub fn detect_hdu(path: impl AsRef<Path>, choice: Option<&HduChoice>) -> Result<
     })
 }
 
-/// What a FITS file of another kind is, if it is a PSF of other software that psfield cannot read, and what
-/// to do with it.
+/// Describes a FITS file that is a PSF of other software which psfield cannot read, and says how to use it.
+/// `None` for any other file.
 ///
 /// # Errors
 /// The [errors of any FITS file](crate#bad-files).
@@ -128,18 +129,8 @@ pub fn foreign_psf(path: impl AsRef<Path>) -> Result<Option<&'static str>, IoErr
     if named(|name| matches!(name, "psf" | "piff")) && named(|name| name.contains('_')) {
         return Ok(Some(PIFF));
     }
-    let has = |hdu: &Hdu, wanted: &str| {
-        let mut columns =
-            (1..=hdu.value::<i64>("TFIELDS").unwrap_or(0)).map(|n| hdu.text(&format!("TTYPE{n}")));
-        columns.any(|name| name.is_some_and(|name| name.trim().eq_ignore_ascii_case(wanted)))
-    };
-    let eigen = |hdu: &Hdu| has(hdu, "RROWS") && has(hdu, "RNROW");
-    Ok(structure
-        .hdus
-        .iter()
-        .filter(is_table)
-        .any(eigen)
-        .then_some(PS_FIELD))
+    let eigen = |hdu: &Hdu| hdu.has_column("RROWS") && hdu.has_column("RNROW");
+    Ok(structure.hdus.iter().any(eigen).then_some(PS_FIELD))
 }
 
 /// Number of axes of the first image. If there are more than two axes, axes of length 1 at the end

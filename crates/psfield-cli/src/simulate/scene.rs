@@ -126,13 +126,13 @@ pub(super) struct ReadScene<T: ConvReal> {
     pub(super) shape: FrameShape,
     /// The header of the scene's image or of the file `--wcs`.
     pub(super) header: HeaderCards,
-    /// What was left out of the catalogue.
+    /// Rows and columns that were left out of the catalogue.
     pub(super) left_out: LeftOut,
     /// NaN pixels of the image that `--nan-as` has replaced. 0 if the image is read by rows.
     pub(super) nan_pixels: usize,
 }
 
-/// What was left out of a catalogue.
+/// Rows and columns that were left out of a catalogue.
 #[derive(Debug, Clone, Default)]
 pub(super) struct LeftOut {
     /// The number of invalid rows.

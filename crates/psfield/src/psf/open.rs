@@ -18,8 +18,7 @@ use crate::{ErrorKind, FitOptions, PsfieldError};
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct PsfFileOptions {
     /// Chooses one of several models in a file (PSFEx; of a table of models, a row by its `CCDNAME` or its
-    /// number from 0), or one of several images (STPSF, STDPSF, a
-    /// cube or a single stamp).
+    /// number from 0), or one of several images (STPSF, STDPSF, a cube or a single stamp).
     pub extension: Option<HduChoice>,
     /// The values of quantities on which the PSF depends besides the position, by their names (PSFEx).
     pub contexts: Vec<(String, f64)>,

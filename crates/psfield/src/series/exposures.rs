@@ -25,8 +25,8 @@ impl Exposures {
     /// Exposures that begin at these times, in seconds.
     ///
     /// # Errors
-    /// [`ErrorKind::Setting`] without exposures or for more than a million, for an exposure time that is not above 0, or for
-    /// exposures that overlap or are not in the order of time.
+    /// [`ErrorKind::Setting`] without exposures or for more than a million, for an exposure time that is not
+    /// above 0, or for exposures that overlap or are not in the order of time.
     pub fn new(starts_s: Vec<f64>, exposure_s: f64) -> Result<Self, PsfieldError> {
         let refused = |setting, message: String| Err(PsfieldError::of_setting(setting, message));
         if !(exposure_s > 0.0 && exposure_s.is_finite()) {

@@ -43,7 +43,8 @@ enum Role {
 }
 
 impl Contexts {
-    /// Reads the contexts. A polynomial of degree 0 needs no names. `values` are those of the contexts other than the position, by name.
+    /// Reads the contexts. A polynomial of degree 0 needs no names. `values`
+    /// gives the contexts other than the position their values, by name.
     pub(super) fn read(path: &Path, hdu: &Hdu, values: &[(String, f64)]) -> Result<Self, IoError> {
         const COUNT: &str = "the number of contexts on which the PSF depends, 0 (a constant PSF) to 10";
         const DEGREE: &str = "the degree of the polynomial, 0 to 10";

@@ -4,7 +4,7 @@
 use crate::error::{IoError, IoErrorKind, Row};
 use crate::fits::card::{Card, CardValue};
 use crate::fits::columns::{Nans, Table, bad_value};
-use crate::fits::hdu::{Hdu, HduChoice, HduKind};
+use crate::fits::hdu::{Hdu, HduChoice};
 
 use super::COLUMN;
 
@@ -18,17 +18,12 @@ const LONGEST: usize = 8;
 
 /// Returns whether a table holds models in its rows.
 pub(super) fn has_models(hdu: &Hdu) -> bool {
-    let has = |name: &str| {
-        (1..=hdu.value::<i64>("TFIELDS").unwrap_or(0)).any(|number| {
-            hdu.text(&format!("TTYPE{number}"))
-                .is_some_and(|found| found.trim().eq_ignore_ascii_case(name))
-        })
-    };
-    hdu.kind == HduKind::BinaryTable && has(COLUMN) && has("PSF_SAMP")
+    hdu.has_column(COLUMN) && hdu.has_column("PSF_SAMP")
 }
 
 /// Chooses a row by its `CCDNAME` or its number from 0. Returns the header that PSFEx would have written for
-/// it (without the structure of the table), and the number of the row. Without a choice, the table must have one row.
+/// it (without the structure of the table), and the number of the row. Without a choice, the table must have
+/// one row.
 pub(super) fn chosen(hdu: &Hdu, choice: Option<&HduChoice>) -> Result<(Hdu, usize), IoError> {
     let table = Table::new(hdu)?;
     let names = if table.has(NAME) {
