@@ -1,17 +1,20 @@
 //! Every exchangeable part, implemented outside psfield and run through a whole simulation.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 use integration_tests::{relative_l2, test_scene};
 use ndarray::{Array2, Array3, ArrayViewMut2, Axis};
-use psfield::coeff_field::{CoeffFieldError, FieldInterpolation, FieldWeights, WeightList};
+use psfield::coeff_field::{
+    CoeffFieldError, FieldInterpolation, FieldWeights, InterpolatedField, WeightList,
+};
 use psfield::conv_core::{BasisConvolution, ConvError, ConvolutionMethod};
 use psfield::psf_basis::{BasisError, BasisFit, BasisMethod};
 use psfield::psf_sample::{SampleError, Sampling, SamplingMethod, SamplingReport};
 use psfield::psf_types::{
-    Anchor, DataError, FieldError, FrameShape, Image, ImageView, NoProgress, Normalisation, OutsidePolicy,
-    PixelRegion, PointSource, Position, Progress, PsfBasis, PsfModel, PsfSamples, PsfSource, SamplePositions,
-    SourceError, StampGrid,
+    Anchor, CoefficientField, DataError, FieldError, FrameShape, Image, ImageView, NoProgress, Normalisation,
+    OutsidePolicy, PixelRegion, PointSource, Position, Progress, PsfBasis, PsfModel, PsfSamples, PsfSource,
+    SampleCoefficients, SamplePositions, SourceError, StampGrid,
 };
 use psfield::{Method, Psf, Scene, fit_with};
 
@@ -112,19 +115,21 @@ struct AlongXWeights {
 }
 
 impl FieldInterpolation for AlongX {
-    fn prepare(
+    fn interpolate(
         &self,
-        at: &SamplePositions,
+        samples: &SampleCoefficients,
         _: OutsidePolicy,
-    ) -> Result<Box<dyn FieldWeights>, CoeffFieldError> {
+    ) -> Result<Arc<dyn CoefficientField>, CoeffFieldError> {
+        let at = samples.positions();
         let mut first = BTreeMap::new();
         for (sample, position) in at.as_slice().iter().enumerate() {
             first.entry(position.x() as i64).or_insert((position.x(), sample));
         }
-        Ok(Box::new(AlongXWeights {
+        let weights = AlongXWeights {
             columns: first.into_values().collect(),
             samples: at.len(),
-        }))
+        };
+        Ok(Arc::new(InterpolatedField::new(samples, Box::new(weights))?))
     }
 }
 

@@ -166,10 +166,11 @@ class PsfModel:
             Standard deviation of the noise in the pixels of the samples, after normalisation. 0
             means no noise. Default: estimated.
         interpolation : str, optional
-            Interpolation over the field: ``'auto'`` (default: bicubic on a regular grid, else
-            natural neighbour), ``'delaunay'``, ``'natural-neighbour'``, ``'idw'``,
-            ``'idw=POWER'``, ``'bilinear'``, ``'bicubic'``, ``'polynomial=DEGREE'`` or
-            ``'nearest'``.
+            Interpolation over the field: ``'auto'`` (default: kriging or a local method, whichever
+            predicts the samples better from each other), ``'kriging'`` (Gaussian process
+            regression), ``'kriging=KERNEL,LENGTH_X,LENGTH_Y,TREND,NUGGET'``, ``'delaunay'``,
+            ``'natural-neighbour'``, ``'idw'``, ``'idw=POWER'``, ``'bilinear'``, ``'bicubic'``,
+            ``'polynomial=DEGREE'`` or ``'nearest'``.
         outside : {'nearest', 'extend', 'error'}, optional
             Policy for positions outside the area of the samples. Default: ``nearest``.
         normalise : {'unit', 'keep'}, optional

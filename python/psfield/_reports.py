@@ -75,6 +75,8 @@ class FitReport(Report):
         there is none.
     interpolation, outside, normalise : str
         Choices that the model uses.
+    interpolation_reason : str
+        Why the model uses this interpolation. Empty if it was named.
     max_error, rms_error : float
         Largest and root mean square error of the truncated basis, relative to each sample.
     errors : list of float
@@ -106,6 +108,7 @@ class FitReport(Report):
     elbow: int | None
     noise_sigma: float | None
     interpolation: str
+    interpolation_reason: str
     outside: str
     normalise: str
     max_error: float

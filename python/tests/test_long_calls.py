@@ -18,7 +18,8 @@ from conftest import ROOT, widening_model
 @pytest.fixture(scope="module")
 def long_plan():
     """A plan whose execution takes a second or so on one thread."""
-    return widening_model((4000, 4000), size=41).plan((4000, 4000), 0.0, "f64", method="lowrank")
+    model = widening_model((4000, 4000), size=41, interpolation="bicubic")
+    return model.plan((4000, 4000), 0.0, "f64", method="lowrank")
 
 
 @pytest.fixture(scope="module")
@@ -112,7 +113,8 @@ INTERRUPTED = """
     # A parent that ignores Ctrl-C, such as a shell's background job, passes this on.
     signal.signal(signal.SIGINT, signal.default_int_handler)
     scene = np.ones((4000, 4000))
-    plan = widening_model((4000, 4000), size=41).plan(scene.shape, 0.0, "f64", method="lowrank")
+    model = widening_model((4000, 4000), size=41, interpolation="bicubic")
+    plan = model.plan(scene.shape, 0.0, "f64", method="lowrank")
     began = time.monotonic()
     plan.simulate(scene)
     whole = time.monotonic() - began

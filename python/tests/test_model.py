@@ -83,7 +83,8 @@ def test_a_model_tells_of_itself(model):
     )
     assert model.pixel_response_included is True
     assert model.positions.shape == (16, 2)
-    assert (model.interpolation, model.outside, model.normalise) == ("bicubic", "nearest", "unit")
+    assert model.interpolation.startswith("kriging=gaussian,")
+    assert (model.outside, model.normalise) == ("nearest", "unit")
     assert model.mean.shape == (17, 17)
     assert model.components.shape == (model.rank, 17, 17) and model.coefficients.shape == (
         16,
@@ -104,7 +105,7 @@ def test_a_basis_of_one_s_own(model):
         model.coefficients,
         model.positions,
         field_shape=(96, 128),
-        interpolation="bicubic",
+        interpolation=model.interpolation,
     )
     assert np.array_equal(again.evaluate(17.5, 80.25), model.evaluate(17.5, 80.25))
     assert again.fit_report() is None
@@ -250,7 +251,7 @@ class TestFunctions:
         model = psfield.PsfModel.from_function(
             lambda x, y: gaussian_stamp(1.0 + x / 99), (80, 100), uniform=(3, 4)
         )
-        assert len(model.positions) == 12 and model.interpolation == "bicubic"
+        assert len(model.positions) == 12
 
     def test_images_of_galsim_are_taken(self):
         class Image:
@@ -308,7 +309,8 @@ class TestFiles:
             path = tmp_path / f"{name}.fits"
             model.write(path, format=name, precision="f64")
             again = psfield.PsfModel.read(path)
-            assert relative_l2(again.evaluate(50, 50), model.evaluate(50, 50)) < ROUNDING
+            # Samples are fitted again, and kriging's equations amplify the rounding.
+            assert relative_l2(again.evaluate(50, 50), model.evaluate(50, 50)) < 1e-9
         with pytest.raises(FileExistsError, match="the file exists"):
             model.write(path)
         model.write(path, overwrite=True)

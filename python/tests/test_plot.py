@@ -301,7 +301,8 @@ def test_blocks_cover_the_pixels_exactly_once(plt, model, settings, covered):
 
 @pytest.mark.parametrize(("tolerance", "numbers"), [(0.3, 1), (1e-6, 2)])
 def test_numbers_of_modes_have_whole_ticks(plt, tolerance, numbers):
-    plan = widening_model((400, 600), noise=0).plan((400, 600), tolerance)
+    model = widening_model((400, 600), noise=0, interpolation="bicubic")
+    plan = model.plan((400, 600), tolerance)
     assert len(np.unique(plan.blocks["modes"])) >= numbers
     ax = plot.plot_plan(plan)
     drawn(ax)

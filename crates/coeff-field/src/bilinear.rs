@@ -10,11 +10,12 @@ use psf_types::{
 };
 
 use crate::axis_weights::{AxisWeights, Bend, CutCell, NeighbouringLines};
+use crate::field::interpolated;
 use crate::geometry::{Point, Row, covered_until, known, pixel_ranges, query};
 use crate::grid::{Axis, RegularGrid};
 use crate::interpolation::{
-    FieldInterpolation, FieldWeights, OnRun, Outcomes, Unpredictable, Visited, WeightList, Weights,
-    add_weight, admit, in_runs, outcomes_of, prediction_error,
+    FieldInterpolation, FieldWeights, Interpolated, OnRun, Outcomes, Unpredictable, Visited, WeightList,
+    Weights, add_weight, admit, in_runs, outcomes_of, prediction_error,
 };
 
 /// Bilinear interpolation inside the cells of a [`RegularGrid`](crate::RegularGrid).
@@ -40,12 +41,12 @@ use crate::interpolation::{
 /// extrapolate, and their mean counts as [`LeftOut::Extrapolated`](crate::LeftOut::Extrapolated).
 ///
 /// ```
-/// use coeff_field::{Bilinear, InterpolatedField};
+/// use coeff_field::{Bilinear, FieldInterpolation};
 /// use psf_types::{CoefficientField, OutsidePolicy, Position, SampleCoefficients, SamplePositions};
 /// let corners = [(0, 0), (4, 0), (0, 4), (4, 4)].map(|(x, y)| Position::of_pixel(x, y));
 /// let positions = SamplePositions::new(corners.to_vec(), None)?;
 /// let samples = SampleCoefficients::new(ndarray::array![[0.0], [0.0], [0.0], [16.0]], positions)?;
-/// let field = InterpolatedField::new(&samples, &Bilinear, OutsidePolicy::Extend)?;
+/// let field = Bilinear.interpolate(&samples, OutsidePolicy::Extend)?;
 /// let mut value = [0.0];
 /// field.evaluate_into(Position::of_pixel(1, 6), &mut value)?;
 /// assert_eq!(value, [6.0]);
@@ -54,9 +55,16 @@ use crate::interpolation::{
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Bilinear;
 
-impl FieldInterpolation for Bilinear {
-    fn prepare(&self, positions: &SamplePositions, outside: OutsidePolicy) -> Weights {
+impl Bilinear {
+    /// Prepares the weights for samples at `positions`.
+    pub(crate) fn prepare(positions: &SamplePositions, outside: OutsidePolicy) -> Weights {
         GridWeights::prepare(positions, AxisWeights::linear, outside)
+    }
+}
+
+impl FieldInterpolation for Bilinear {
+    fn interpolate(&self, samples: &SampleCoefficients, outside: OutsidePolicy) -> Interpolated {
+        interpolated(samples, Self::prepare(samples.positions(), outside)?)
     }
 
     fn leave_one_out(&self, samples: &SampleCoefficients, outside: OutsidePolicy) -> Outcomes {
@@ -100,13 +108,13 @@ impl FieldInterpolation for Bilinear {
 /// 4 and 7.
 ///
 /// ```
-/// use coeff_field::{Bicubic, InterpolatedField};
+/// use coeff_field::{Bicubic, FieldInterpolation};
 /// use ndarray::Array2;
 /// use psf_types::{CoefficientField, OutsidePolicy, Position, SampleCoefficients, SamplePositions};
 /// let positions: Vec<Position> = (0..25).map(|i| Position::of_pixel(i % 5 * 10, i / 5 * 10)).collect();
 /// let values = Array2::from_shape_fn((25, 1), |(i, _)| positions[i].x().powi(3) * positions[i].y());
 /// let samples = SampleCoefficients::new(values, SamplePositions::new(positions, None)?)?;
-/// let field = InterpolatedField::new(&samples, &Bicubic, OutsidePolicy::Nearest)?;
+/// let field = Bicubic.interpolate(&samples, OutsidePolicy::Nearest)?;
 /// let mut value = [0.0];
 /// // Both coordinates are at fifths of a cell, where the cubics are exact.
 /// field.evaluate_into(Position::of_pixel(12, 16), &mut value)?;
@@ -116,9 +124,16 @@ impl FieldInterpolation for Bilinear {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Bicubic;
 
-impl FieldInterpolation for Bicubic {
-    fn prepare(&self, positions: &SamplePositions, outside: OutsidePolicy) -> Weights {
+impl Bicubic {
+    /// Prepares the weights for samples at `positions`.
+    pub(crate) fn prepare(positions: &SamplePositions, outside: OutsidePolicy) -> Weights {
         GridWeights::prepare(positions, AxisWeights::cubic, outside)
+    }
+}
+
+impl FieldInterpolation for Bicubic {
+    fn interpolate(&self, samples: &SampleCoefficients, outside: OutsidePolicy) -> Interpolated {
+        interpolated(samples, Self::prepare(samples.positions(), outside)?)
     }
 
     fn leave_one_out(&self, samples: &SampleCoefficients, outside: OutsidePolicy) -> Outcomes {
@@ -372,7 +387,7 @@ mod tests {
     fn uneven_cells_reproduce_xy_inside_and_extended() {
         let f = |x: f64, y: f64| 3.0 - x + 2.0 * y + 0.5 * x * y;
         let samples = grid(&[0.0, 1.0, 5.0], &[-2.0, 3.0], f);
-        let field = crate::InterpolatedField::new(&samples, &Bilinear, OutsidePolicy::Extend).unwrap();
+        let field = Bilinear.interpolate(&samples, OutsidePolicy::Extend).unwrap();
         let mut value = [0.0];
         for (x, y) in [
             (0.5, 0.0),
@@ -382,7 +397,8 @@ mod tests {
             (-3.0, 9.0),
             (7.0, -4.0),
         ] {
-            psf_types::CoefficientField::evaluate_into(&field, Position::new(x, y).unwrap(), &mut value)
+            field
+                .evaluate_into(Position::new(x, y).unwrap(), &mut value)
                 .unwrap();
             assert!((value[0] - f(x, y)).abs() < ROUNDING * 100.0, "({x}, {y})");
         }

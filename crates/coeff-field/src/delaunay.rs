@@ -6,9 +6,11 @@ use spade::handles::{FaceHandle, FixedVertexHandle, InnerTag};
 use spade::{NaturalNeighbor, Point2, PositionInTriangulation, Triangulation};
 
 use crate::boundary::BoundaryPiece;
+use crate::field::interpolated;
 use crate::geometry::{Point, Points, Row, along, cross, dot, known, last_where, length, query, sub};
 use crate::interpolation::{
-    FieldInterpolation, FieldWeights, OnRun, Outcomes, Visited, WeightList, Weights, add_weight, admit,
+    FieldInterpolation, FieldWeights, Interpolated, OnRun, Outcomes, Visited, WeightList, Weights,
+    add_weight, admit,
 };
 use crate::lattice::Lattice;
 use crate::mesh::{Mesh, Support, mesh_leave_one_out, mesh_weights, weights_at_hull};
@@ -49,12 +51,12 @@ use crate::triangles::{
 /// Positions off the line are outside.
 ///
 /// ```
-/// use coeff_field::{Delaunay, InterpolatedField};
+/// use coeff_field::{Delaunay, FieldInterpolation};
 /// use psf_types::{CoefficientField, OutsidePolicy, Position, SampleCoefficients, SamplePositions};
 /// let corners = [(0, 0), (4, 0), (0, 4)].map(|(x, y)| Position::of_pixel(x, y));
 /// let positions = SamplePositions::new(corners.to_vec(), None)?;
 /// let samples = SampleCoefficients::new(ndarray::array![[0.0], [8.0], [4.0]], positions)?;
-/// let field = InterpolatedField::new(&samples, &Delaunay, OutsidePolicy::Nearest)?;
+/// let field = Delaunay.interpolate(&samples, OutsidePolicy::Nearest)?;
 /// let mut value = [0.0];
 /// field.evaluate_into(Position::of_pixel(1, 2), &mut value)?;
 /// assert_eq!(value, [4.0]);
@@ -109,12 +111,12 @@ const ROUNDING_OF_LARGEST: f64 = 1e-14;
 /// outside. For collinear samples, values equal those of [`Delaunay`](crate::Delaunay).
 ///
 /// ```
-/// use coeff_field::{InterpolatedField, NaturalNeighbour};
+/// use coeff_field::{FieldInterpolation, NaturalNeighbour};
 /// use psf_types::{CoefficientField, OutsidePolicy, Position, SampleCoefficients, SamplePositions};
 /// let corners = [(0, 0), (4, 0), (0, 4), (4, 4)].map(|(x, y)| Position::of_pixel(x, y));
 /// let positions = SamplePositions::new(corners.to_vec(), None)?;
 /// let samples = SampleCoefficients::new(ndarray::array![[0.0], [0.0], [0.0], [1.0]], positions)?;
-/// let field = InterpolatedField::new(&samples, &NaturalNeighbour, OutsidePolicy::Nearest)?;
+/// let field = NaturalNeighbour.interpolate(&samples, OutsidePolicy::Nearest)?;
 /// let mut value = [0.0];
 /// field.evaluate_into(Position::of_pixel(2, 2), &mut value)?;
 /// assert!((value[0] - 0.25).abs() < 1e-15);
@@ -130,13 +132,20 @@ struct DelaunayWeights {
     outside: OutsidePolicy,
 }
 
-impl FieldInterpolation for Delaunay {
-    fn prepare(&self, positions: &SamplePositions, outside: OutsidePolicy) -> Weights {
+impl Delaunay {
+    /// Prepares the weights for samples at `positions`.
+    pub(crate) fn prepare(positions: &SamplePositions, outside: OutsidePolicy) -> Weights {
         let outside = known(outside)?;
         Ok(match Support::new(&Points::new(positions)?, outside) {
             Support::Line(line) => Box::new(line),
             Support::Mesh(mesh) => Box::new(DelaunayWeights { mesh, outside }),
         })
+    }
+}
+
+impl FieldInterpolation for Delaunay {
+    fn interpolate(&self, samples: &SampleCoefficients, outside: OutsidePolicy) -> Interpolated {
+        interpolated(samples, Self::prepare(samples.positions(), outside)?)
     }
 
     fn leave_one_out(&self, samples: &SampleCoefficients, outside: OutsidePolicy) -> Outcomes {
@@ -144,8 +153,9 @@ impl FieldInterpolation for Delaunay {
     }
 }
 
-impl FieldInterpolation for NaturalNeighbour {
-    fn prepare(&self, positions: &SamplePositions, outside: OutsidePolicy) -> Weights {
+impl NaturalNeighbour {
+    /// Prepares the weights for samples at `positions`.
+    pub(crate) fn prepare(positions: &SamplePositions, outside: OutsidePolicy) -> Weights {
         let outside = known(outside)?;
         let points = Points::new(positions)?;
         let mesh = match Support::new(&points, outside) {
@@ -162,6 +172,12 @@ impl FieldInterpolation for NaturalNeighbour {
             natural.weights(p, policy, weights);
         })?;
         Ok(Box::new(lattice))
+    }
+}
+
+impl FieldInterpolation for NaturalNeighbour {
+    fn interpolate(&self, samples: &SampleCoefficients, outside: OutsidePolicy) -> Interpolated {
+        interpolated(samples, Self::prepare(samples.positions(), outside)?)
     }
 
     fn leave_one_out(&self, samples: &SampleCoefficients, outside: OutsidePolicy) -> Outcomes {

@@ -127,6 +127,27 @@ pub enum CoeffFieldError {
         /// Numerical rank of the design matrix.
         rank: usize,
     },
+    /// Fewer samples than kriging needs, or samples that do not determine its trend.
+    #[error(
+        "kriging with a trend of {terms} terms needs more than {terms} samples that determine the trend, got {samples}: \
+         choose a lower degree of the trend, or another interpolation"
+    )]
+    FewForKriging {
+        /// Number of samples.
+        samples: usize,
+        /// Number of terms of the trend.
+        terms: usize,
+    },
+    /// More samples than kriging can handle.
+    #[error(
+        "kriging takes at most {most} samples, got {samples}: choose another interpolation, such as natural-neighbour"
+    )]
+    ManyForKriging {
+        /// Number of samples.
+        samples: usize,
+        /// The largest number.
+        most: usize,
+    },
     /// A parameter out of range.
     #[error("{name} must be {allowed}, got {got}")]
     Parameter {

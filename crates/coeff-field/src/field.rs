@@ -1,4 +1,4 @@
-//! The methods by name, and the coefficient field that a method makes from samples.
+//! The coefficient field of a method with few weights at each position.
 
 use std::borrow::Cow;
 use std::ops::Range;
@@ -6,113 +6,12 @@ use std::sync::Arc;
 
 use ndarray::{Array2, ArrayView2, ArrayViewMut3};
 use psf_types::{
-    BilinearCells, CoefficientField, ErrorLimit, FieldError, Interpolation, OutsidePolicy, PixelRegion,
-    Position, SampleCoefficients, SamplePositions,
+    BilinearCells, CoefficientField, ErrorLimit, FieldError, FrameShape, PixelRegion, Position,
+    SampleCoefficients, WeightedNodes,
 };
 
-use crate::bilinear::{Bicubic, Bilinear};
-use crate::delaunay::{Delaunay, NaturalNeighbour};
 use crate::error::CoeffFieldError;
-use crate::grid::RegularGrid;
-use crate::interpolation::{FieldInterpolation, FieldWeights, OnRun, Outcomes, Visited, WeightList, Weights};
-use crate::neighbours::{InverseDistance, Nearest};
-use crate::polynomial::Polynomial;
-
-/// Replaces [`Interpolation::Auto`] by the method that suits samples at these positions. Any other
-/// choice is returned unchanged.
-///
-/// * Samples on a regular grid of at least 2 x 2: bicubic, or bilinear on exactly 2 x 2.
-/// * A single sample: nearest.
-/// * Otherwise: natural neighbour. It interpolates collinear samples along their line.
-///
-/// Of samples in several states, such as wavelengths, the positions of each state count. If they
-/// suit different methods, natural neighbour is taken.
-///
-/// ```
-/// use coeff_field::resolve;
-/// use psf_types::{Interpolation, Position, SamplePositions};
-/// let corners = [(0, 0), (4, 0), (0, 4), (4, 4)].map(|(x, y)| Position::of_pixel(x, y));
-/// let grid = SamplePositions::new(corners.to_vec(), None)?;
-/// assert_eq!(resolve(Interpolation::Auto, &grid), Interpolation::Bilinear);
-/// let triangle = SamplePositions::new(corners[..3].to_vec(), None)?;
-/// assert_eq!(resolve(Interpolation::Auto, &triangle), Interpolation::NaturalNeighbour);
-/// # Ok::<(), psf_types::DataError>(())
-/// ```
-pub fn resolve(choice: Interpolation, positions: &SamplePositions) -> Interpolation {
-    if choice != Interpolation::Auto {
-        return choice;
-    }
-    if positions.states().is_some() {
-        let of_states = (0..positions.state_count()).map(|state| resolve(choice, &positions.of_state(state)));
-        let agreed = of_states.reduce(|a, b| {
-            if a == b {
-                a
-            } else {
-                Interpolation::NaturalNeighbour
-            }
-        });
-        return agreed.expect("at least one state");
-    }
-    if positions.len() == 1 {
-        return Interpolation::Nearest;
-    }
-    match RegularGrid::detect(positions) {
-        Ok(grid) if grid.xs().len() >= 2 && grid.ys().len() >= 2 => {
-            if positions.len() == 4 {
-                Interpolation::Bilinear
-            } else {
-                Interpolation::Bicubic
-            }
-        }
-        _ => Interpolation::NaturalNeighbour,
-    }
-}
-
-/// Returns the interpolation method that `choice` names. [`Auto`] chooses a method when it receives
-/// the samples.
-///
-/// ```
-/// use coeff_field::interpolation;
-/// use psf_types::Interpolation;
-/// let choice: Interpolation = "polynomial=3".parse()?;
-/// println!("{:?}", interpolation(choice)?);
-/// # Ok::<(), Box<dyn std::error::Error>>(())
-/// ```
-///
-/// # Errors
-/// [`CoeffFieldError::Parameter`] for a parameter out of range,
-/// [`CoeffFieldError::UnknownInterpolation`] for a choice that this version does not know.
-pub fn interpolation(choice: Interpolation) -> Result<Box<dyn FieldInterpolation>, CoeffFieldError> {
-    Ok(match choice {
-        Interpolation::Auto => Box::new(Auto),
-        Interpolation::Delaunay => Box::new(Delaunay),
-        Interpolation::NaturalNeighbour => Box::new(NaturalNeighbour),
-        Interpolation::InverseDistance { power } => {
-            Box::new(InverseDistance::new(power, InverseDistance::DEFAULT_NEIGHBOURS)?)
-        }
-        Interpolation::Bilinear => Box::new(Bilinear),
-        Interpolation::Bicubic => Box::new(Bicubic),
-        Interpolation::Polynomial { degree } => Box::new(Polynomial::new(degree)?),
-        Interpolation::Nearest => Box::new(Nearest),
-        other => return Err(CoeffFieldError::UnknownInterpolation(other)),
-    })
-}
-
-/// The method that [`resolve`] selects for the given samples.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct Auto;
-
-impl FieldInterpolation for Auto {
-    fn prepare(&self, positions: &SamplePositions, outside: OutsidePolicy) -> Weights {
-        interpolation(resolve(Interpolation::Auto, positions))?.prepare(positions, outside)
-    }
-
-    /// Selects the method once, for all samples. This method then predicts each sample from the
-    /// others.
-    fn leave_one_out(&self, samples: &SampleCoefficients, outside: OutsidePolicy) -> Outcomes {
-        interpolation(resolve(Interpolation::Auto, samples.positions()))?.leave_one_out(samples, outside)
-    }
-}
+use crate::interpolation::{FieldWeights, Interpolated, OnRun, Visited, WeightList};
 
 /// Number of pixels of a row whose coefficients are computed before they are written to the output,
 /// which has one plane per component. Each plane then receives several neighbouring pixels at once.
@@ -128,15 +27,13 @@ const STRETCH: usize = 32;
 /// takes no lock, so many threads can evaluate regions at once.
 ///
 /// ```
-/// use coeff_field::{Bilinear, InterpolatedField};
+/// use coeff_field::{Bilinear, FieldInterpolation};
 /// use ndarray::{Array3, array};
-/// use psf_types::{
-///     CoefficientField, FrameShape, OutsidePolicy, PixelRegion, Position, SampleCoefficients, SamplePositions,
-/// };
+/// use psf_types::{FrameShape, OutsidePolicy, PixelRegion, Position, SampleCoefficients, SamplePositions};
 /// let corners = [(0, 0), (8, 0), (0, 8), (8, 8)].map(|(x, y)| Position::of_pixel(x, y));
 /// let positions = SamplePositions::new(corners.to_vec(), None)?;
 /// let samples = SampleCoefficients::new(array![[0.0, 0.0], [8.0, 0.0], [0.0, 8.0], [8.0, 8.0]], positions)?;
-/// let field = InterpolatedField::new(&samples, &Bilinear, OutsidePolicy::Nearest)?;
+/// let field = Bilinear.interpolate(&samples, OutsidePolicy::Nearest)?;
 ///
 /// let tile = PixelRegion::new(2, 3, FrameShape::new(4, 2)?);
 /// let mut values = Array3::zeros((2, 2, 4));
@@ -153,22 +50,19 @@ pub struct InterpolatedField {
 }
 
 impl InterpolatedField {
-    /// Prepares `method` for the samples and stores their values.
+    /// The field of samples with the weights that a method prepared for their positions.
     ///
     /// # Errors
-    /// [`CoeffFieldError`] when the method does not suit the samples' positions, when the samples
-    /// belong to several states, when the values at the nodes overflow, or when the method returns a
-    /// wrong number of node values.
+    /// [`CoeffFieldError`] when the samples belong to several states, when the values at the nodes
+    /// overflow, or when the weights have a wrong number of node values.
     pub fn new(
         samples: &SampleCoefficients,
-        method: &dyn FieldInterpolation,
-        outside: OutsidePolicy,
+        weights: Box<dyn FieldWeights>,
     ) -> Result<Self, CoeffFieldError> {
         if let Some(states) = samples.positions().states() {
             let (kind, count) = (states.kind(), states.values().len());
             return Err(CoeffFieldError::SeveralStates { kind, count });
         }
-        let weights = method.prepare(samples.positions(), outside)?;
         let nodes = weights.node_values(samples.values())?;
         let nodes = if nodes.is_standard_layout() {
             nodes
@@ -296,10 +190,20 @@ impl CoefficientField for InterpolatedField {
         })
     }
 
+    fn weighted_nodes(&self) -> Option<&dyn WeightedNodes> {
+        Some(self)
+    }
+
+    fn some_coefficients(&self, _: Option<FrameShape>) -> Array2<f64> {
+        self.nodes.as_ref().clone()
+    }
+
     fn bilinear_cells(&self, region: PixelRegion, error: ErrorLimit<'_>) -> BilinearCells {
         self.weights.bilinear_cells(self.nodes.view(), region, error)
     }
+}
 
+impl WeightedNodes for InterpolatedField {
     fn node_values(&self) -> Cow<'_, Array2<f64>> {
         Cow::Borrowed(&self.nodes)
     }
@@ -313,45 +217,7 @@ impl CoefficientField for InterpolatedField {
     }
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn auto_suits_the_samples() {
-        let choose = |points: &[(i64, i64)]| {
-            let positions = points.iter().map(|&(x, y)| Position::of_pixel(x, y)).collect();
-            resolve(
-                Interpolation::Auto,
-                &SamplePositions::new(positions, None).unwrap(),
-            )
-        };
-        assert_eq!(choose(&[(1, 1)]), Interpolation::Nearest);
-        assert_eq!(choose(&[(0, 0), (5, 0)]), Interpolation::NaturalNeighbour);
-        assert_eq!(choose(&[(0, 0), (5, 5), (9, 9)]), Interpolation::NaturalNeighbour);
-        assert_eq!(choose(&[(0, 0), (5, 0), (0, 1), (5, 1)]), Interpolation::Bilinear);
-        let lines = [(0, 0), (5, 0), (9, 0), (0, 1), (5, 1), (9, 1)];
-        assert_eq!(choose(&lines), Interpolation::Bicubic);
-    }
-
-    #[test]
-    fn every_choice_has_its_method() {
-        for (text, name) in [
-            ("auto", "Auto"),
-            ("delaunay", "Delaunay"),
-            ("natural-neighbour", "NaturalNeighbour"),
-            ("idw=3", "InverseDistance { power: 3.0, neighbours: 6 }"),
-            ("bilinear", "Bilinear"),
-            ("bicubic", "Bicubic"),
-            ("polynomial=4", "Polynomial { degree: 4 }"),
-            ("nearest", "Nearest"),
-        ] {
-            assert_eq!(
-                format!("{:?}", interpolation(text.parse().unwrap()).unwrap()),
-                name
-            );
-        }
-        assert!(interpolation(Interpolation::InverseDistance { power: f64::NAN }).is_err());
-        assert!(interpolation(Interpolation::Polynomial { degree: 99 }).is_err());
-    }
+/// The result of [`FieldInterpolation::interpolate`](crate::FieldInterpolation::interpolate) for weights.
+pub(crate) fn interpolated(samples: &SampleCoefficients, weights: Box<dyn FieldWeights>) -> Interpolated {
+    Ok(Arc::new(InterpolatedField::new(samples, weights)?))
 }

@@ -2,24 +2,28 @@
 //! leave-one-out errors.
 
 use std::fmt::Debug;
+use std::sync::Arc;
 
 use ndarray::{Array2, ArrayView2};
 use psf_types::{
-    BilinearCells, ErrorLimit, FieldError, OutsidePolicy, PixelRegion, Position, RowRun, SampleCoefficients,
-    SamplePositions,
+    BilinearCells, CoefficientField, ErrorLimit, FieldError, OutsidePolicy, PixelRegion, Position, RowRun,
+    SampleCoefficients, SamplePositions,
 };
 use thiserror::Error;
 
 use crate::error::CoeffFieldError;
 use crate::geometry::{Hull, Point, Points, Row};
 
-/// An interpolation method with its parameters. It prepares weights for a set of sample positions.
+/// An interpolation method with its parameters. It makes a coefficient field from samples.
 ///
-/// Implement this trait and [`FieldWeights`] to add your own method. Everything in this crate
-/// accepts `&dyn FieldInterpolation`.
+/// Implement this trait to add your own method. Everything in this crate accepts
+/// `&dyn FieldInterpolation`. The field may be any [`CoefficientField`]. A method with few weights at each
+/// position returns an [`InterpolatedField`](crate::InterpolatedField) of its [`FieldWeights`].
 ///
 /// ```
-/// use coeff_field::{CoeffFieldError, FieldInterpolation, FieldWeights, InterpolatedField, WeightList};
+/// use std::sync::Arc;
+///
+/// use coeff_field::{CoeffFieldError, FieldInterpolation};
 /// use psf_types::{
 ///     CoefficientField, FieldError, OutsidePolicy, Position, SampleCoefficients, SamplePositions,
 /// };
@@ -28,51 +32,51 @@ use crate::geometry::{Hull, Point, Points, Row};
 /// #[derive(Debug)]
 /// struct Mean;
 /// #[derive(Debug)]
-/// struct MeanWeights(usize);
+/// struct Constant(Vec<f64>);
 ///
 /// impl FieldInterpolation for Mean {
-///     fn prepare(
+///     fn interpolate(
 ///         &self,
-///         positions: &SamplePositions,
+///         samples: &SampleCoefficients,
 ///         _outside: OutsidePolicy,
-///     ) -> Result<Box<dyn FieldWeights>, CoeffFieldError> {
-///         Ok(Box::new(MeanWeights(positions.len())))
+///     ) -> Result<Arc<dyn CoefficientField>, CoeffFieldError> {
+///         let mean = samples.values().mean_axis(ndarray::Axis(0)).expect("at least one sample");
+///         Ok(Arc::new(Constant(mean.to_vec())))
 ///     }
 /// }
-/// impl FieldWeights for MeanWeights {
-///     fn sample_count(&self) -> usize {
-///         self.0
+/// impl CoefficientField for Constant {
+///     fn component_count(&self) -> usize {
+///         self.0.len()
 ///     }
-///     fn weights_into(&self, _at: Position, weights: &mut WeightList) -> Result<(), FieldError> {
-///         weights.clear();
-///         weights.extend((0..self.0).map(|sample| (sample, 1.0 / self.0 as f64)));
+///     fn evaluate_into(&self, _at: Position, coefficients: &mut [f64]) -> Result<(), FieldError> {
+///         coefficients.copy_from_slice(&self.0);
 ///         Ok(())
 ///     }
 /// }
 ///
 /// let positions = SamplePositions::new(vec![Position::of_pixel(0, 0), Position::of_pixel(8, 0)], None)?;
 /// let samples = SampleCoefficients::new(ndarray::array![[1.0], [3.0]], positions)?;
-/// let field = InterpolatedField::new(&samples, &Mean, OutsidePolicy::Nearest)?;
+/// let field = Mean.interpolate(&samples, OutsidePolicy::Nearest)?;
 /// let mut value = [0.0];
 /// field.evaluate_into(Position::of_pixel(5, 5), &mut value)?;
 /// assert_eq!(value, [2.0]);
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 pub trait FieldInterpolation: Debug + Send + Sync {
-    /// Prepares the interpolator for samples at `positions`.
+    /// Interpolates the samples of one state.
     ///
     /// # Errors
-    /// [`CoeffFieldError`] when the positions do not suit the method.
-    fn prepare(
+    /// [`CoeffFieldError`] when the samples do not suit the method.
+    fn interpolate(
         &self,
-        positions: &SamplePositions,
+        samples: &SampleCoefficients,
         outside: OutsidePolicy,
-    ) -> Result<Box<dyn FieldWeights>, CoeffFieldError>;
+    ) -> Result<Arc<dyn CoefficientField>, CoeffFieldError>;
 
     /// Predicts every sample from all others. See [`LeaveOneOut`].
     ///
-    /// The provided method prepares the interpolator again for each sample left out, which is slow
-    /// for thousands of samples. The interpolators of this crate have shortcuts. Their results
+    /// The provided method interpolates again for each sample left out, which is slow for thousands of
+    /// samples. The interpolators of this crate have shortcuts. Their results
     /// equal those of the provided method, with two exceptions: without one sample there is no
     /// regular grid, so [`Bilinear`](crate::Bilinear) and [`Bicubic`](crate::Bicubic) predict along
     /// the sample's row and column.
@@ -85,7 +89,7 @@ pub trait FieldInterpolation: Debug + Send + Sync {
         samples: &SampleCoefficients,
         outside: OutsidePolicy,
     ) -> Result<LeaveOneOut, CoeffFieldError> {
-        self.prepare(samples.positions(), outside)?;
+        self.interpolate(samples, outside)?;
         let without = |sample, policy| rebuilt_without(self, samples, sample, policy);
         // The policy `Error` is tried first, because it tells whether the other samples cover the
         // position.
@@ -167,17 +171,19 @@ pub trait FieldWeights: Debug + Send + Sync {
 
     /// Visits the weights along a row of `length` pixels that begins at `(x, y)`, in runs along
     /// which every node's weight is linear in x. See
-    /// [`CoefficientField::weights_along_row`](psf_types::CoefficientField::weights_along_row).
+    /// [`psf_types::WeightedNodes::weights_along_row`].
     ///
     /// A pixel's weights equal those of [`weights_into`](Self::weights_into) within rounding. The
     /// provided method visits pixel by pixel.
     ///
     /// ```
     /// use coeff_field::{Bilinear, FieldInterpolation};
-    /// use psf_types::{OutsidePolicy, Position, SamplePositions};
+    /// use psf_types::{OutsidePolicy, Position, SampleCoefficients, SamplePositions};
     /// let corners = [(0, 0), (4, 0), (0, 4), (4, 4)].map(|(x, y)| Position::of_pixel(x, y));
     /// let positions = SamplePositions::new(corners.to_vec(), None)?;
-    /// let weights = Bilinear.prepare(&positions, OutsidePolicy::Nearest)?;
+    /// let samples = SampleCoefficients::new(ndarray::Array2::zeros((4, 1)), positions)?;
+    /// let field = Bilinear.interpolate(&samples, OutsidePolicy::Nearest)?;
+    /// let weights = field.weighted_nodes().expect("four weights at each position");
     /// let mut runs = Vec::new();
     /// weights.weights_along_row((-2, 0), 10, &mut |run| runs.push((run.length, run.last.to_vec())))?;
     /// // Left of the cell, inside the cell (with its left and right edges), and right of the cell.
@@ -198,7 +204,9 @@ pub trait FieldWeights: Debug + Send + Sync {
     }
 }
 
-/// The result of [`FieldInterpolation::prepare`].
+/// The result of [`FieldInterpolation::interpolate`].
+pub(crate) type Interpolated = Result<Arc<dyn CoefficientField>, CoeffFieldError>;
+/// Prepared weights.
 pub(crate) type Weights = Result<Box<dyn FieldWeights>, CoeffFieldError>;
 /// The result of [`FieldInterpolation::leave_one_out`].
 pub(crate) type Outcomes = Result<LeaveOneOut, CoeffFieldError>;
@@ -441,21 +449,20 @@ fn rebuilt_without<M: FieldInterpolation + ?Sized>(
     }
     let positions = others.iter().map(|&sample| all.as_slice()[sample]).collect();
     let positions = SamplePositions::new(positions, all.field()).expect("a subset stays valid");
-    let weights_of = method
-        .prepare(&positions, outside)
-        .map_err(Unpredictable::NotPrepared)?;
     let values = samples.values().select(ndarray::Axis(0), &others);
-    let nodes = weights_of
-        .node_values(values.view())
+    let others = SampleCoefficients::new(values, positions).expect("a subset stays valid");
+    let field = method
+        .interpolate(&others, outside)
         .map_err(Unpredictable::NotPrepared)?;
-    let mut weights = WeightList::new();
-    weights_of
-        .weights_into(all.as_slice()[left_out], &mut weights)
+    let mut predicted = vec![0.0; field.component_count()];
+    field
+        .evaluate_into(all.as_slice()[left_out], &mut predicted)
         .map_err(|error| match error {
             FieldError::OutsideSamples { .. } => Unpredictable::OutsideSamples,
             other => Unpredictable::NoValue(other),
         })?;
-    Ok(prediction_error(samples, left_out, nodes.view(), &weights))
+    let error = ndarray::Array1::from(predicted) - samples.values().row(left_out);
+    Ok(error.dot(&error).sqrt())
 }
 
 /// The error of the prediction `sum_n w_n v_n` of a sample.

@@ -9,8 +9,9 @@
 //!
 //! Here `w_n(x)` is the weight of node `n` at the position `x`, and `v_nk` is the value of
 //! coefficient `k` (component `k`) at this node. Nodes are the samples, the terms of a polynomial,
-//! or the corners of cells. All interpolators are linear in the sample values. So a position needs
-//! one short list of (node, weight) pairs for all components, and no cube of coefficients is stored.
+//! or the corners of cells. All interpolators here are linear in the sample values. So a position needs
+//! one list of (node, weight) pairs for all components, and no cube of coefficients is stored. The list
+//! is short, except for [`Kriging`].
 //!
 //! | method | weights per position | at the samples | reproduces | continuity |
 //! |---|---|---|---|---|
@@ -21,12 +22,13 @@
 //! | [`InverseDistance`] | 4 | exact | 1 | continuous |
 //! | [`Polynomial`] | (d+1)(d+2)/2 | least squares | polynomials of degree d | smooth |
 //! | [`Nearest`] | 1 | exact | 1 | jumps |
+//! | [`Kriging`] | all | exact up to the nugget | the trend | smooth |
 //!
-//! A [`FieldInterpolation`] is a method with its parameters. It prepares [`FieldWeights`] for the
-//! samples' positions. An [`InterpolatedField`] combines these weights with the samples' values,
-//! and is a [`psf_types::CoefficientField`]. Other crates can implement the traits
-//! `FieldInterpolation` and `FieldWeights`. [`interpolation`] returns the method for a
-//! [`psf_types::Interpolation`].
+//! A [`FieldInterpolation`] is a method with its parameters. It makes a
+//! [`psf_types::CoefficientField`] from samples. Methods with few weights return an
+//! [`InterpolatedField`], which combines [`FieldWeights`] with the samples' values. Other crates can
+//! implement these traits. [`interpolation`] returns the method for a [`psf_types::Interpolation`], and
+//! [`choose`] finds the method that predicts the samples best from each other.
 //!
 //! # Outside the samples
 //! The caller chooses a [`psf_types::OutsidePolicy`]. Each method documents its effect. Positions
@@ -34,7 +36,7 @@
 //! area, so that rounding at an edge causes no error.
 //!
 //! # Accuracy
-//! Weights are finite. They sum to 1 within 1e-12 of the sum of their magnitudes, except in a
+//! Weights of local methods are finite. They sum to 1 within 1e-12 of the sum of their magnitudes, except in a
 //! [`Polynomial`], and far outside a tree of cells under the policy extend, where large weights of a
 //! cell's corners cancel. All methods reproduce constants. The geometry uses coordinates relative to
 //! the requested position, so weights stay precise at large coordinates and in tight clusters of
@@ -43,7 +45,7 @@
 //! range of components that is evaluated.
 //!
 //! # Cells
-//! [`FieldWeights::bilinear_cells`] divides a region into cells in which the coefficients are
+//! [`psf_types::CoefficientField::bilinear_cells`] divides a region into cells in which the coefficients are
 //! bilinear, up to an error. The cost of convolution then grows with the number of cells, not of
 //! pixels. Cells are those of the grid ([`Bilinear`]), or parts of them where the error requires it
 //! ([`Bicubic`]). A [`Polynomial`] has cells as large as its second derivatives allow.
@@ -74,7 +76,7 @@
 //! [`leave_one_out`] predicts every sample from all others.
 //!
 //! ```
-//! use coeff_field::{InterpolatedField, NaturalNeighbour, leave_one_out};
+//! use coeff_field::{FieldInterpolation, NaturalNeighbour, leave_one_out};
 //! use ndarray::Array2;
 //! use psf_types::{CoefficientField, OutsidePolicy, Position, SampleCoefficients, SamplePositions};
 //!
@@ -85,7 +87,7 @@
 //! let values = Array2::from_shape_fn((100, 1), |(i, _)| positions[i].x() * positions[i].y() / 1e4);
 //! let samples = SampleCoefficients::new(values, SamplePositions::new(positions, None)?)?;
 //!
-//! let field = InterpolatedField::new(&samples, &NaturalNeighbour, OutsidePolicy::Nearest)?;
+//! let field = NaturalNeighbour.interpolate(&samples, OutsidePolicy::Nearest)?;
 //! let mut a = [0.0];
 //! field.evaluate_into(Position::new(45.0, 45.0)?, &mut a)?;
 //! assert!((a[0] - 0.2025).abs() < 0.002);
@@ -98,12 +100,14 @@
 mod axis_weights;
 mod bilinear;
 mod boundary;
+mod choice;
 mod delaunay;
 mod error;
 mod field;
 mod geometry;
 mod grid;
 mod interpolation;
+mod kriging;
 mod lattice;
 mod lattice_values;
 mod line;
@@ -116,13 +120,15 @@ mod triangles;
 
 pub use axis_weights::state_weights;
 pub use bilinear::{Bicubic, Bilinear};
+pub use choice::{Auto, Choice, choose, interpolation, local_method};
 pub use delaunay::{Delaunay, NaturalNeighbour};
 pub use error::CoeffFieldError;
-pub use field::{Auto, InterpolatedField, interpolation, resolve};
+pub use field::InterpolatedField;
 pub use grid::RegularGrid;
 pub use interpolation::{
     FieldInterpolation, FieldWeights, LeaveOneOut, LeftOut, Unpredictable, WeightList, leave_one_out,
 };
+pub use kriging::{Kriging, KrigingFit};
 pub use neighbours::{InverseDistance, Nearest};
 pub use polynomial::Polynomial;
 pub use states::mix_states;

@@ -7,10 +7,11 @@ use psf_types::{
 };
 
 use crate::error::CoeffFieldError;
+use crate::field::interpolated;
 use crate::geometry::{Hull, HullPiece, Point, Points, Row, last_where};
 use crate::interpolation::{
-    FieldInterpolation, FieldWeights, OnRun, Outcomes, Unpredictable, Visited, WeightList, Weights,
-    hull_leave_one_out, prediction_error, single,
+    FieldInterpolation, FieldWeights, Interpolated, OnRun, Outcomes, Unpredictable, Visited, WeightList,
+    Weights, hull_leave_one_out, prediction_error, single,
 };
 use crate::lattice::Lattice;
 use crate::search_tree::SearchTree;
@@ -28,13 +29,20 @@ use crate::search_tree::SearchTree;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Nearest;
 
-impl FieldInterpolation for Nearest {
-    fn prepare(&self, positions: &SamplePositions, outside: OutsidePolicy) -> Weights {
+impl Nearest {
+    /// Prepares the weights for samples at `positions`.
+    pub(crate) fn prepare(positions: &SamplePositions, outside: OutsidePolicy) -> Weights {
         let points = Points::new(positions)?;
         Ok(Box::new(NearestWeights {
             tree: SearchTree::new(&points)?,
             hull: Hull::new(&points, outside)?,
         }))
+    }
+}
+
+impl FieldInterpolation for Nearest {
+    fn interpolate(&self, samples: &SampleCoefficients, outside: OutsidePolicy) -> Interpolated {
+        interpolated(samples, Self::prepare(samples.positions(), outside)?)
     }
 
     fn leave_one_out(&self, samples: &SampleCoefficients, outside: OutsidePolicy) -> Outcomes {
@@ -261,8 +269,9 @@ impl Default for InverseDistance {
     }
 }
 
-impl FieldInterpolation for InverseDistance {
-    fn prepare(&self, positions: &SamplePositions, outside: OutsidePolicy) -> Weights {
+impl InverseDistance {
+    /// Prepares the weights for samples at `positions`.
+    pub(crate) fn prepare(self, positions: &SamplePositions, outside: OutsidePolicy) -> Weights {
         let points = Points::new(positions)?;
         let (tree, hull) = (SearchTree::new(&points)?, Hull::new(&points, outside)?);
         let lattice = Lattice::new(positions, &points, outside, |p, weights| {
@@ -270,6 +279,12 @@ impl FieldInterpolation for InverseDistance {
                 .expect("there is at least one sample");
         })?;
         Ok(Box::new(lattice))
+    }
+}
+
+impl FieldInterpolation for InverseDistance {
+    fn interpolate(&self, samples: &SampleCoefficients, outside: OutsidePolicy) -> Interpolated {
+        interpolated(samples, self.prepare(samples.positions(), outside)?)
     }
 
     fn leave_one_out(&self, samples: &SampleCoefficients, outside: OutsidePolicy) -> Outcomes {
@@ -294,7 +309,7 @@ mod tests {
     fn ties_go_to_the_first_sample() {
         let corners = [(4, 4), (0, 4), (4, 0), (0, 0)].map(|(x, y)| Position::of_pixel(x, y));
         let positions = SamplePositions::new(corners.to_vec(), None).unwrap();
-        let nearest = Nearest.prepare(&positions, OutsidePolicy::Nearest).unwrap();
+        let nearest = Nearest::prepare(&positions, OutsidePolicy::Nearest).unwrap();
         let mut weights = WeightList::new();
         for (x, y, sample) in [(2, 2, 0), (2, 0, 2), (0, 2, 1), (1, 1, 3), (9, -9, 2)] {
             nearest

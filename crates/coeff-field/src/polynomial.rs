@@ -9,9 +9,10 @@ use psf_types::{
 };
 
 use crate::error::CoeffFieldError;
+use crate::field::interpolated;
 use crate::geometry::{Hull, HullPiece, Point, Points, external, length, pixel_ranges, range, sub};
 use crate::interpolation::{
-    FieldInterpolation, FieldWeights, Outcomes, Unpredictable, WeightList, Weights, check_rows,
+    FieldInterpolation, FieldWeights, Interpolated, Outcomes, Unpredictable, WeightList, Weights, check_rows,
     hull_leave_one_out,
 };
 
@@ -72,13 +73,20 @@ impl Polynomial {
     }
 }
 
-impl FieldInterpolation for Polynomial {
-    fn prepare(&self, positions: &SamplePositions, outside: OutsidePolicy) -> Weights {
+impl Polynomial {
+    /// Prepares the weights for samples at `positions`.
+    pub(crate) fn prepare(self, positions: &SamplePositions, outside: OutsidePolicy) -> Weights {
         let points = Points::new(positions)?;
         Ok(Box::new(PolynomialWeights {
-            fit: Fit::new(*self, &points)?,
+            fit: Fit::new(self, &points)?,
             hull: Hull::new(&points, outside)?,
         }))
+    }
+}
+
+impl FieldInterpolation for Polynomial {
+    fn interpolate(&self, samples: &SampleCoefficients, outside: OutsidePolicy) -> Interpolated {
+        interpolated(samples, self.prepare(samples.positions(), outside)?)
     }
 
     /// All predictions come from one fit to all samples, with residuals `r_i`. A fit without sample
@@ -410,8 +418,6 @@ fn normalised_legendre(degree: usize, v: f64) -> Vec<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::field::InterpolatedField;
-    use psf_types::CoefficientField;
 
     /// Rounding of a well conditioned fit whose values are of order 1.
     const ROUNDING: f64 = 1e-12;
@@ -439,7 +445,7 @@ mod tests {
         let samples = samples(grid(9, 1e7), f);
         let worst = |degree: usize| {
             let method = Polynomial::new(degree).unwrap();
-            let field = InterpolatedField::new(&samples, &method, OutsidePolicy::Extend).unwrap();
+            let field = method.interpolate(&samples, OutsidePolicy::Extend).unwrap();
             let mut value = [0.0];
             (0..50).fold(0.0, |worst: f64, i| {
                 let (x, y) = (f64::from(i) * 2e5, f64::from(i * i % 50) * 2e5);

@@ -5,9 +5,8 @@ use std::collections::{HashMap, HashSet};
 use ndarray::{Array2, ArrayView2, s};
 use psf_types::{Interpolation, OutsidePolicy, Position, SampleCoefficients, SamplePositions, StateKind};
 
+use crate::choice::interpolation;
 use crate::error::CoeffFieldError;
-use crate::field::interpolation;
-use crate::interpolation::WeightList;
 
 /// The coefficients of mixtures of states: `v_p = sum_s W_ps v_s`. `mixtures` are the weights `W`
 /// `[mixture, state]`. The result has one state for each mixture, of the given kind and value. If
@@ -18,7 +17,7 @@ use crate::interpolation::WeightList;
 ///
 /// # Errors
 /// [`CoeffFieldError::DifferentGrids`] when states differ in their positions and `method` needs a
-/// regular grid. The errors of [`FieldInterpolation::prepare`](crate::FieldInterpolation::prepare).
+/// regular grid. The errors of [`FieldInterpolation::interpolate`](crate::FieldInterpolation::interpolate).
 ///
 /// # Panics
 /// When `mixtures` does not have one column per state, or `labels` not one value per mixture.
@@ -101,14 +100,10 @@ fn on_positions(
         return Err(CoeffFieldError::DifferentGrids { kind, interpolation });
     }
     let of_state = samples.of_state(state);
-    let prepared = interpolation(method)?.prepare(of_state.positions(), outside)?;
-    let nodes = prepared.node_values(of_state.values())?;
-    let mut weights = WeightList::new();
+    let field = interpolation(method)?.interpolate(&of_state, outside)?;
     for node in unknown {
-        prepared.weights_into(at[node], &mut weights)?;
-        for &(from, weight) in &weights {
-            values.row_mut(node).scaled_add(weight, &nodes.row(from));
-        }
+        let row = values.row_mut(node).into_slice().expect("row-major");
+        field.evaluate_into(at[node], row)?;
     }
     Ok(values)
 }

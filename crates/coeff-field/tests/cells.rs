@@ -3,7 +3,9 @@
 
 mod common;
 
-use coeff_field::{Bicubic, Bilinear, InterpolatedField, Polynomial};
+use std::sync::Arc;
+
+use coeff_field::{Bicubic, Bilinear, Polynomial};
 use common::{Extent, at, each, field, grid, rng, samples_of};
 use psf_types::{
     BilinearCells, CoefficientField, ErrorLimit, FrameShape, OutsidePolicy, PixelRegion, Position,
@@ -56,7 +58,7 @@ type CellsAt<'a> = Box<dyn Fn(Position) -> Vec<[(f64, f64); 2]> + 'a>;
 /// promise, and the number of cells. `None` if the region has neither lines nor rectangles, or no
 /// value at some corner.
 fn largest_difference(
-    field: &InterpolatedField,
+    field: &Arc<dyn CoefficientField>,
     region: PixelRegion,
     limit: ErrorLimit<'_>,
 ) -> Option<(f64, usize)> {
@@ -93,7 +95,7 @@ fn largest_difference(
             let cells = cells_at(p);
             assert!(!cells.is_empty(), "no cell holds {p}");
             for sides in cells {
-                let difference = difference(field, sides, p)?;
+                let difference = difference(field.as_ref(), sides, p)?;
                 largest = largest.max(limit.product(&difference, &difference).sqrt() - achieved);
             }
         }
@@ -104,7 +106,7 @@ fn largest_difference(
 /// The largest size of the difference between the coefficients in bands and those that the first
 /// and the last row of a band give. Bands whose first and last row have runs of other lengths are
 /// left out. `None` if the region has no bands, or no value somewhere.
-fn largest_difference_in_bands(field: &InterpolatedField, region: PixelRegion) -> Option<f64> {
+fn largest_difference_in_bands(field: &Arc<dyn CoefficientField>, region: PixelRegion) -> Option<f64> {
     let BilinearCells::Bands(lines) = field.bilinear_cells(region, ErrorLimit::ZERO) else {
         return None;
     };
@@ -118,7 +120,8 @@ fn largest_difference_in_bands(field: &InterpolatedField, region: PixelRegion) -
     let ends_of_runs = |row: usize| {
         let mut ends = Vec::new();
         let mut column = 0;
-        field
+        let weighted = field.weighted_nodes().expect("a method with few weights");
+        weighted
             .weights_along_row((region.x0(), region.y0() + row as i64), nx, &mut |run| {
                 ends.push((column, column + run.length - 1));
                 column += run.length;

@@ -8,7 +8,7 @@ use common::{
     samples_of, smooth, value,
 };
 use ndarray::{Array1, Array3, s};
-use psf_types::{CoefficientField, FrameShape, OutsidePolicy, PixelRegion, Position, SamplePositions};
+use psf_types::{FrameShape, OutsidePolicy, PixelRegion, Position};
 use rand::RngExt;
 
 /// Rounding of a sum of weights, relative to their magnitudes.
@@ -26,14 +26,12 @@ const JUMP: f64 = 1e-6;
 #[test]
 fn weights_are_finite_name_each_node_once_and_sum_to_one() {
     each(|layout, name, positions, method| {
-        let checked = SamplePositions::new(positions.to_vec(), None).unwrap();
         for outside in [OutsidePolicy::Nearest, OutsidePolicy::Extend] {
-            let weights_of = method.prepare(&checked, outside).unwrap();
-            assert_eq!(weights_of.sample_count(), positions.len());
+            let weights_of = SampleWeights::new(method, positions, outside);
             // The previous content of the list must not matter.
             let mut weights: WeightList = vec![(usize::MAX, f64::NAN); 9];
             for p in probes(positions) {
-                weights_of.weights_into(p, &mut weights).unwrap();
+                weights_of.of_nodes(p, &mut weights).unwrap();
                 let mut nodes: Vec<usize> = weights.iter().map(|&(node, _)| node).collect();
                 nodes.sort_unstable();
                 nodes.dedup();
@@ -129,11 +127,9 @@ fn values_exceed_those_of_the_samples_by_little() {
         let slack = match layout {
             "uneven grid" if name == "delaunay" => 5e-3,
             // Cubics overshoot: the magnitudes of weights sum to at most 1.63 in each coordinate.
-            "grid" if matches!(name, "bicubic" | "auto") => 0.5 * (1.63 * 1.63 - 1.0) * (high - low),
+            "grid" if matches!(name, "bicubic") => 0.5 * (1.63 * 1.63 - 1.0) * (high - low),
             // Values at a tree's corners are changed so that those at the samples are exact.
-            _ if matches!(name, "natural-neighbour" | "idw" | "idw=3.5" | "auto") => {
-                0.3 * (high - low) + ROUNDING
-            }
+            _ if matches!(name, "natural-neighbour" | "idw" | "idw=3.5") => 0.3 * (high - low) + ROUNDING,
             _ => ROUNDING,
         };
         for p in probes(positions) {
@@ -149,7 +145,7 @@ fn values_exceed_those_of_the_samples_by_little() {
 #[test]
 fn fields_are_continuous_across_cells_and_the_hull() {
     each(|layout, name, positions, method| {
-        if name == "nearest" || (name == "auto" && positions.len() == 1) {
+        if name == "nearest" {
             return;
         }
         let extent = Extent::of(positions);
@@ -251,22 +247,16 @@ fn a_region_holds_the_same_bits_as_its_points_for_any_range_and_thread() {
 #[test]
 fn weights_do_not_depend_on_earlier_queries() {
     each(|layout, name, positions, method| {
-        let checked = SamplePositions::new(positions.to_vec(), None).unwrap();
-        let first = method.prepare(&checked, OutsidePolicy::Extend).unwrap();
-        let second = method.prepare(&checked, OutsidePolicy::Extend).unwrap();
+        let [first, second] = [0, 1].map(|_| SampleWeights::new(method, positions, OutsidePolicy::Extend));
         let probes = probes(positions);
-        let forward: Vec<WeightList> = {
-            let mut lists = Vec::new();
-            first
-                .weights_each(&mut probes.iter().copied(), &mut |weights| {
-                    lists.push(weights.clone());
-                })
-                .unwrap();
-            lists
+        let at = |weights_of: &SampleWeights, p: Position| {
+            let mut weights = WeightList::new();
+            weights_of.of_nodes(p, &mut weights).unwrap();
+            weights
         };
-        let mut weights = WeightList::new();
-        for (p, expected) in probes.iter().zip(&forward).rev() {
-            second.weights_into(*p, &mut weights).unwrap();
+        let forward: Vec<WeightList> = probes.iter().map(|&p| at(&first, p)).collect();
+        for (&p, expected) in probes.iter().zip(&forward).rev() {
+            let weights = at(&second, p);
             assert_eq!(&weights, expected, "{layout} {name} {p}");
         }
     });

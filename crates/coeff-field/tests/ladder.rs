@@ -10,13 +10,9 @@ use psf_types::{OutsidePolicy, Position, SamplePositions};
 const SUMS: f64 = 1e-10;
 
 fn weights(method: &dyn FieldInterpolation, positions: &[Position], p: Position) -> WeightList {
-    let positions = SamplePositions::new(positions.to_vec(), None).unwrap();
     let mut weights = WeightList::new();
-    method
-        .prepare(&positions, OutsidePolicy::Nearest)
-        .unwrap()
-        .weights_into(p, &mut weights)
-        .unwrap();
+    let weights_of = SampleWeights::new(method, positions, OutsidePolicy::Nearest);
+    weights_of.of_nodes(p, &mut weights).unwrap();
     weights.sort_unstable_by_key(|&(node, _)| node);
     weights
 }
@@ -45,9 +41,9 @@ fn parabolas_stay_within_the_bounds_of_theory() {
                 coarse <= 0.65 * bound(10.0) && fine <= 0.65 * bound(5.0),
                 "{coarse} {fine}"
             ),
-            "bilinear" | "bicubic" | "auto" | "delaunay" => {
+            "bilinear" | "bicubic" | "delaunay" => {
                 // Cubics are linear within fifths of cells.
-                let is_cubic = matches!(name, "bicubic" | "auto");
+                let is_cubic = name == "bicubic";
                 let bound = |step: f64| bound(if is_cubic { step / 5.0 } else { step });
                 assert!(
                     coarse <= bound(10.0) + SUMS && fine <= bound(5.0) + SUMS,

@@ -2,12 +2,14 @@
 
 mod common;
 
+use std::sync::Arc;
+
 use coeff_field::{
-    CoeffFieldError, FieldInterpolation, FieldWeights, LeaveOneOut, LeftOut, NaturalNeighbour, Polynomial,
-    Unpredictable, leave_one_out,
+    CoeffFieldError, FieldInterpolation, LeaveOneOut, LeftOut, NaturalNeighbour, Polynomial, Unpredictable,
+    leave_one_out,
 };
 use common::{Extent, layouts, methods, samples_of, scattered};
-use psf_types::{OutsidePolicy, Position, SampleCoefficients, SamplePositions};
+use psf_types::{CoefficientField, OutsidePolicy, Position, SampleCoefficients};
 
 /// Rounding of predictions of order 1.
 const ROUNDING: f64 = 1e-8;
@@ -23,12 +25,12 @@ const TREE: f64 = 0.3;
 struct Rebuilt<'a>(&'a dyn FieldInterpolation);
 
 impl FieldInterpolation for Rebuilt<'_> {
-    fn prepare(
+    fn interpolate(
         &self,
-        positions: &SamplePositions,
+        samples: &SampleCoefficients,
         outside: OutsidePolicy,
-    ) -> Result<Box<dyn FieldWeights>, CoeffFieldError> {
-        self.0.prepare(positions, outside)
+    ) -> Result<Arc<dyn CoefficientField>, CoeffFieldError> {
+        self.0.interpolate(samples, outside)
     }
 }
 
@@ -73,7 +75,7 @@ fn shortcuts_agree_with_rebuilding() {
     for (layout, positions) in all {
         let samples = bumps(&positions);
         for (name, method) in methods(samples.positions()) {
-            let on_tree = matches!(name, "natural-neighbour" | "idw" | "idw=3.5" | "auto");
+            let on_tree = matches!(name, "natural-neighbour" | "idw" | "idw=3.5");
             // The cells of a tree do not follow a thin strip. Many trees of many samples take long.
             if on_tree && matches!(layout, "thin strip" | "many" | "wide") {
                 continue;

@@ -2,14 +2,19 @@
 
 mod common;
 
+use std::sync::Arc;
+
 use std::mem::discriminant;
 
 use coeff_field::{
     Bicubic, Bilinear, CoeffFieldError, Delaunay, FieldInterpolation, FieldWeights, InterpolatedField,
     Nearest, Polynomial, WeightList,
 };
-use common::{Extent, at, field, grid, layouts, methods, rng, samples_of, scattered};
-use psf_types::{CoefficientField, FieldError, OutsidePolicy, Position, RowRun, SamplePositions};
+use common::{Extent, at, field, grid, layouts, methods, rng, samples_of, scattered, suits};
+use psf_types::{
+    CoefficientField, FieldError, OutsidePolicy, Position, RowRun, SampleCoefficients, SamplePositions,
+    WeightedNodes,
+};
 use rand::RngExt;
 
 /// Rounding of an expanded run, relative to the largest node value times the sum of the weights'
@@ -35,12 +40,13 @@ fn expand(run: RowRun<'_>) -> Vec<WeightList> {
 }
 
 /// Compares a row with its pixels and returns the number of runs.
-fn check(field: &dyn CoefficientField, (x, y): (i64, i64), length: usize) -> Result<usize, String> {
-    let nodes = field.node_values();
+fn check(field: &Arc<dyn CoefficientField>, (x, y): (i64, i64), length: usize) -> Result<usize, String> {
+    let weighted = field.weighted_nodes().expect("a method with few weights");
+    let nodes = weighted.node_values();
     let largest = nodes.iter().fold(0.0_f64, |m, v| m.max(v.abs()));
     let (mut runs, mut wrong) = (0, Vec::new());
     let mut pixels: Vec<WeightList> = Vec::new();
-    let end = field.weights_along_row((x, y), length, &mut |run| {
+    let end = weighted.weights_along_row((x, y), length, &mut |run| {
         runs += 1;
         for list in [run.first, run.last] {
             let mut named: Vec<usize> = list.iter().map(|&(node, _)| node).collect();
@@ -182,12 +188,12 @@ fn rows(positions: &[Position]) -> Vec<((i64, i64), usize)> {
     rows
 }
 
-fn each_field(mut check: impl FnMut(&str, OutsidePolicy, &[Position], &InterpolatedField)) {
+fn each_field(mut check: impl FnMut(&str, OutsidePolicy, &[Position], &Arc<dyn CoefficientField>)) {
     for (layout, positions) in more_layouts() {
         let checked = SamplePositions::new(positions.clone(), None).unwrap();
         let slope: Box<dyn FieldInterpolation> = Box::new(Polynomial::new(1).unwrap());
         let mut methods = methods(&checked);
-        if slope.prepare(&checked, OutsidePolicy::Nearest).is_ok() {
+        if suits(slope.as_ref(), &checked) {
             methods.push(("polynomial=1", slope));
         }
         let mut rng = rng(29);
@@ -218,14 +224,20 @@ fn runs_expand_to_the_coefficients_of_every_pixel_and_end_where_those_do() {
 
 /// Wrongly visits each row as one run.
 #[derive(Debug)]
-struct Straight(Box<dyn FieldWeights>);
+struct Straight(Arc<dyn CoefficientField>, usize);
+
+impl Straight {
+    fn weighted(&self) -> &dyn WeightedNodes {
+        self.0.weighted_nodes().expect("a method with few weights")
+    }
+}
 
 impl FieldWeights for Straight {
     fn sample_count(&self) -> usize {
-        self.0.sample_count()
+        self.1
     }
     fn weights_into(&self, position: Position, weights: &mut WeightList) -> Result<(), FieldError> {
-        self.0.weights_into(position, weights)
+        self.weighted().weights_into(position, weights)
     }
     fn weights_along_row(
         &self,
@@ -234,8 +246,9 @@ impl FieldWeights for Straight {
         visit: &mut dyn FnMut(RowRun<'_>),
     ) -> Result<(), FieldError> {
         let (mut first, mut last) = (WeightList::new(), WeightList::new());
-        self.0.weights_into(Position::of_pixel(x, y), &mut first)?;
-        self.0
+        self.weighted()
+            .weights_into(Position::of_pixel(x, y), &mut first)?;
+        self.weighted()
             .weights_into(Position::of_pixel(x + length as i64 - 1, y), &mut last)?;
         visit(RowRun {
             length,
@@ -250,12 +263,14 @@ impl FieldWeights for Straight {
 struct StraightDelaunay;
 
 impl FieldInterpolation for StraightDelaunay {
-    fn prepare(
+    fn interpolate(
         &self,
-        positions: &SamplePositions,
+        samples: &SampleCoefficients,
         outside: OutsidePolicy,
-    ) -> Result<Box<dyn FieldWeights>, CoeffFieldError> {
-        Ok(Box::new(Straight(Delaunay.prepare(positions, outside)?)))
+    ) -> Result<Arc<dyn CoefficientField>, CoeffFieldError> {
+        let field = Delaunay.interpolate(samples, outside)?;
+        let weights = Box::new(Straight(field, samples.positions().len()));
+        Ok(Arc::new(InterpolatedField::new(samples, weights)?))
     }
 }
 
@@ -308,7 +323,8 @@ fn delaunay_has_no_more_runs_than_the_row_crosses_triangles() {
     for y in (250..3750).step_by(350) {
         let nodes_at = |x: i64, weights: &mut WeightList| {
             field
-                .weights()
+                .weighted_nodes()
+                .unwrap()
                 .weights_into(Position::of_pixel(x, y), weights)
                 .unwrap();
             let mut nodes: Vec<usize> = weights.iter().map(|&(node, _)| node).collect();

@@ -5,7 +5,7 @@ mod common;
 
 use std::sync::Arc;
 
-use common::{ANCHORS, Patience, Waves, model_with, options, peak};
+use common::{ANCHORS, Patience, PixelByPixel, Waves, model_with, options, peak};
 use conv_core::{ConvReal, Engine, Operation, Paths, Plan};
 use ndarray::{Array2, ArrayView2};
 use psf_types::{
@@ -79,7 +79,8 @@ fn many_are_equal<T: ConvReal>() {
     for anchor in ANCHORS {
         for paths in [Paths::Cheapest, Paths::Transforms] {
             let options = options(1e-3, anchor, paths);
-            let plan = Plan::<T>::new(&model(Arc::new(Waves)), shape(), shape().region(), options);
+            let field = Arc::new(PixelByPixel(Waves));
+            let plan = Plan::<T>::new(&model(field), shape(), shape().region(), options);
             let engine = Engine::new(plan.unwrap());
             let summary = engine.plan().summary();
             assert!(summary.blocks > 1, "blocks must share scenes");

@@ -1,8 +1,6 @@
 //! The cost of a plan and of its execution, as the plan knows it.
 
-use std::sync::Arc;
-
-use coeff_field::{InterpolatedField, interpolation};
+use coeff_field::interpolation;
 use conv_core::{Plan, PlanOptions};
 use ndarray::{Array2, Array3};
 use psf_types::{
@@ -46,8 +44,8 @@ fn samples_in_a_spot() -> PsfModel {
     });
     let samples = SampleCoefficients::new(values, positions).unwrap();
     let method = interpolation("natural-neighbour".parse().unwrap()).unwrap();
-    let field = InterpolatedField::new(&samples, method.as_ref(), OutsidePolicy::Nearest).unwrap();
-    PsfModel::new(&basis, Arc::new(field), Normalisation::Unit, None).unwrap()
+    let field = method.interpolate(&samples, OutsidePolicy::Nearest).unwrap();
+    PsfModel::new(&basis, field, Normalisation::Unit, None).unwrap()
 }
 
 #[test]

@@ -341,6 +341,23 @@ impl Svd {
         samples: PsfSamples,
         training: ArrayView3<'_, f64>,
     ) -> Result<BasisFit, BasisError> {
+        self.fit_for_field(samples, training, &|_| RankSelection::AUTO_ERROR)
+    }
+
+    /// As [`fit_augmented`](Self::fit_augmented), with a smaller truncation error for the rank `auto`.
+    ///
+    /// `smaller_error` receives the samples' coefficients of the components that the rank `auto` usually
+    /// keeps. It returns the largest truncation error that suits their interpolation, which replaces
+    /// [`RankSelection::AUTO_ERROR`] if it is smaller. It is called once, and not for other ranks.
+    ///
+    /// # Errors
+    /// As for [`fit_augmented`](Self::fit_augmented).
+    pub fn fit_for_field(
+        &self,
+        samples: PsfSamples,
+        training: ArrayView3<'_, f64>,
+        smaller_error: &dyn Fn(&SampleCoefficients) -> f64,
+    ) -> Result<BasisFit, BasisError> {
         let (grid, positions) = (samples.grid(), samples.positions().clone());
         let (ny, nx) = grid.dim();
         let (expected, got) = ((ny, nx), (training.dim().1, training.dim().2));
@@ -365,7 +382,16 @@ impl Svd {
         };
         let freedom = count - usize::from(mean.is_some());
         let rounding = ROUNDING_UNITS * f64::EPSILON * frobenius;
-        let (found, spectrum, rank) = self.decide(rows.view(), (&sizes, &circles), freedom, rounding)?;
+        let smaller_error = |coefficients: ArrayView2<'_, f64>| {
+            let coefficients = SampleCoefficients::new(coefficients.to_owned(), positions.clone())?;
+            Ok(smaller_error(&coefficients))
+        };
+        let (found, spectrum, rank) = self.decide(
+            rows.view(),
+            (&sizes, &circles),
+            (freedom, rounding),
+            &smaller_error,
+        )?;
         if rank == 0 && mean.is_none() {
             return Err(BasisError::RankZero);
         }
@@ -402,28 +428,46 @@ impl Svd {
     /// Computes the components of rows `[sample, pixel]` and selects the rank. Of a large matrix,
     /// only leading components are computed, as many as the selection needs. If these are too many,
     /// all are computed. `sizes` are those of the samples, which come first in the rows.
+    /// `smaller_error` is that of [`fit_for_field`](Self::fit_for_field).
     fn decide(
         &self,
         rows: ArrayView2<'_, f64>,
         (sizes, circles): (&Sizes, &Circles),
-        freedom: usize,
-        rounding: f64,
+        (freedom, rounding): (usize, f64),
+        smaller_error: &dyn Fn(ArrayView2<'_, f64>) -> Result<f64, BasisError>,
     ) -> Result<(Components, Spectrum, usize), BasisError> {
         let noise = NoiseSearch::new(self.noise, rows, freedom)?;
         let of_samples = rows.slice(ndarray::s![..sizes.norms.len(), ..]);
         let sums = (self.rank == RankSelection::Auto).then(|| circles.sums_of_rows(of_samples));
-        let select = |found: &Components| -> Result<Option<(Spectrum, usize)>, BasisError> {
+        let mut error_of_field = None;
+        let mut select = |found: &Components| -> Result<Option<(Spectrum, usize)>, BasisError> {
             let floor = noise.floor(found, rows.ncols(), freedom);
             let values = found.values.clone();
             let Some(spectrum) = Spectrum::new(values, &found.rest, rounding, floor) else {
                 return Ok(None);
             };
-            let mut errors = max_errors_by_rank(&sizes.norms, found);
-            if let Some(sums) = &sums {
-                let limits = (RankSelection::AUTO_ERROR, spectrum.significant);
-                circles.raise_errors(&mut errors, limits, sums.view(), &sizes.fluxes, found);
+            let of_stamps = max_errors_by_rank(&sizes.norms, found);
+            let rank_within = |limit: f64| {
+                let mut errors = of_stamps.clone();
+                if let Some(sums) = &sums {
+                    let limits = (limit, spectrum.significant);
+                    circles.raise_errors(&mut errors, limits, sums.view(), &sizes.fluxes, found);
+                }
+                self.rank.select(&spectrum, &found.rest, &errors, limit)
+            };
+            let mut rank = rank_within(RankSelection::AUTO_ERROR)?;
+            if let (RankSelection::Auto, Some(usual)) = (self.rank, rank) {
+                let limit = if let Some(limit) = error_of_field {
+                    limit
+                } else {
+                    let of_samples = ndarray::s![..sizes.norms.len(), ..usual];
+                    smaller_error(found.coefficients.slice(of_samples))?
+                };
+                error_of_field = Some(limit);
+                if limit < RankSelection::AUTO_ERROR {
+                    rank = rank_within(limit)?;
+                }
             }
-            let rank = self.rank.select(&spectrum, &found.rest, &errors)?;
             Ok(rank.map(|rank| (spectrum, rank)))
         };
         if is_large(rows) && self.rank != RankSelection::Full {

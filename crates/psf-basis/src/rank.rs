@@ -17,7 +17,7 @@ use crate::noise::NoiseFloor;
 #[non_exhaustive]
 pub enum RankSelection {
     /// At least the elbow. More components are kept until the largest truncation error over the
-    /// samples is at most [`RankSelection::AUTO_ERROR`], and the error of their flux in every circle
+    /// samples is at most [`RankSelection::AUTO_ERROR`] or a smaller one that suits the interpolation, and the error of their flux in every circle
     /// about the source too ([`BasisFit::circle_errors`](crate::BasisFit::circle_errors)). Components
     /// below the noise are never kept.
     #[default]
@@ -38,16 +38,19 @@ pub enum RankSelection {
 
 impl RankSelection {
     /// The largest truncation error over the samples, and the largest error of their flux in circles,
-    /// that `auto` accepts.
+    /// that `auto` accepts. A smaller one counts if it suits the interpolation of the coefficients
+    /// ([`Svd::fit_for_field`](crate::Svd::fit_for_field)).
     pub const AUTO_ERROR: f64 = 1e-4;
 
     /// Returns the rank for a spectrum, or `None` if it depends on singular values in `rest`.
-    /// `max_errors[k]` is the largest error over the samples with `k` components.
+    /// `max_errors[k]` is the largest error over the samples with `k` components. `auto_error` is the
+    /// largest one that `auto` accepts.
     pub(crate) fn select(
         self,
         spectrum: &Spectrum,
         rest: &Rest,
         max_errors: &[f64],
+        auto_error: f64,
     ) -> Result<Option<usize>, BasisError> {
         let available = spectrum.numerical_rank;
         let if_all = |rank| (rest.count == 0).then_some(rank);
@@ -56,7 +59,7 @@ impl RankSelection {
             enough.map(|k| k.min(available)).or(if_all(available))
         };
         Ok(match self {
-            Self::Auto => for_error(Self::AUTO_ERROR)
+            Self::Auto => for_error(auto_error)
                 // Components below the noise are not kept, so they are not needed.
                 .or(spectrum.noise_sigma.map(|_| available))
                 .map(|needed| spectrum.elbow.max(needed).min(spectrum.significant)),

@@ -6,19 +6,24 @@ use std::str::FromStr;
 use serde::{Deserialize, Serialize};
 
 use crate::frame::DataError;
+use crate::kriging::{KrigingKernel, KrigingParameters};
 
 /// The interpolator that computes coefficients between the samples.
 ///
-/// Text forms: `auto`, `delaunay`, `natural-neighbour`, `idw`, `idw=POWER`, `bilinear`, `bicubic`,
-/// `polynomial=DEGREE` or `nearest`.
+/// Text forms: `auto`, `kriging`, `kriging=PARAMETERS` ([`KrigingParameters`]), `delaunay`,
+/// `natural-neighbour`, `idw`, `idw=POWER`, `bilinear`, `bicubic`, `polynomial=DEGREE` or `nearest`.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 #[non_exhaustive]
 pub enum Interpolation {
-    /// Bicubic for samples on a regular grid with more than one row and more than one column
-    /// (bilinear if it is 2 x 2), nearest for a single sample, else natural neighbour.
+    /// Chosen by cross-validation on the samples: kriging, or the method that suits the samples'
+    /// positions. This is bicubic for samples on a regular grid with more than one row and more than one
+    /// column (bilinear if it is 2 x 2), nearest for a single sample, else natural neighbour.
     #[default]
     Auto,
+    /// Kriging, also called Gaussian process regression. Without parameters, they are chosen by
+    /// cross-validation on the samples.
+    Kriging(Option<KrigingParameters>),
     /// Linear inside the triangles of the Delaunay triangulation.
     Delaunay,
     /// Sibson's natural neighbours with gradients at the corners of a tree of cells, bilinear between
@@ -56,6 +61,8 @@ impl std::fmt::Display for Interpolation {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
             Self::Auto => f.write_str("auto"),
+            Self::Kriging(None) => f.write_str("kriging"),
+            Self::Kriging(Some(parameters)) => write!(f, "kriging={parameters}"),
             Self::Delaunay => f.write_str("delaunay"),
             Self::NaturalNeighbour => f.write_str("natural-neighbour"),
             Self::InverseDistance { power } if *power == Self::DEFAULT_POWER => f.write_str("idw"),
@@ -71,11 +78,13 @@ impl std::fmt::Display for Interpolation {
 impl FromStr for Interpolation {
     type Err = DataError;
     fn from_str(text: &str) -> Result<Self, DataError> {
-        const ALLOWED: &str = "auto, delaunay, natural-neighbour, idw, idw=POWER (above 0), bilinear, bicubic, polynomial=DEGREE (0 to 20) or nearest";
+        const ALLOWED: &str = "auto, kriging, kriging=KERNEL,LENGTH_X,LENGTH_Y,TREND,NUGGET, delaunay, natural-neighbour, idw, \
+                               idw=POWER (above 0), bilinear, bicubic, polynomial=DEGREE (0 to 20) or nearest";
         let refused = || DataError::setting("interpolation", ALLOWED, text);
         match text.split_once('=') {
             None => match text {
                 "auto" => Ok(Self::Auto),
+                "kriging" => Ok(Self::Kriging(None)),
                 "delaunay" => Ok(Self::Delaunay),
                 "natural-neighbour" => Ok(Self::NaturalNeighbour),
                 "idw" => Ok(Self::InverseDistance {
@@ -86,6 +95,7 @@ impl FromStr for Interpolation {
                 "nearest" => Ok(Self::Nearest),
                 _ => Err(refused()),
             },
+            Some(("kriging", parameters)) => Ok(Self::Kriging(Some(parameters.parse()?))),
             Some(("idw", power)) => match power.parse::<f64>() {
                 Ok(power) if power.is_finite() && power > 0.0 => Ok(Self::InverseDistance { power }),
                 _ => Err(refused()),
@@ -109,7 +119,7 @@ pub enum OutsidePolicy {
     #[default]
     Nearest,
     /// Continue the interpolation outside. The methods delaunay, natural-neighbour, bilinear and
-    /// bicubic continue linearly. The methods idw, polynomial and nearest apply their own formula
+    /// bicubic continue linearly. The methods kriging, idw, polynomial and nearest apply their own formula
     /// (idw up to half the width of the samples beyond them, then linear).
     Extend,
     /// Return an error.
@@ -233,7 +243,8 @@ through_text!(
     Normalisation,
     Anchor,
     ToleranceOn,
-    StampInterpolation
+    StampInterpolation,
+    KrigingKernel
 );
 
 #[cfg(test)]
@@ -244,6 +255,9 @@ mod tests {
     fn text_forms_round_trip() {
         for text in [
             "auto",
+            "kriging",
+            "kriging=gaussian,0.61,0.5,2,1e-12",
+            "kriging=cubic,1,1,1,0e0",
             "delaunay",
             "natural-neighbour",
             "idw",
@@ -264,6 +278,12 @@ mod tests {
             "polynomial",
             "polynomial=21",
             "nearest=1",
+            "kriging=",
+            "kriging=gaussian,1,1,1",
+            "kriging=cubic,1,1,0,0",
+            "kriging=gaussian,0,1,1,0",
+            "kriging=gaussian,1,1,1,-1",
+            "kriging=gaussian,1,1,1,nan",
         ] {
             assert!(text.parse::<Interpolation>().is_err(), "{text}");
         }

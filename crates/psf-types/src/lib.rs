@@ -20,6 +20,7 @@ mod basis;
 mod choices;
 mod frame;
 mod image;
+mod kriging;
 mod light_profile;
 pub mod maths;
 mod mean_parts;
@@ -35,9 +36,12 @@ pub use basis::{PsfBasis, SampleCoefficients};
 pub use choices::{Anchor, Interpolation, Normalisation, OutsidePolicy, StampInterpolation, ToleranceOn};
 pub use frame::{DataError, FrameShape, PixelRegion, Position, Quantity};
 pub use image::{Image, ImageView, Real};
+pub use kriging::{KrigingKernel, KrigingParameters};
 pub use light_profile::{LightProfile, Outskirts};
 pub use mean_parts::MeanParts;
-pub use model::{BilinearCells, CoefficientField, ErrorLimit, FieldError, PsfModel, PsfModelRecord, RowRun};
+pub use model::{
+    BilinearCells, CoefficientField, ErrorLimit, FieldError, PsfModel, PsfModelRecord, RowRun, WeightedNodes,
+};
 pub use progress::{Cancelled, NoProgress, Progress, Uncounted};
 pub use sample_positions::{SamplePositions, SampleStates, StateKind};
 pub use samples::{PsfSamples, PsfSource, SourceError};

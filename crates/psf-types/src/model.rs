@@ -32,6 +32,23 @@ pub trait CoefficientField: std::fmt::Debug + Send + Sync {
     /// May panic when `coefficients.len() != self.component_count()`.
     fn evaluate_into(&self, position: Position, coefficients: &mut [f64]) -> Result<(), FieldError>;
 
+    /// Writes all coefficients at several positions, `[position, component]`. Where the field has no
+    /// value, they are NaN.
+    ///
+    /// The default implementation evaluates one position after the other.
+    ///
+    /// # Panics
+    /// May panic when `values` is not of shape `[positions.len(), self.component_count()]`.
+    fn evaluate_each_into(&self, positions: &[Position], mut values: ArrayViewMut2<'_, f64>) {
+        let mut all = vec![0.0; self.component_count()];
+        for (&position, mut row) in positions.iter().zip(values.outer_iter_mut()) {
+            match self.evaluate_into(position, &mut all) {
+                Ok(()) => row.assign(&ArrayView1::from(&all)),
+                Err(_) => row.fill(f64::NAN),
+            }
+        }
+    }
+
     /// Writes the coefficients of a range of components at every pixel of a region,
     /// `[component, y, x]`.
     ///
@@ -60,38 +77,65 @@ pub trait CoefficientField: std::fmt::Debug + Send + Sync {
         Ok(())
     }
 
-    /// The values `v` `[node, component]` that the field combines: `a_k(x) = sum_n w_n(x) v_nk`. A
-    /// node is a row of `v`: a sample or, for example, a term of a polynomial.
-    /// [`weights_along_row`](Self::weights_along_row) returns the weights `w_n`.
+    /// The field as a weighted sum of values at nodes, if the weights at each position are few. None for
+    /// any other field.
+    fn weighted_nodes(&self) -> Option<&dyn WeightedNodes> {
+        None
+    }
+
+    /// Coefficients `[position, component]` at some positions, which show how the PSFs of a frame look.
+    /// Positions without a value are left out.
     ///
-    /// The default implementation returns the unit matrix, so that the weights are the coefficients
-    /// themselves.
-    fn node_values(&self) -> Cow<'_, Array2<f64>> {
-        Cow::Owned(Array2::eye(self.component_count()))
+    /// The default implementation takes 25 positions that are spread over the frame or, if its shape is
+    /// not known, pixel (0, 0).
+    fn some_coefficients(&self, frame: Option<FrameShape>) -> Array2<f64> {
+        const ALONG_AXIS: i64 = 5;
+        let place = |i: i64, pixels: usize| i * (pixels as i64 - 1) / (ALONG_AXIS - 1);
+        let at: Vec<Position> = match frame {
+            Some(shape) => (0..ALONG_AXIS * ALONG_AXIS)
+                .map(|i| {
+                    (
+                        place(i % ALONG_AXIS, shape.nx()),
+                        place(i / ALONG_AXIS, shape.ny()),
+                    )
+                })
+                .map(|(x, y)| Position::of_pixel(x, y))
+                .collect(),
+            None => vec![Position::of_pixel(0, 0)],
+        };
+        let (mut values, mut found) = (vec![0.0; self.component_count()], Vec::new());
+        for position in at {
+            if self.evaluate_into(position, &mut values).is_ok() {
+                found.extend_from_slice(&values);
+            }
+        }
+        let count = found.len() / values.len().max(1);
+        Array2::from_shape_vec((count, values.len()), found).expect("all coefficients of each position")
     }
 
     /// The division of a region into cells in which the coefficients are bilinear, up to an error.
     ///
-    /// Convolution is fast for a field with large cells. The default implementation lets it visit
-    /// every row.
-    fn bilinear_cells(&self, region: PixelRegion, _error: ErrorLimit<'_>) -> BilinearCells {
-        BilinearCells::every_row(region)
+    /// Convolution is fast for a field with large cells. The default implementation returns
+    /// [`BilinearCells::Unknown`] with a scale of 64 pixels: convolution finds the cells by checks at
+    /// points. A field with smaller details should return a smaller scale, or
+    /// [`BilinearCells::every_row`].
+    fn bilinear_cells(&self, _region: PixelRegion, _error: ErrorLimit<'_>) -> BilinearCells {
+        BilinearCells::Unknown { scale: 64.0 }
     }
+}
+
+/// A field that is a weighted sum of values at nodes: `a_k(x) = sum_n w_n(x) v_nk`. A node is a sample
+/// or, for example, a term of a polynomial.
+pub trait WeightedNodes {
+    /// The values `v` `[node, component]`.
+    fn node_values(&self) -> Cow<'_, Array2<f64>>;
 
     /// Writes the weights `w_n` of the nodes at a position, in place of what `weights` holds: pairs of
     /// a node and its weight. No node appears twice.
     ///
-    /// The default implementation belongs to that of [`node_values`](Self::node_values).
-    ///
     /// # Errors
     /// [`FieldError`] if the field has no value there.
-    fn weights_into(&self, position: Position, weights: &mut Vec<(usize, f64)>) -> Result<(), FieldError> {
-        let mut coefficients = vec![0.0; self.component_count()];
-        self.evaluate_into(position, &mut coefficients)?;
-        weights.clear();
-        weights.extend(coefficients.into_iter().enumerate());
-        Ok(())
-    }
+    fn weights_into(&self, position: Position, weights: &mut Vec<(usize, f64)>) -> Result<(), FieldError>;
 
     /// Visits the weights of the nodes along a row of `length` pixels that begins at `(x, y)`. The
     /// row is cut into runs along which every weight is linear in x. The runs follow each other
@@ -162,10 +206,16 @@ pub enum BilinearCells {
     Rectangles(Vec<[(f64, f64); 2]>),
     /// Between lines at these y coordinates (ascending), all rows have runs ([`RowRun`]) of equal
     /// lengths. Each weight is bilinear in the cells that the runs of the first and the last row
-    /// form.
+    /// form. Without [`WeightedNodes`], each pixel is a run of its own.
     Bands(Vec<f64>),
     /// The field has a kink in the region. Smaller regions may have cells.
     Divide,
+    /// The field does not know its cells. They must be found by checks at points.
+    Unknown {
+        /// The distance in pixels over which coefficients may bend and bend back. Checks that are farther
+        /// apart could miss that.
+        scale: f64,
+    },
 }
 
 impl BilinearCells {
@@ -373,6 +423,11 @@ impl PsfModel {
     /// The fields of the components' coefficients.
     pub fn field(&self) -> &dyn CoefficientField {
         self.field.as_ref()
+    }
+
+    /// Coefficients of the components at some positions ([`CoefficientField::some_coefficients`]).
+    pub fn some_coefficients(&self) -> Array2<f64> {
+        self.field.some_coefficients(self.field_shape)
     }
 
     /// Returns whether the first stamp is the mean.

@@ -163,11 +163,16 @@ fn text(report: &FitReport, output: &str) -> String {
         }
         _ => String::new(),
     };
+    let reason = match report.interpolation_reason.as_str() {
+        "" => String::new(),
+        reason => format!("interpolation:  {reason}\n"),
+    };
     format!(
         "{output}: {} samples{of_states}, {} components (elbow at {}), {} interpolation\n\
+         {reason}\
          noise:          {noise}\n\
          fit error:      largest {:.2e}, r.m.s. {:.2e} (relative L2 of a sample), in circles {} of the flux\n\
-         leave-one-out:  {interpolation_error} (relative L2; each sample is left out and interpolated over about twice the spacing)\n",
+         leave-one-out:  {interpolation_error} (relative L2; each sample is predicted from the others, over about twice the spacing)\n",
         report.samples,
         report.rank,
         report.elbow.map_or_else(|| "-".to_owned(), |e| e.to_string()),

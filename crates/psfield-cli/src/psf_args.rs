@@ -41,9 +41,12 @@ pub(crate) struct FitArgs {
     pub(crate) shift_copies: Option<usize>,
     /// Interpolation of the coefficients over the field [default: auto]
     ///
-    /// auto, delaunay, natural-neighbour, idw, idw=POWER (inverse distance weighting),
-    /// bilinear, bicubic, polynomial=D or nearest.
-    /// auto: bicubic on a regular grid, else natural-neighbour. idw means idw=2.
+    /// auto, kriging (Gaussian process regression), delaunay, natural-neighbour, idw, idw=POWER
+    /// (inverse distance weighting), bilinear, bicubic, polynomial=D or nearest.
+    /// auto: kriging or a local method (bicubic on a regular grid, else natural-neighbour),
+    /// whichever predicts the samples better from each other. idw means idw=2.
+    /// kriging=KERNEL,LENGTH_X,LENGTH_Y,TREND,NUGGET: with these parameters. Kernels: gaussian,
+    /// matern52, matern32, thin-plate, cubic, quintic.
     /// bilinear and bicubic need samples on a regular grid. D: degree, at most 20.
     /// Default for STPSF and STDPSF: bilinear on a regular grid, else natural-neighbour.
     /// Default for a single stamp: nearest.
@@ -52,7 +55,7 @@ pub(crate) struct FitArgs {
     /// PSF outside the samples: nearest, extend or error [default: nearest]
     ///
     /// nearest: the PSF at the nearest point of the area that the samples cover. extend: continue
-    /// the interpolation linearly (idw, polynomial and nearest continue by their own formulas).
+    /// the interpolation linearly (kriging, idw, polynomial and nearest continue by their own formulas).
     /// error: stop with an error.
     ///
     /// Default for models: as stored in the file. Default for PSFEx: extend.

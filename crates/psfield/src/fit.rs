@@ -4,9 +4,8 @@ mod models;
 mod report;
 
 use std::path::Path;
-use std::sync::Arc;
 
-use coeff_field::{FieldInterpolation, InterpolatedField};
+use coeff_field::{Choice, FieldInterpolation};
 use conv_core::StampInterpolator;
 use ndarray::{Array3, ArrayView2, Axis, s};
 use psf_basis::{BasisFit, BasisMethod, Centring, PixelNoise, RankSelection, Spectrum, Svd};
@@ -14,7 +13,7 @@ use psf_io::Card;
 use psf_sample::ShiftAugmentation;
 use psf_types::{
     Interpolation, Normalisation, OutsidePolicy, PsfBasis, PsfModel, PsfModelRecord, PsfSamples,
-    SamplePositions, StampGrid,
+    SampleCoefficients, SamplePositions, StampGrid,
 };
 use rayon::prelude::*;
 
@@ -58,7 +57,7 @@ impl FitOptions {
             rank: RankSelection::Full,
             // The flux of a PSF is part of the library's calibration.
             normalisation: Normalisation::Keep,
-            interpolation: match coeff_field::resolve(Interpolation::Auto, positions) {
+            interpolation: match coeff_field::local_method(positions) {
                 Interpolation::Bicubic => Interpolation::Bilinear,
                 other => other,
             },
@@ -84,6 +83,8 @@ pub struct Fit {
     errors: Vec<f64>,
     norms: Vec<f64>,
     selection: RankSelection,
+    /// The reason for the interpolation.
+    reason: String,
 }
 
 /// Fits a model to samples. Computes the basis by SVD, and interpolates the coefficients by a
@@ -163,11 +164,10 @@ pub fn fit_in_basis(
         );
         return Err(PsfieldError::new(ErrorKind::Data, message));
     }
-    let interpolation = coeff_field::resolve(options.interpolation, samples.positions());
     let samples = normalised(samples, options.normalisation);
     let norms = norms_of(&samples);
     let fit = psf_basis::project(&samples, basis.clone())?;
-    Fit::of_parts(fit, norms, interpolation, options)
+    Fit::of_parts(fit, norms, options)
 }
 
 fn norms_of(samples: &PsfSamples) -> Vec<f64> {
@@ -190,7 +190,6 @@ pub fn fit_trained(
     mut training: Array3<f64>,
     options: &FitOptions,
 ) -> Result<Fit, PsfieldError> {
-    let interpolation = coeff_field::resolve(options.interpolation, samples.positions());
     let method = Svd::new()
         .with_rank(options.rank)
         .with_centring(options.centring)
@@ -203,8 +202,32 @@ pub fn fit_trained(
             stamp.mapv_inplace(|v| v / flux);
         }
     }
-    let fit = method.fit_augmented(samples, training.view())?;
-    Fit::of_parts(fit, norms, interpolation, options)
+    let smaller_error = |coefficients: &SampleCoefficients| {
+        let median = interpolation_error(coefficients, &norms, options);
+        let error = median.map_or(RankSelection::AUTO_ERROR, |median| BELOW_INTERPOLATION * median);
+        error.max(SMALLEST_AUTO_ERROR)
+    };
+    let fit = method.fit_for_field(samples, training.view(), &smaller_error)?;
+    Fit::of_parts(fit, norms, options)
+}
+
+/// With the rank `auto`, the truncation error is at most this fraction of the interpolation error.
+const BELOW_INTERPOLATION: f64 = 0.25;
+/// It need not be smaller than this, which is the rounding of samples in single precision.
+const SMALLEST_AUTO_ERROR: f64 = 1e-8;
+
+/// The median leave-one-out error of samples with these norms, relative. None if no sample can be
+/// predicted.
+fn interpolation_error(
+    coefficients: &SampleCoefficients,
+    norms: &[f64],
+    options: &FitOptions,
+) -> Option<f64> {
+    let choice = coeff_field::choose(options.interpolation, coefficients, options.outside).ok()?;
+    let method = coeff_field::interpolation(choice.interpolation).ok()?;
+    let left_out = coeff_field::leave_one_out(coefficients, method.as_ref(), options.outside).ok()?;
+    let errors = left_out.predicted().map(|(sample, error)| error / norms[sample]);
+    metrics::Summary::of(errors).ok().map(|summary| summary.median())
 }
 
 /// Fits a model with any basis method and any interpolation. The caller may implement both.
@@ -220,8 +243,8 @@ pub fn fit_with(
 ) -> Result<(PsfModel, BasisFit), PsfieldError> {
     let field_shape = samples.positions().field();
     let fit = method.fit(&normalised(samples, normalisation))?;
-    let field = InterpolatedField::new(fit.coefficients(), interpolation, outside)?;
-    let model = PsfModel::new(fit.basis(), Arc::new(field), normalisation, field_shape)?;
+    let field = interpolation.interpolate(fit.coefficients(), outside)?;
+    let model = PsfModel::new(fit.basis(), field, normalisation, field_shape)?;
     Ok((model, fit))
 }
 
@@ -234,19 +257,17 @@ fn normalised(samples: PsfSamples, normalisation: Normalisation) -> PsfSamples {
 
 impl Fit {
     /// A fit of samples with these norms.
-    fn of_parts(
-        fit: BasisFit,
-        norms: Vec<f64>,
-        interpolation: Interpolation,
-        options: &FitOptions,
-    ) -> Result<Self, PsfieldError> {
+    fn of_parts(fit: BasisFit, norms: Vec<f64>, options: &FitOptions) -> Result<Self, PsfieldError> {
         let (spectrum, errors) = (fit.spectrum().cloned(), fit.errors().to_vec());
         let circle_error = fit.circle_errors().iter().copied().fold(0.0, f64::max);
         let (basis, coefficients) = fit.into_parts();
+        // An interpolation that does not suit the positions is an error of the model, not of the fit.
+        let choice = coeff_field::choose(options.interpolation, &coefficients, options.outside);
+        let choice = choice.unwrap_or_else(|_| Choice::named(options.interpolation));
         let record = PsfModelRecord::new(
             basis,
             coefficients,
-            interpolation,
+            choice.interpolation,
             options.outside,
             options.normalisation,
         )?
@@ -257,6 +278,7 @@ impl Fit {
             errors,
             norms,
             selection: options.rank,
+            reason: choice.reason,
         })
     }
 
@@ -305,6 +327,7 @@ impl Fit {
             spectrum: self.spectrum.clone(),
             norms: self.norms.clone(),
             selection: RankSelection::Fixed(rank),
+            reason: self.reason.clone(),
         })
     }
 

@@ -1,10 +1,8 @@
 //! Interpolators over extreme positions: the fields themselves, and images through them.
 
 use ndarray::Array2;
-use psfield::coeff_field::{InterpolatedField, interpolation, resolve};
-use psfield::psf_types::{
-    CoefficientField, Interpolation, OutsidePolicy, Position, SampleCoefficients, SamplePositions,
-};
+use psfield::coeff_field::interpolation;
+use psfield::psf_types::{Interpolation, OutsidePolicy, Position, SampleCoefficients, SamplePositions};
 use psfield::{Method, PsfieldError, fit};
 
 use super::images::{Light, PRECISIONS, error};
@@ -13,9 +11,8 @@ use super::positions::{Positions, positions};
 use super::scenes::uneven_of;
 use super::{Case, Cell, Section};
 
-/// Every interpolator. The polynomial appears with the lowest and with a high degree.
-const INTERPOLATIONS: [Interpolation; 9] = [
-    Interpolation::Auto,
+/// Every interpolator with few weights at each position. The polynomial appears with the lowest and with a high degree.
+const INTERPOLATIONS: [Interpolation; 8] = [
     Interpolation::Bilinear,
     Interpolation::Bicubic,
     Interpolation::Delaunay,
@@ -68,8 +65,6 @@ fn refusal(choice: Interpolation, of: &Positions) -> Option<&'static str> {
 }
 
 struct Figures {
-    /// The method that the choice resolves to.
-    resolved: Interpolation,
     constant: f64,
     linear: f64,
     at_samples: f64,
@@ -95,18 +90,15 @@ fn figures(choice: Interpolation, at: &[(f64, f64)]) -> Result<Figures, PsfieldE
     });
     let all: Result<Vec<Position>, _> = at.iter().map(|&(x, y)| Position::new(x, y)).collect();
     let positions = SamplePositions::new(all?, None)?;
-    let resolved = resolve(choice, &positions);
-    let most_beyond = match resolved {
+    let most_beyond = match choice {
         Interpolation::Bicubic => CONSTANT + CUBIC_BEYOND,
         Interpolation::NaturalNeighbour | Interpolation::InverseDistance { .. } => CONSTANT + TREE_BEYOND,
         _ => CONSTANT,
     };
     let samples = SampleCoefficients::new(values.clone(), positions)?;
-    let method = interpolation(choice)?;
-    let field = InterpolatedField::new(&samples, method.as_ref(), OutsidePolicy::Nearest)?;
+    let field = interpolation(choice)?.interpolate(&samples, OutsidePolicy::Nearest)?;
     let (mut found, mut wanted) = ([0.0; 4], [0.0; 3]);
     let mut figures = Figures {
-        resolved,
         constant: 0.0,
         linear: 0.0,
         at_samples: 0.0,
@@ -194,7 +186,7 @@ fn field_cells(choice: Interpolation, of: &Positions) -> Vec<Cell> {
     let linear = match choice {
         Interpolation::InverseDistance { .. } | Interpolation::Nearest => Cell::not_applicable(NOT_LINEAR),
         _ => {
-            let across = match figures.resolved {
+            let across = match choice {
                 Interpolation::NaturalNeighbour => ACROSS_THE_HULL,
                 _ => 0.0,
             };
@@ -239,7 +231,7 @@ pub(super) fn section() -> Section {
             convex hull. Its limit includes the rounding of coordinates over the samples' extent. For natural\n\
             neighbours it includes the cells that cross the hull. *At samples*: the error for\n\
             random values of -1 to 1 at the samples. *Beyond*: the distance by which the field\n\
-            leaves -1 to 1. Cubics (`bicubic`, and `auto` on a grid) have negative weights, whose bound is 13/8\n\
+            leaves -1 to 1. Cubics (`bicubic`) have negative weights, whose bound is 13/8\n\
             in each coordinate, so 1.64 here. Natural neighbours have negative weights, too, and so have inverse\n\
             distances on a tree of cells that is exact at the samples.",
         columns: &["constant", "linear", "at samples", "beyond"],

@@ -8,6 +8,7 @@ mod bases;
 mod faint;
 mod fields;
 mod images;
+mod kriging;
 mod models;
 mod outcome;
 mod positions;
@@ -64,6 +65,7 @@ pub fn sections() -> Vec<Section> {
         stamps::section(),
         bases::section(),
         fields::section(),
+        kriging::section(),
         fields::image_section(),
     ]
 }

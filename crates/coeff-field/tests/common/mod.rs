@@ -1,9 +1,11 @@
 //! Layouts of samples and the interpolators that suit them.
 #![allow(dead_code, reason = "each test file uses its part")]
 
-use coeff_field::{FieldInterpolation, FieldWeights, InterpolatedField, WeightList, interpolation};
+use std::sync::Arc;
+
+use coeff_field::{FieldInterpolation, WeightList, interpolation};
 use ndarray::{Array1, Array2};
-use psf_types::{OutsidePolicy, Position, SampleCoefficients, SamplePositions};
+use psf_types::{CoefficientField, FieldError, OutsidePolicy, Position, SampleCoefficients, SamplePositions};
 use rand::RngExt;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -97,7 +99,7 @@ pub(crate) fn layouts() -> Vec<(&'static str, Vec<Position>)> {
     ]
 }
 
-/// The provided methods that accept these samples.
+/// The provided methods with few weights at each position that accept these samples.
 pub(crate) fn methods(positions: &SamplePositions) -> Vec<(&'static str, Box<dyn FieldInterpolation>)> {
     [
         "delaunay",
@@ -109,12 +111,11 @@ pub(crate) fn methods(positions: &SamplePositions) -> Vec<(&'static str, Box<dyn
         "polynomial=0",
         "polynomial=2",
         "nearest",
-        "auto",
     ]
     .into_iter()
     .map(|name| (name, interpolation(name.parse().unwrap()).unwrap()))
     .filter(|(name, method)| {
-        let fits = method.prepare(positions, OutsidePolicy::Nearest).is_ok();
+        let fits = suits(method.as_ref(), positions);
         assert!(
             fits || matches!(*name, "bilinear" | "bicubic" | "polynomial=2"),
             "{name} must take any samples"
@@ -124,15 +125,18 @@ pub(crate) fn methods(positions: &SamplePositions) -> Vec<(&'static str, Box<dyn
     .collect()
 }
 
+/// Returns whether a method accepts samples at these positions.
+pub(crate) fn suits(method: &dyn FieldInterpolation, positions: &SamplePositions) -> bool {
+    let zeros = SampleCoefficients::new(Array2::zeros((positions.len(), 1)), positions.clone()).unwrap();
+    method.interpolate(&zeros, OutsidePolicy::Nearest).is_ok()
+}
+
 pub(crate) fn is_polynomial(name: &str) -> bool {
     name.starts_with("polynomial")
 }
 
 pub(crate) fn reproduces_slopes(name: &str) -> bool {
-    matches!(
-        name,
-        "delaunay" | "natural-neighbour" | "bilinear" | "bicubic" | "auto"
-    )
+    matches!(name, "delaunay" | "natural-neighbour" | "bilinear" | "bicubic")
 }
 
 /// The bounding box of the samples.
@@ -208,22 +212,18 @@ pub(crate) fn field(
     samples: &SampleCoefficients,
     method: &dyn FieldInterpolation,
     outside: OutsidePolicy,
-) -> InterpolatedField {
-    InterpolatedField::new(samples, method, outside).unwrap()
+) -> Arc<dyn CoefficientField> {
+    method.interpolate(samples, outside).unwrap()
 }
 
-pub(crate) fn value(field: &dyn psf_types::CoefficientField, p: Position) -> f64 {
+pub(crate) fn value(field: &Arc<dyn CoefficientField>, p: Position) -> f64 {
     let mut all = vec![f64::NAN; field.component_count()];
     field.evaluate_into(p, &mut all).unwrap();
     all[0]
 }
 
-/// The weights of samples at any position. The nodes of an interpolator may be others.
-pub(crate) struct SampleWeights {
-    pub(crate) weights: Box<dyn FieldWeights>,
-    /// `[node, sample]`.
-    of_nodes: Array2<f64>,
-}
+/// The weights of samples at any position: the coefficients if each sample is a component of its own.
+pub(crate) struct SampleWeights(Arc<dyn CoefficientField>);
 
 impl SampleWeights {
     pub(crate) fn new(
@@ -232,19 +232,25 @@ impl SampleWeights {
         outside: OutsidePolicy,
     ) -> Self {
         let checked = SamplePositions::new(positions.to_vec(), None).unwrap();
-        let weights = method.prepare(&checked, outside).unwrap();
-        let of_nodes = weights.node_values(Array2::eye(positions.len()).view()).unwrap();
-        Self { weights, of_nodes }
+        let units = SampleCoefficients::new(Array2::eye(positions.len()), checked).unwrap();
+        Self(field(&units, method, outside))
+    }
+
+    /// The weights of nodes, which may be others than the samples.
+    pub(crate) fn of_nodes(&self, p: Position, weights: &mut WeightList) -> Result<(), FieldError> {
+        let nodes = self.0.weighted_nodes().expect("a method with few weights");
+        nodes.weights_into(p, weights)
+    }
+
+    pub(crate) fn node_count(&self) -> usize {
+        let nodes = self.0.weighted_nodes().expect("a method with few weights");
+        nodes.node_values().nrows()
     }
 
     pub(crate) fn of_samples(&self, p: Position) -> Array1<f64> {
-        let mut list = WeightList::new();
-        self.weights.weights_into(p, &mut list).unwrap();
-        let mut sum = Array1::zeros(self.of_nodes.ncols());
-        for (node, weight) in list {
-            sum.scaled_add(weight, &self.of_nodes.row(node));
-        }
-        sum
+        let mut weights = vec![0.0; self.0.component_count()];
+        self.0.evaluate_into(p, &mut weights).unwrap();
+        weights.into()
     }
 }
 

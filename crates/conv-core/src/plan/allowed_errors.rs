@@ -14,10 +14,45 @@ pub(crate) const ROUNDING_NORM: f64 = 1e-15;
 /// The largest error of the coefficients in cells ([`ErrorLimit`](psf_types::ErrorLimit)).
 #[derive(Debug, Clone, Copy)]
 pub struct CellError {
-    /// The largest size.
+    /// The largest size, if nothing else is known of the error.
     pub size: f64,
     /// The factor of the components' fluxes in the size. 0 if PSFs are not scaled to unit flux.
     pub flux_weight: f64,
+    /// The largest size of an error whose flux in circles is measured, too.
+    pub l2: f64,
+    /// The largest flux of such an error in a circle. `None` if it is not limited or, of an error that
+    /// occurred, if it is not known.
+    pub circle: Option<f64>,
+}
+
+impl CellError {
+    /// No error.
+    pub(crate) const ZERO: Self = Self {
+        size: 0.0,
+        flux_weight: 0.0,
+        l2: 0.0,
+        circle: Some(0.0),
+    };
+
+    /// This error times a factor.
+    pub(crate) fn times(self, factor: f64) -> Self {
+        Self {
+            size: factor * self.size,
+            flux_weight: self.flux_weight,
+            l2: factor * self.l2,
+            circle: self.circle.map(|circle| factor * circle),
+        }
+    }
+
+    /// Returns whether each part of this error is within that of another. Fluxes count as in this error.
+    pub(crate) fn is_within(self, other: Self) -> bool {
+        let in_circles = match (self.circle, other.circle) {
+            (Some(own), Some(other)) => own <= other,
+            (None, Some(_)) => false,
+            (_, None) => true,
+        };
+        self.l2 <= other.l2 && other.flux_weight <= self.flux_weight && in_circles
+    }
 }
 
 /// The largest errors that modes may cause, after those of the cells.
@@ -67,7 +102,9 @@ impl AllowedErrors {
     /// because cells use at most half of the tolerance.
     #[inline(always)]
     pub(crate) fn of_cells(&self, scaled_norm: f64) -> f64 {
-        let CellError { size, flux_weight } = self.cells;
+        let CellError {
+            size, flux_weight, ..
+        } = self.cells;
         if flux_weight == 0.0 || size == 0.0 {
             size
         } else {
@@ -85,7 +122,8 @@ impl AllowedErrors {
     /// The allowed flux in any circle for a PSF of the given flux.
     #[inline(always)]
     fn flux(&self, flux: f64, by_cells: f64) -> f64 {
-        self.tolerance * flux - (1.0 + self.tolerance) * self.largest_flux * by_cells
+        let in_circles = self.cells.circle.unwrap_or(self.largest_flux * by_cells);
+        self.tolerance * flux - (1.0 + self.tolerance) * in_circles
     }
 }
 

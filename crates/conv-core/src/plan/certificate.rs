@@ -3,7 +3,7 @@
 
 use std::sync::Arc;
 
-use coeff_field::{InterpolatedField, interpolation};
+use coeff_field::interpolation;
 use ndarray::{Array1, Array2, Array3, Axis, s};
 use psf_types::{
     Anchor, CoefficientField, FieldError, FrameShape, NoProgress, Normalisation, OutsidePolicy, PixelRegion,
@@ -28,8 +28,8 @@ const INTERPOLATORS: [(&str, bool); 11] = [
     ("polynomial=0", false),
     ("polynomial=3", false),
     ("nearest", false),
-    ("auto", true),
-    ("auto", false),
+    ("kriging", true),
+    ("kriging", false),
 ];
 const TOLERANCES: [f64; 4] = [1e-1, 1e-2, 1e-4, 0.0];
 const BOTH: [ToleranceOn; 2] = [ToleranceOn::L2, ToleranceOn::Aperture];
@@ -92,8 +92,7 @@ fn model(name: &str, on_grid: bool, normalisation: Normalisation) -> PsfModel {
     });
     let samples = SampleCoefficients::new(coefficients, positions).unwrap();
     let method = interpolation(name.parse().unwrap()).unwrap();
-    let field: Arc<dyn CoefficientField> =
-        Arc::new(InterpolatedField::new(&samples, method.as_ref(), OutsidePolicy::Nearest).unwrap());
+    let field: Arc<dyn CoefficientField> = method.interpolate(&samples, OutsidePolicy::Nearest).unwrap();
     PsfModel::new(&basis, field, normalisation, None).unwrap()
 }
 
@@ -160,9 +159,9 @@ fn random_model(rng: &mut ChaCha8Rng, name: &str, on_grid: bool) -> PsfModel {
     let samples = SampleCoefficients::new(values, positions).unwrap();
     let method = interpolation(name.parse().unwrap()).unwrap();
     let outside = [OutsidePolicy::Nearest, OutsidePolicy::Extend][outside];
-    let field = InterpolatedField::new(&samples, method.as_ref(), outside).unwrap();
+    let field = method.interpolate(&samples, outside).unwrap();
     let normalisation = [Normalisation::Unit, Normalisation::Keep][normalisation];
-    PsfModel::new(&basis, Arc::new(field), normalisation, None).unwrap()
+    PsfModel::new(&basis, field, normalisation, None).unwrap()
 }
 
 /// The largest errors of a plan over all pixels of its tiles.
@@ -454,8 +453,8 @@ fn error_in_f32(
     let values = Array2::from_shape_fn((count, 2), |(i, k)| values(i % xs.len(), i / xs.len())[k]);
     let samples = SampleCoefficients::new(values, positions).unwrap();
     let method = interpolation("bilinear".parse().unwrap()).unwrap();
-    let field = InterpolatedField::new(&samples, method.as_ref(), OutsidePolicy::Nearest).unwrap();
-    let model = PsfModel::new(&basis, Arc::new(field), normalisation, None).unwrap();
+    let field = method.interpolate(&samples, OutsidePolicy::Nearest).unwrap();
+    let model = PsfModel::new(&basis, field, normalisation, None).unwrap();
     certify::<f32>(&plan(&model, 1e-6, ToleranceOn::L2, Anchor::Source), 0.0).l2
 }
 

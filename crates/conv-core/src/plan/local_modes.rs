@@ -92,8 +92,8 @@ impl LocalModes {
             match Self::new(space, &cells, error.flux_weight, tolerance) {
                 Ok(modes) => return (cells, error, modes),
                 // Somewhere in the region, PSFs are much fainter than expected.
-                Err(factor) if error.size > SMALLEST_ERROR * first.size => error.size *= factor,
-                Err(_) => error.size = 0.0,
+                Err(factor) if error.size > SMALLEST_ERROR * first.size => error = error.times(factor),
+                Err(_) => error = CellError::ZERO,
             }
         }
     }
@@ -124,6 +124,8 @@ impl LocalModes {
         let of_cells = CellError {
             size: cells.error,
             flux_weight,
+            l2: cells.error,
+            circle: cells.circle_error,
         };
         let errors = space.errors(tolerance, of_cells, flux.signum());
         // The modes must represent these remainders of the nodes and of the offset. Directions in

@@ -14,6 +14,7 @@ pub(crate) mod axis_cuts;
 pub(crate) mod block;
 #[cfg(test)]
 mod certificate;
+mod checked_cells;
 pub(crate) mod coefficient_table;
 pub(crate) mod cost_model;
 pub(crate) mod function_rows;
@@ -25,6 +26,7 @@ pub(crate) mod norm;
 mod options;
 pub(crate) mod psf_space;
 pub(crate) mod region_cells;
+mod smooth_table;
 mod span;
 mod summary;
 mod tiling;
@@ -240,7 +242,7 @@ impl<T: ConvReal> Plan<T> {
     ) -> Result<Option<Self>, ConvError> {
         check_layers(models)?;
         let options = self.options.with_memory(memory_bytes);
-        let Some(whole) = self.whole.for_other_models(models, options)? else {
+        let Some(whole) = self.whole.for_other_models::<T>(models, options)? else {
             return Ok(None);
         };
         Self::of_whole(Arc::new(whole), self.region, options, progress).map(Some)

@@ -1,15 +1,21 @@
 //! The PSFs of a model as vectors.
 
+use std::iter;
 use std::ops::Range;
 use std::sync::Arc;
 
 use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis, s};
-use psf_types::{ErrorLimit, FieldError, MeanParts, PixelRegion, Position, PsfModel, ToleranceOn};
+use psf_types::{
+    BilinearCells, CoefficientField, ErrorLimit, FieldError, FrameShape, MeanParts, PixelRegion, Position,
+    PsfModel, ToleranceOn,
+};
 
 use super::allowed_errors::{AllowedErrors, CellError, ROUNDING_NORM};
+use super::checked_cells::{Measure, OF_TABLE};
 use super::growth_curves::GrowthCurves;
 use super::norm::norm;
-use super::region_cells::{LayerField, RegionCells};
+use super::region_cells::{CellLimits, RegionCells, node_count};
+use super::smooth_table::{SmoothTable, Tabulated};
 use crate::ConvReal;
 
 /// Coordinates in which the norm of a vector is the L2 norm of its PSF.
@@ -27,10 +33,33 @@ pub struct PsfSpace {
     pub(crate) mean: Array1<f64>,
     /// The flux of each direction.
     pub(crate) fluxes: Array1<f64>,
+    /// Tables of the fields that do not know their cells. May be empty.
+    tables: Vec<Option<SmoothTable>>,
     /// The flux in circles. `None` if the tolerance only bounds the L2 error.
     pub(crate) growth: Option<Arc<GrowthCurves>>,
 }
 
+/// The number of nodes of all models before each.
+fn first_nodes(models: &[PsfModel]) -> Vec<usize> {
+    let mut first = vec![0];
+    for model in &models[..models.len() - 1] {
+        let before = first[first.len() - 1];
+        first.push(before + node_count(model.field()));
+    }
+    first
+}
+
+/// Fluxes count by this factor more in the errors of tables than in those of cells. So tables suit most
+/// blocks.
+const FLUX_OF_TABLES: f64 = 1.3;
+/// If PSFs are scaled to unit flux, an error of their flux changes the flux in circles by at most about
+/// this multiple of it.
+const FLUX_IN_CIRCLES: f64 = 2.0;
+/// Tables have less than the part [`OF_TABLE`] of the error of cells, by this factor. So they suit most
+/// blocks.
+const SHARE_OF_TABLES: f64 = 0.7 * OF_TABLE;
+/// The number of parts of a region along each axis that determine the error of tables.
+const PARTS: usize = 8;
 /// The fraction of the tolerance that is left to the cells. More of it makes cells larger and needs
 /// more modes.
 const SHARE_OF_CELLS: f64 = 0.3;
@@ -49,13 +78,10 @@ impl PsfSpace {
         let mut space = Self::without_growth(models);
         let model = &models[0];
         if on == ToleranceOn::Aperture {
-            // Without a mean, the nodes are usually PSFs.
-            let of_nodes = model
-                .field()
-                .node_values()
-                .mean_axis(Axis(0))
-                .filter(|_| !model.is_mean_centred());
-            let typical = of_nodes.as_ref().unwrap_or(&space.mean);
+            // Without a mean, these coefficients are usually those of PSFs.
+            let some = (!model.is_mean_centred()).then(|| model.some_coefficients().mean_axis(Axis(0)));
+            let some = some.flatten();
+            let typical = some.as_ref().unwrap_or(&space.mean);
             let growth = GrowthCurves::new(space.stamps().view(), model.grid(), typical.view());
             space.growth = Some(Arc::new(growth));
         }
@@ -74,6 +100,54 @@ impl PsfSpace {
         }
     }
 
+    /// This space with tables of the fields that do not know their cells. `region` is where plans need
+    /// them.
+    pub(crate) fn with_tables(mut self, region: PixelRegion, tolerance: f64) -> Self {
+        // All cells of a large tree take long to list. A single pixel tells whether cells are known.
+        let pixel = FrameShape::new(1, 1).expect("a pixel");
+        let pixel = PixelRegion::new(region.x0(), region.y0(), pixel);
+        let scale_of = |model: &PsfModel| match model.field().bilinear_cells(pixel, ErrorLimit::ZERO) {
+            BilinearCells::Unknown { scale } => Some(scale),
+            _ => None,
+        };
+        let scales: Vec<Option<f64>> = self.models.iter().map(scale_of).collect();
+        if scales.iter().all(Option::is_none) {
+            return self;
+        }
+        let error = self.error_of_parts(region, tolerance);
+        if error.l2 > 0.0 {
+            self.tables = self.with_limits(error, |limits| {
+                let table = |(model, scale): (&PsfModel, Option<f64>)| {
+                    Some(SmoothTable::new(model.field(), region, (scale?, limits.measure)))
+                };
+                self.models.iter().zip(scales).map(table).collect()
+            });
+        }
+        self
+    }
+
+    /// The smallest first guess of the error of cells over parts of a region.
+    fn error_of_parts(&self, region: PixelRegion, tolerance: f64) -> CellError {
+        let shape = region.shape();
+        let mut least = self.error_of_cells(region, tolerance);
+        for row in 0..PARTS.min(shape.ny()) {
+            for column in 0..PARTS.min(shape.nx()) {
+                let place = |i: usize, pixels: usize| (i * pixels).div_ceil(PARTS);
+                let (x, y) = (place(column, shape.nx()), place(row, shape.ny()));
+                let size = |i: usize, pixels: usize| place(i + 1, pixels).min(pixels) - place(i, pixels);
+                let part = FrameShape::new(size(column, shape.nx()).max(1), size(row, shape.ny()).max(1));
+                let part = part.expect("a part has pixels");
+                let part = PixelRegion::new(region.x0() + x as i64, region.y0() + y as i64, part);
+                let error = self.error_of_cells(part, tolerance);
+                least.l2 = least.l2.min(error.l2);
+                least.circle = least.circle.zip(error.circle).map(|(a, b)| a.min(b));
+                least.flux_weight = least.flux_weight.max(error.flux_weight);
+            }
+        }
+        least.flux_weight *= FLUX_OF_TABLES;
+        least.times(SHARE_OF_TABLES)
+    }
+
     fn without_growth(models: &[PsfModel]) -> Self {
         let model = &models[0];
         let MeanParts { along, rest } = model.mean_parts();
@@ -84,16 +158,12 @@ impl PsfSpace {
         }
         mean.extend(along);
         fluxes.extend_from_slice(&model.stamp_fluxes()[model.stamp_count() - along.len()..]);
-        let mut first_nodes = vec![0];
-        for model in &models[..models.len() - 1] {
-            let before = first_nodes[first_nodes.len() - 1];
-            first_nodes.push(before + model.field().node_values().nrows());
-        }
         Self {
             models: models.to_vec(),
-            first_nodes,
+            first_nodes: first_nodes(models),
             mean: Array1::from(mean),
             fluxes: Array1::from(fluxes),
+            tables: Vec::new(),
             growth: None,
         }
     }
@@ -103,10 +173,22 @@ impl PsfSpace {
         &self.models[0]
     }
 
-    /// The field of each layer.
-    fn fields(&self) -> impl Iterator<Item = LayerField<'_>> {
-        let fields = self.models.iter().map(PsfModel::field);
-        fields.zip(self.first_nodes.iter().copied())
+    /// The field of each layer, with a table if its error is small beside `error`.
+    fn fields(&self, error: CellError) -> Vec<Tabulated<'_>> {
+        let tables = self.tables.iter().map(Option::as_ref).chain(iter::repeat(None));
+        let fields = self.models.iter().zip(tables);
+        fields
+            .map(|(model, table)| Tabulated {
+                field: model.field(),
+                table: table.filter(|table| table.limit().is_within(error.times(OF_TABLE))),
+            })
+            .collect()
+    }
+
+    fn with_fields<R>(&self, error: CellError, use_fields: impl FnOnce(&[&dyn CoefficientField]) -> R) -> R {
+        let fields = self.fields(error);
+        let fields: Vec<&dyn CoefficientField> = fields.iter().map(|field| field as _).collect();
+        use_fields(&fields)
     }
 
     /// The number of pixels of a stamp.
@@ -208,44 +290,87 @@ impl PsfSpace {
         let one = CellError {
             size: 1.0,
             flux_weight,
+            l2: 1.0,
+            circle: None,
         };
         let errors = self.errors(tolerance, one, 1.0);
-        let allowed = sizes.iter().map(|&(size, flux)| {
+        let mut least = CellError {
+            size: f64::INFINITY,
+            l2: f64::INFINITY,
+            circle: self.growth.as_ref().map(|_| f64::INFINITY),
+            ..one
+        };
+        for (size, flux) in sizes {
             let of_norm = size / errors.of_cells(size / flux);
-            of_norm.min(flux * of_norm / (size * errors.largest_flux))
-        });
-        let least = allowed.fold(f64::INFINITY, f64::min);
-        let size = SHARE_OF_CELLS * tolerance * least;
-        if size.is_finite() && flux_weight.is_finite() {
-            CellError { size, flux_weight }
+            least.l2 = least.l2.min(of_norm);
+            least.circle = least.circle.map(|circle| circle.min(flux));
+            least.size = least
+                .size
+                .min(of_norm.min(flux * of_norm / (size * errors.largest_flux)));
+        }
+        let error = least.times(SHARE_OF_CELLS * tolerance);
+        if error.size.is_finite() && error.l2.is_finite() && flux_weight.is_finite() {
+            error
         } else {
-            CellError {
-                size: 0.0,
-                flux_weight: 0.0,
-            }
+            CellError::ZERO
         }
     }
 
     /// The cells of a region.
     pub fn cells(&self, region: PixelRegion, error: CellError) -> RegionCells {
-        self.with_limit(error, |limit| {
-            RegionCells::of_layers(self.fields(), region, limit)
+        self.with_fields(error, |fields| {
+            self.with_limits(error, |limits| RegionCells::of_layers(fields, region, limits))
         })
     }
 
-    fn with_limit<R>(&self, error: CellError, use_limit: impl FnOnce(ErrorLimit<'_>) -> R) -> R {
+    fn with_limits<R>(&self, error: CellError, use_limits: impl FnOnce(CellLimits<'_>) -> R) -> R {
         let mut flux = Vec::new();
         if error.flux_weight > 0.0 {
             let components = self.fluxes.iter().skip(self.first_component());
             flux.extend(components.map(|flux| error.flux_weight * flux));
         }
-        let size = error.size;
-        use_limit(ErrorLimit { size, flux: &flux })
+        let known = ErrorLimit {
+            size: error.size,
+            flux: &flux,
+        };
+        let of_size = |d: &[f64]| known.product(d, d).sqrt() / error.l2;
+        let of_all = |d: &[f64]| {
+            let of_size = of_size(d);
+            let (Some(limit), Some(growth)) = (error.circle, &self.growth) else {
+                return of_size;
+            };
+            let mut vector = Array1::zeros(self.mean.len());
+            vector
+                .slice_mut(s![self.first_component()..])
+                .assign(&ArrayView1::from(d));
+            let mut in_circle = growth.largest_flux(vector.view());
+            if error.flux_weight > 0.0 {
+                in_circle += FLUX_IN_CIRCLES * vector.dot(&self.fluxes).abs();
+            }
+            of_size.max(in_circle / limit)
+        };
+        use_limits(CellLimits {
+            known,
+            measure: Measure {
+                limit: error,
+                of_size: &of_size,
+                of_all: &of_all,
+            },
+        })
+    }
+
+    fn sampled(&self, region: PixelRegion, count: usize) -> RegionCells {
+        let any = CellError {
+            l2: f64::INFINITY,
+            circle: None,
+            ..CellError::ZERO
+        };
+        self.with_fields(any, |fields| RegionCells::sampled(fields, region, count))
     }
 
     /// Some cells of a region, without any error: [`FEWEST_ROWS`] rows of them.
     pub(crate) fn sampled_cells(&self, region: PixelRegion) -> RegionCells {
-        RegionCells::sampled(self.fields(), region, FEWEST_ROWS)
+        self.sampled(region, FEWEST_ROWS)
     }
 
     /// Cells of a region whose corners are enough PSFs to find modes for sources, which are tested one by
@@ -253,22 +378,23 @@ impl PsfSpace {
     /// [`MOST_ROWS`] rows.
     pub(crate) fn cells_for_sources(&self, region: PixelRegion, tolerance: f64) -> RegionCells {
         if self.expected_cells(region, tolerance) > MOST_ROWS * MOST_ROWS * self.models.len() {
-            return RegionCells::sampled(self.fields(), region, MOST_ROWS);
+            return self.sampled(region, MOST_ROWS);
         }
         let mut cells = self.cells(region, self.error_of_cells(region, tolerance));
         // Only the corners count.
         cells.error = 0.0;
+        cells.circle_error = Some(0.0);
         cells
     }
 
     /// About how many cells a region has with the first guess of their error.
     pub(crate) fn expected_cells(&self, region: PixelRegion, tolerance: f64) -> usize {
         let error = self.error_of_cells(region, tolerance);
-        self.with_limit(error, |limit| {
-            let fields = self.fields();
-            fields
-                .map(|(field, _)| RegionCells::expected(field, region, limit))
-                .sum()
+        self.with_fields(error, |fields| {
+            self.with_limits(error, |limits| {
+                let expected = |field: &&dyn CoefficientField| RegionCells::expected(*field, region, limits);
+                fields.iter().map(expected).sum()
+            })
         })
     }
 
@@ -301,14 +427,17 @@ impl PsfSpace {
     /// The rows whose sum, weighted by the nodes' weights, is a PSF: one for each node of some
     /// cells, `[node, direction]`, then the offset, whose weight is 1.
     pub(crate) fn rows(&self, cells: &RegionCells) -> Array2<f64> {
-        let values: Vec<_> = self
-            .models
-            .iter()
-            .map(|model| model.field().node_values())
+        let fields = self.models.iter().map(PsfModel::field);
+        let values: Vec<_> = fields
+            .map(|field| field.weighted_nodes().map(|nodes| nodes.node_values()))
             .collect();
         let value_of = |node: usize| {
+            if let Some(values) = cells.values_of(node) {
+                return ArrayView1::from(values);
+            }
             let layer = self.first_nodes.partition_point(|&first| first <= node) - 1;
-            values[layer].row(node - self.first_nodes[layer])
+            let of_layer = values[layer].as_ref().expect("the layer has this node");
+            of_layer.row(node - self.first_nodes[layer])
         };
         let mut rows = Array2::zeros((cells.nodes.len() + 1, self.mean.len()));
         let (mut nodes, mut offset) = rows.view_mut().split_at(Axis(0), cells.nodes.len());

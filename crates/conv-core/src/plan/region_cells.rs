@@ -1,14 +1,17 @@
 //! The weights of a coefficient field's nodes over a region.
 //!
 //! At each pixel, a field's coefficients are `sum_n w_n v_n`. Node `n` has the values `v_n`
-//! ([`CoefficientField::node_values`]) and, at this pixel, the weight `w_n`.
+//! ([`psf_types::WeightedNodes`]) and, at this pixel, the weight `w_n`. If the field has no nodes, the
+//! corners of its cells are the nodes.
 
 use std::{iter, ops::Range};
 
 use psf_types::{BilinearCells, CoefficientField, ErrorLimit, FrameShape, PixelRegion, Position};
 use rustc_hash::{FxBuildHasher, FxHashMap};
 
+use super::allowed_errors::CellError;
 use super::axis_cuts::parts;
+use super::checked_cells::{CheckedCells, Measure};
 
 /// Cells: rectangles in which the nodes' weights are bilinear. A region is divided into bands of
 /// rows, and each band is divided into cells at some columns. Neighbouring cells share corners if
@@ -17,8 +20,13 @@ use super::axis_cuts::parts;
 pub struct RegionCells {
     pub(crate) bands: Vec<Band>,
     cells: Vec<Cell>,
-    /// The nodes that have a weight anywhere in the region, ascending.
+    /// The nodes that have a weight anywhere in the region, ascending. Corners that are nodes follow
+    /// those of the fields.
     pub(crate) nodes: Vec<usize>,
+    /// The number of nodes that the fields have.
+    nodes_of_fields: usize,
+    /// The coefficients at each corner that is a node.
+    corner_values: Vec<Vec<f64>>,
     /// For each corner, its range of the list `weights`.
     corners: Vec<Range<usize>>,
     /// `(index into nodes, weight)`.
@@ -28,6 +36,8 @@ pub struct RegionCells {
     /// The largest size ([`ErrorLimit`]) of the coefficients' errors, because they are not quite
     /// bilinear in the cells.
     pub(crate) error: f64,
+    /// The largest flux in a circle of these errors. `None` if it is not known.
+    pub(crate) circle_error: Option<f64>,
     /// The number of layers, each with a field of its own. The rows of layer `l` begin at row `l` times
     /// the number of the region's rows. All layers together are as one region, with all nodes of all
     /// fields.
@@ -69,35 +79,78 @@ struct Stretch {
     edges: Vec<f64>,
 }
 
-/// The field of a layer, and the number of nodes of all layers before it.
-pub(crate) type LayerField<'a> = (&'a dyn CoefficientField, usize);
+/// The limits of errors: of fields that know their cells, and of cells that checks find.
+#[derive(Clone, Copy)]
+pub(crate) struct CellLimits<'a> {
+    pub(crate) known: ErrorLimit<'a>,
+    pub(crate) measure: Measure<'a>,
+}
+
+/// The number of a field's own nodes.
+pub(crate) fn node_count(field: &dyn CoefficientField) -> usize {
+    field
+        .weighted_nodes()
+        .map_or(0, |nodes| nodes.node_values().nrows())
+}
 
 impl RegionCells {
     /// The cells of a field in a region. Together they cover all rows of the region. In the cells,
     /// coefficients are bilinear up to `error`.
     pub fn new(field: &dyn CoefficientField, region: PixelRegion, error: ErrorLimit<'_>) -> Self {
-        Self::of_layers([(field, 0)].into_iter(), region, error)
+        let limit = CellError {
+            size: error.size,
+            flux_weight: 0.0,
+            l2: error.size,
+            circle: None,
+        };
+        let measure = |d: &[f64]| error.product(d, d).sqrt() / error.size;
+        let limits = CellLimits {
+            known: error,
+            measure: Measure {
+                limit,
+                of_size: &measure,
+                of_all: &measure,
+            },
+        };
+        Self::of_layers(&[field], region, limits)
     }
 
     /// The cells of all layers.
-    pub(crate) fn of_layers<'a>(
-        fields: impl Iterator<Item = LayerField<'a>>,
+    pub(crate) fn of_layers(
+        layers: &[&dyn CoefficientField],
         region: PixelRegion,
-        error: ErrorLimit<'_>,
+        limits: CellLimits<'_>,
     ) -> Self {
-        let mut all = Self::default();
-        for (field, nodes) in fields {
-            all.add_layer(nodes, region, |all| {
-                all.add_rows(field, region, 0..region.shape().ny(), error);
-            });
+        Self::of_each(layers, region, |all, field| {
+            all.add_rows(field, region, 0..region.shape().ny(), limits);
+        })
+    }
+
+    /// The cells that `add` adds for each layer.
+    fn of_each(
+        layers: &[&dyn CoefficientField],
+        region: PixelRegion,
+        add: impl Fn(&mut Self, &dyn CoefficientField),
+    ) -> Self {
+        let counts: Vec<usize> = layers.iter().map(|field| node_count(*field)).collect();
+        let mut all = Self {
+            nodes_of_fields: counts.iter().sum(),
+            circle_error: Some(0.0),
+            ..Self::default()
+        };
+        let mut nodes = 0;
+        for (&field, count) in layers.iter().zip(counts) {
+            all.add_layer(nodes, region, |all| add(all, field));
+            nodes += count;
         }
         all.number_nodes();
         all
     }
 
-    /// Adds the bands of the next layer, whose nodes follow `nodes` others.
+    /// Adds the bands of the next layer, whose own nodes follow `nodes` others.
     fn add_layer(&mut self, nodes: usize, region: PixelRegion, add: impl FnOnce(&mut Self)) {
         let (bands, cells, weights) = (self.bands.len(), self.cells.len(), self.weights.len());
+        let nodes_of_fields = self.nodes_of_fields;
         add(self);
         let above = self.layers * region.shape().ny();
         self.layers += 1;
@@ -111,25 +164,19 @@ impl RegionCells {
             let (low, high) = cell.sides[1];
             cell.sides[1] = (low + above as f64, high + above as f64);
         }
-        for (node, _) in &mut self.weights[weights..] {
-            *node += nodes;
-        }
+        let own = self.weights[weights..]
+            .iter_mut()
+            .filter(|(node, _)| *node < nodes_of_fields);
+        own.for_each(|(node, _)| *node += nodes);
     }
 
     /// The cells of `count` rows of each layer of a region, which include the first and the last row.
     /// Each of these rows is a band of its own, with `count + 1` cells unless the field has runs. The
     /// other rows have no cells.
-    pub(crate) fn sampled<'a>(
-        fields: impl Iterator<Item = LayerField<'a>>,
-        region: PixelRegion,
-        count: usize,
-    ) -> Self {
-        let mut all = Self::default();
-        for (field, nodes) in fields {
-            all.add_layer(nodes, region, |all| all.add_sampled_rows(field, region, count));
-        }
-        all.number_nodes();
-        all
+    pub(crate) fn sampled(layers: &[&dyn CoefficientField], region: PixelRegion, count: usize) -> Self {
+        Self::of_each(layers, region, |all, field| {
+            all.add_sampled_rows(field, region, count);
+        })
     }
 
     fn add_sampled_rows(&mut self, field: &dyn CoefficientField, region: PixelRegion, count: usize) {
@@ -164,9 +211,9 @@ impl RegionCells {
     pub(crate) fn expected(
         field: &dyn CoefficientField,
         region: PixelRegion,
-        error: ErrorLimit<'_>,
+        limits: CellLimits<'_>,
     ) -> usize {
-        match field.bilinear_cells(region, error) {
+        match field.bilinear_cells(region, limits.known) {
             BilinearCells::Lines { x, y, .. } => (x.len() + 1) * (y.len() + 1),
             BilinearCells::Rectangles(rectangles) => {
                 let edges = edges_along_y(&rectangles);
@@ -179,6 +226,9 @@ impl RegionCells {
                 (lines.len() + 1) * runs.len()
             }
             BilinearCells::Divide => 1,
+            BilinearCells::Unknown { scale } => {
+                CheckedCells::expected(field, region, (scale, limits.measure))
+            }
         }
     }
 
@@ -188,7 +238,7 @@ impl RegionCells {
         field: &dyn CoefficientField,
         region: PixelRegion,
         rows: Range<usize>,
-        error: ErrorLimit<'_>,
+        limits: CellLimits<'_>,
     ) {
         // Parts of these rows, from left to right. If the field has a kink in them, their columns
         // are divided, and then the rows, until kinks are in single pixels.
@@ -200,7 +250,7 @@ impl RegionCells {
                 region.x0() + columns.start as i64,
                 region.y0() + rows.start as i64,
             );
-            match field.bilinear_cells(PixelRegion::new(x, y, shape), error) {
+            match field.bilinear_cells(PixelRegion::new(x, y, shape), limits.known) {
                 BilinearCells::Bands(ys) => {
                     let edges = edges(&ys, region.y0(), &rows);
                     for (rows, _) in between(&edges, rows) {
@@ -214,7 +264,16 @@ impl RegionCells {
                     self.add_rectangles(field, region, rectangles, rows);
                     return;
                 }
-                BilinearCells::Rectangles(_) => {
+                BilinearCells::Unknown { scale } if columns.len() == region.shape().nx() => {
+                    let part = PixelRegion::new(x, y, shape);
+                    let cells = CheckedCells::new(field, part, (scale, limits.measure));
+                    let limit = limits.measure.limit.times(cells.error);
+                    self.error = self.error.max(limit.l2);
+                    self.circle_error = self.circle_error.zip(limit.circle).map(|(a, b)| a.max(b));
+                    self.add_checked_cells(&cells, part.shape().nx(), rows);
+                    return;
+                }
+                BilinearCells::Rectangles(_) | BilinearCells::Unknown { .. } => {
                     for row in rows {
                         self.add_band(field, region, row..row + 1);
                     }
@@ -223,6 +282,9 @@ impl RegionCells {
                 BilinearCells::Lines { x, y, error } => {
                     lines.extend(y);
                     self.error = self.error.max(error);
+                    if error > 0.0 {
+                        self.circle_error = None;
+                    }
                     stretches.push(Stretch {
                         edges: edges(&x, region.x0(), &columns),
                         columns,
@@ -234,8 +296,8 @@ impl RegionCells {
                 }
                 BilinearCells::Divide if rows.len() > 1 => {
                     let middle = usize::midpoint(rows.start, rows.end);
-                    self.add_rows(field, region, rows.start..middle, error);
-                    self.add_rows(field, region, middle..rows.end, error);
+                    self.add_rows(field, region, rows.start..middle, limits);
+                    self.add_rows(field, region, middle..rows.end, limits);
                     return;
                 }
                 BilinearCells::Divide => stretches.push(Stretch {
@@ -294,12 +356,36 @@ impl RegionCells {
         // Rounding may leave nothing between the sides of a rectangle.
         let is_flat = |side: (f64, f64)| side.0 >= side.1;
         rectangles.retain(|&[x, y]| (nx == 1 || !is_flat(x)) && (rows.len() == 1 || !is_flat(y)));
+        self.add_counted_rectangles(nx, rectangles, rows, |all, at| all.corner(field, region, at));
+    }
+
+    /// Adds the cells that checks found in some rows of a region with `nx` columns.
+    fn add_checked_cells(&mut self, cells: &CheckedCells, nx: usize, rows: Range<usize>) {
+        let above = rows.start;
+        let in_region = |&[x, y]: &[(usize, usize); 2]| {
+            [x, (y.0 + above, y.1 + above)].map(|(first, last)| (first as f64, last as f64))
+        };
+        let rectangles = cells.rectangles.iter().map(in_region).collect();
+        self.add_counted_rectangles(nx, rectangles, rows, |all, [x, y]| {
+            let values = cells.at([x as usize, y as usize - above])?;
+            Some(all.push_values(values.to_vec()))
+        });
+    }
+
+    /// Adds rectangles whose sides count from the region's first pixel. `corner` stores a corner.
+    fn add_counted_rectangles(
+        &mut self,
+        nx: usize,
+        mut rectangles: Vec<[(f64, f64); 2]>,
+        rows: Range<usize>,
+        store_corner: impl Fn(&mut Self, [f64; 2]) -> Option<usize>,
+    ) {
         rectangles.sort_by(|[a, _], [b, _]| a.0.total_cmp(&b.0));
         let mut numbers = FxHashMap::with_capacity_and_hasher(2 * rectangles.len(), FxBuildHasher);
         let mut corner = |all: &mut Self, at: [f64; 2]| {
             *numbers
                 .entry(at.map(f64::to_bits))
-                .or_insert_with(|| all.corner(field, region, at))
+                .or_insert_with(|| store_corner(all, at))
         };
         let corners: Vec<Option<[usize; CORNERS]>> = rectangles
             .iter()
@@ -350,12 +436,31 @@ impl RegionCells {
         [x, y]: [f64; 2],
     ) -> Option<usize> {
         let position = Position::new(region.x0() as f64 + x, region.y0() as f64 + y).ok()?;
+        let Some(nodes) = field.weighted_nodes() else {
+            return self.evaluated_corner(field, position);
+        };
         let mut weights = std::mem::take(&mut self.buffer);
-        let outcome = field.weights_into(position, &mut weights);
+        let outcome = nodes.weights_into(position, &mut weights);
         let corner =
             (outcome.is_ok() && weights.iter().all(|(_, w)| w.is_finite())).then(|| self.push(&weights));
         self.buffer = weights;
         corner
+    }
+
+    /// Stores the coefficients at a position as a node of their own.
+    fn evaluated_corner(&mut self, field: &dyn CoefficientField, position: Position) -> Option<usize> {
+        let mut values = vec![0.0; field.component_count()];
+        field.evaluate_into(position, &mut values).ok()?;
+        values
+            .iter()
+            .all(|v| v.is_finite())
+            .then(|| self.push_values(values))
+    }
+
+    fn push_values(&mut self, values: Vec<f64>) -> usize {
+        let node = self.nodes_of_fields + self.corner_values.len();
+        self.corner_values.push(values);
+        self.push(&[(node, 1.0)])
     }
 
     /// Adds rows whose runs are of equal lengths. They become one band if the first and the last row
@@ -404,10 +509,21 @@ impl RegionCells {
 
     /// Returns the runs of a row and stores their weights.
     fn runs(&mut self, field: &dyn CoefficientField, (x, y): (i64, i64), length: usize) -> Vec<Run> {
+        let Some(nodes) = field.weighted_nodes() else {
+            let run_of = |column: usize| {
+                let position = Position::of_pixel(x + column as i64, y);
+                let corner = self.evaluated_corner(field, position);
+                Run {
+                    columns: column..column + 1,
+                    corners: corner.map(|corner| [corner; 2]),
+                }
+            };
+            return (0..length).map(run_of).collect();
+        };
         let mut runs = Vec::new();
         let mut column = 0;
         while column < length {
-            let outcome = field.weights_along_row((x + column as i64, y), length - column, &mut |run| {
+            let outcome = nodes.weights_along_row((x + column as i64, y), length - column, &mut |run| {
                 // A run may extend beyond the row. Such a run is cut, and its pixels have no value.
                 let pixels = run.length.min(length - column);
                 let finite = |end: &[(usize, f64)]| end.iter().all(|(_, w)| w.is_finite());
@@ -474,6 +590,12 @@ impl RegionCells {
     /// The corners of all cells with values, cell by cell.
     pub(crate) fn corners_of_cells(&self) -> impl Iterator<Item = &[usize; CORNERS]> {
         self.cells.iter().filter_map(|cell| cell.corners.as_ref())
+    }
+
+    /// The coefficients of a node that is a corner. None for a node of a field.
+    pub(crate) fn values_of(&self, node: usize) -> Option<&[f64]> {
+        let corner = node.checked_sub(self.nodes_of_fields)?;
+        Some(&self.corner_values[corner])
     }
 
     /// The weights of [`nodes`](Self::nodes) at a corner.
@@ -550,11 +672,8 @@ mod tests {
         fn component_count(&self) -> usize {
             1
         }
-        fn evaluate_into(&self, _: Position, _: &mut [f64]) -> Result<(), FieldError> {
-            unreachable!("cells need weights only")
-        }
-        fn weights_into(&self, p: Position, weights: &mut Vec<(usize, f64)>) -> Result<(), FieldError> {
-            *weights = vec![(0, p.y())];
+        fn evaluate_into(&self, p: Position, a: &mut [f64]) -> Result<(), FieldError> {
+            a[0] = p.y();
             Ok(())
         }
         fn bilinear_cells(&self, region: PixelRegion, _: ErrorLimit<'_>) -> BilinearCells {

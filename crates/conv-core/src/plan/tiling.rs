@@ -370,7 +370,8 @@ impl WholeFrame {
         let model = &models[0];
         let (reach, anchor) = (Reach::of(model.grid())?, options.anchor());
         let (_, geometry) = sides(view, view.frame.shape().region(), reach, anchor)?;
-        let space = PsfSpace::new(models, options.tolerance_on());
+        let tolerance = options.tolerance_in::<T>();
+        let space = PsfSpace::new(models, options.tolerance_on()).with_tables(geometry.weighted, tolerance);
         let tiling = best_tiling::<T>(model, &space, &geometry, options, progress)?;
         Ok(Self {
             view,
@@ -383,15 +384,16 @@ impl WholeFrame {
     }
 
     /// The tiles with the PSFs of other models. `None` if the stamps reach other pixels.
-    pub(crate) fn for_other_models(
+    pub(crate) fn for_other_models<T: ConvReal>(
         &self,
         models: &[PsfModel],
         options: PlanOptions,
     ) -> Result<Option<Self>, ConvError> {
         let reach = Reach::of(models[0].grid())?;
+        let space = self.space.for_other_models(models, options.tolerance_on());
         let whole = || Self {
             view: self.view,
-            space: self.space.for_other_models(models, options.tolerance_on()),
+            space: space.with_tables(self.geometry.weighted, options.tolerance_in::<T>()),
             geometry: self.geometry,
             tiling: self.tiling.clone(),
             reach,

@@ -8,7 +8,7 @@ use super::kernel::{Kernel, MOST_REACH, POLE};
 /// At most this fraction of a PSF's flux lies farther out than the reach, for any sub-pixel
 /// position.
 const NEGLIGIBLE: f64 = 5e-7;
-/// The most PSFs of a model that are examined. They are evenly spread over its nodes.
+/// The most PSFs of a model that are examined. They are evenly spread over the rows of weights.
 const MOST_PSFS: usize = 512;
 /// A spline's coefficient at the edge depends on this many lines of pixels: `POLE^30` is 7e-18.
 const DEPTH: usize = 30;
@@ -66,7 +66,7 @@ pub fn edge_reach_of(model: &PsfModel) -> usize {
     let first = usize::from(model.is_mean_centred());
     let mean = model.is_mean_centred().then(|| model.stamp(0));
     let components = model.stamps().slice_move(s![first.., .., ..]);
-    let nodes = model.field().node_values();
+    let nodes = model.some_coefficients();
     edge_reach(mean, components, Some(nodes.view()), model.grid())
 }
 

@@ -3,7 +3,9 @@
 use std::borrow::Cow;
 
 use ndarray::Array2;
-use psf_types::{BilinearCells, CoefficientField, ErrorLimit, FieldError, PixelRegion, Position};
+use psf_types::{
+    BilinearCells, CoefficientField, ErrorLimit, FieldError, PixelRegion, Position, WeightedNodes,
+};
 
 /// Coefficients that are bilinear in the cells of a square grid of nodes. The first node is at
 /// pixel `(0, 0)`.
@@ -62,8 +64,8 @@ impl CoefficientField for GridField {
         Ok(())
     }
 
-    fn node_values(&self) -> Cow<'_, Array2<f64>> {
-        Cow::Borrowed(&self.values)
+    fn weighted_nodes(&self) -> Option<&dyn WeightedNodes> {
+        Some(self)
     }
 
     fn bilinear_cells(&self, _: PixelRegion, _: ErrorLimit<'_>) -> BilinearCells {
@@ -73,6 +75,12 @@ impl CoefficientField for GridField {
             y: lines,
             error: 0.0,
         }
+    }
+}
+
+impl WeightedNodes for GridField {
+    fn node_values(&self) -> Cow<'_, Array2<f64>> {
+        Cow::Borrowed(&self.values)
     }
 
     fn weights_into(&self, p: Position, weights: &mut Vec<(usize, f64)>) -> Result<(), FieldError> {

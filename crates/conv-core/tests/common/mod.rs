@@ -11,8 +11,8 @@ use conv_core::{
 };
 use ndarray::{Array2, Array3, ArrayView2};
 use psf_types::{
-    Anchor, CoefficientField, FieldError, FrameShape, Image, ImageView, NoProgress, Normalisation,
-    PixelRegion, PointSource, Position, Progress, PsfBasis, PsfModel, StampGrid,
+    Anchor, BilinearCells, CoefficientField, ErrorLimit, FieldError, FrameShape, Image, ImageView,
+    NoProgress, Normalisation, PixelRegion, PointSource, Position, Progress, PsfBasis, PsfModel, StampGrid,
 };
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -163,6 +163,22 @@ impl CoefficientField for Waves {
         a[1] = 0.4 * (p.y() / 5.0).cos();
         a[2] = 0.02 * (p.x() - p.y());
         Ok(())
+    }
+}
+
+/// A field that convolution visits pixel by pixel.
+#[derive(Debug)]
+pub(crate) struct PixelByPixel<F>(pub(crate) F);
+
+impl<F: CoefficientField> CoefficientField for PixelByPixel<F> {
+    fn component_count(&self) -> usize {
+        self.0.component_count()
+    }
+    fn evaluate_into(&self, p: Position, a: &mut [f64]) -> Result<(), FieldError> {
+        self.0.evaluate_into(p, a)
+    }
+    fn bilinear_cells(&self, region: PixelRegion, _: ErrorLimit<'_>) -> BilinearCells {
+        BilinearCells::every_row(region)
     }
 }
 

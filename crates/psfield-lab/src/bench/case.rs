@@ -1,8 +1,6 @@
 //! A model and the scene that a benchmark convolves with it, and functions that make both.
 
-use std::sync::Arc;
-
-use coeff_field::{InterpolatedField, Nearest};
+use coeff_field::{FieldInterpolation, Nearest};
 use ndarray::{Array2, Axis};
 use psf_types::{
     DataError, FrameShape, Image, Normalisation, OutsidePolicy, Position, PsfBasis, PsfModel, PsfModelRecord,
@@ -137,15 +135,10 @@ pub(super) fn constant(model: &PsfModel, position: Position) -> Result<PsfModel,
     let basis = PsfBasis::new(None, stamp, model.grid())?;
     let at = SamplePositions::new(vec![position], model.field_shape())?;
     let coefficient = SampleCoefficients::new(Array2::from_elem((1, 1), norm), at)?;
-    let field = InterpolatedField::new(&coefficient, &Nearest, OutsidePolicy::Nearest)?;
+    let field = Nearest.interpolate(&coefficient, OutsidePolicy::Nearest)?;
     let shape = model.field_shape();
     // `Keep`, because `psf_at` has already scaled the stamp if the model's PSFs have unit flux.
-    Ok(PsfModel::new(
-        &basis,
-        Arc::new(field),
-        Normalisation::Keep,
-        shape,
-    )?)
+    Ok(PsfModel::new(&basis, field, Normalisation::Keep, shape)?)
 }
 
 #[cfg(test)]

@@ -81,13 +81,17 @@ pub fn is_on_grid(psf: &Psf) -> bool {
     psf.positions().len() >= 4 && needs_grid(interpolation_of(psf))
 }
 
+/// The interpolation of a PSF. The local method if it is one that depends on all samples.
 fn interpolation_of(psf: &Psf) -> Interpolation {
     let choice = match (psf.samples(), psf.stored()) {
         (Some((_, options)), _) => options.interpolation,
         (None, Some(record)) => record.interpolation(),
         (None, None) => Interpolation::Nearest,
     };
-    coeff_field::resolve(choice, psf.positions())
+    match choice {
+        Interpolation::Auto | Interpolation::Kriging(_) => coeff_field::local_method(psf.positions()),
+        named => named,
+    }
 }
 
 fn needs_grid(interpolation: Interpolation) -> bool {
@@ -95,7 +99,7 @@ fn needs_grid(interpolation: Interpolation) -> bool {
 }
 
 fn is_grid(samples: &PsfSamples) -> bool {
-    needs_grid(coeff_field::resolve(Interpolation::Auto, samples.positions()))
+    needs_grid(coeff_field::local_method(samples.positions()))
 }
 
 /// Returns the largest relative L2 error of the bilinear interpolation in the middle of the grid's

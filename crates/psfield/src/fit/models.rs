@@ -2,8 +2,9 @@
 
 use std::sync::Arc;
 
-use coeff_field::InterpolatedField;
-use psf_types::{Interpolation, OutsidePolicy, PsfModel, PsfModelRecord, SampleCoefficients};
+use psf_types::{
+    CoefficientField, Interpolation, OutsidePolicy, PsfModel, PsfModelRecord, SampleCoefficients,
+};
 
 use crate::PsfieldError;
 
@@ -15,7 +16,7 @@ use crate::PsfieldError;
 /// several states.
 pub fn model_of(record: PsfModelRecord) -> Result<PsfModel, PsfieldError> {
     let field = field_of(record.coefficients(), record.interpolation(), record.outside())?;
-    Ok(record.into_model(Arc::new(field))?)
+    Ok(record.into_model(field)?)
 }
 
 /// Makes the models of all states of a record, in the order of their values. They share their
@@ -25,7 +26,7 @@ pub fn model_of(record: PsfModelRecord) -> Result<PsfModel, PsfieldError> {
 /// The errors of [`model_of`].
 pub(crate) fn models_of(record: &PsfModelRecord) -> Result<Vec<PsfModel>, PsfieldError> {
     let first = state_field(record, 0)?;
-    let first = record.clone().into_model(Arc::new(first))?;
+    let first = record.clone().into_model(first)?;
     let mut others = models_on(record, &first, 1)?;
     others.insert(0, first);
     Ok(others)
@@ -39,12 +40,12 @@ pub(crate) fn models_on(
 ) -> Result<Vec<PsfModel>, PsfieldError> {
     let states = from..record.coefficients().positions().state_count();
     states
-        .map(|state| Ok(stamps.with_field(Arc::new(state_field(record, state)?))?))
+        .map(|state| Ok(stamps.with_field(state_field(record, state)?)?))
         .collect()
 }
 
 /// The coefficient field of a state. 0 if the PSF depends on the position only.
-fn state_field(record: &PsfModelRecord, state: usize) -> Result<InterpolatedField, PsfieldError> {
+fn state_field(record: &PsfModelRecord, state: usize) -> Result<Arc<dyn CoefficientField>, PsfieldError> {
     let coefficients = record.coefficients();
     let (interpolation, outside) = (record.interpolation(), record.outside());
     match coefficients.positions().states() {
@@ -57,11 +58,6 @@ fn field_of(
     coefficients: &SampleCoefficients,
     interpolation: Interpolation,
     outside: OutsidePolicy,
-) -> Result<InterpolatedField, PsfieldError> {
-    let resolved = coeff_field::resolve(interpolation, coefficients.positions());
-    Ok(InterpolatedField::new(
-        coefficients,
-        coeff_field::interpolation(resolved)?.as_ref(),
-        outside,
-    )?)
+) -> Result<Arc<dyn CoefficientField>, PsfieldError> {
+    Ok(coeff_field::interpolation(interpolation)?.interpolate(coefficients, outside)?)
 }

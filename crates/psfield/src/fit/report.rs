@@ -30,6 +30,8 @@ pub struct FitReport {
     pub noise_sigma: Option<f64>,
     /// The interpolation that the model uses.
     pub interpolation: Interpolation,
+    /// The reason for this interpolation. Empty if the caller named it.
+    pub interpolation_reason: String,
     /// The policy for positions outside the area of the samples.
     pub outside: OutsidePolicy,
     /// The scaling of PSFs: to unit flux, or none.
@@ -109,6 +111,7 @@ impl Fit {
             elbow: spectrum.map(|s| s.elbow),
             noise_sigma: spectrum.and_then(|s| s.noise_sigma),
             interpolation: record.interpolation(),
+            interpolation_reason: self.reason.clone(),
             outside: record.outside(),
             normalise: record.normalisation(),
             max_error: self.max_error(),

@@ -11,7 +11,7 @@ const NO_FLUX: f64 = 1e-13;
 
 /// Refuses PSFs without flux if the tolerance is relative to their flux. `model` is a model of `psf`.
 pub(super) fn check_flux(psf: &Psf, model: &PsfModel, options: &PlanOptions) -> Result<(), PsfieldError> {
-    let weights = model.field().node_values();
+    let weights = model.some_coefficients();
     if options.tolerance_on() != ToleranceOn::Aperture || weights.nrows() == 0 {
         return Ok(());
     }

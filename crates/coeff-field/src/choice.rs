@@ -1,0 +1,347 @@
+//! The methods by name, and the choice of a method for samples.
+
+use ndarray::{Array2, Axis, concatenate};
+use psf_types::maths::ConvexHull;
+use psf_types::{
+    Interpolation, KrigingParameters, OutsidePolicy, Position, SampleCoefficients, SamplePositions,
+};
+
+use crate::bilinear::{Bicubic, Bilinear};
+use crate::delaunay::{Delaunay, NaturalNeighbour};
+use crate::error::CoeffFieldError;
+use crate::geometry::range;
+use crate::grid::RegularGrid;
+use crate::interpolation::{FieldInterpolation, Interpolated, LeaveOneOut, LeftOut, Outcomes};
+use crate::kriging::Kriging;
+use crate::neighbours::{InverseDistance, Nearest};
+use crate::polynomial::Polynomial;
+
+/// The local method that suits samples at these positions.
+///
+/// * Samples on a regular grid of at least 2 x 2: bicubic, or bilinear on exactly 2 x 2.
+/// * A single sample: nearest.
+/// * Otherwise: natural neighbour. It interpolates collinear samples along their line.
+///
+/// Of samples in several states, such as wavelengths, the positions of each state count. If they
+/// suit different methods, natural neighbour is taken.
+///
+/// ```
+/// use coeff_field::local_method;
+/// use psf_types::{Interpolation, Position, SamplePositions};
+/// let corners = [(0, 0), (4, 0), (0, 4), (4, 4)].map(|(x, y)| Position::of_pixel(x, y));
+/// let grid = SamplePositions::new(corners.to_vec(), None)?;
+/// assert_eq!(local_method(&grid), Interpolation::Bilinear);
+/// let triangle = SamplePositions::new(corners[..3].to_vec(), None)?;
+/// assert_eq!(local_method(&triangle), Interpolation::NaturalNeighbour);
+/// # Ok::<(), psf_types::DataError>(())
+/// ```
+pub fn local_method(positions: &SamplePositions) -> Interpolation {
+    if positions.states().is_some() {
+        let of_states = (0..positions.state_count()).map(|state| local_method(&positions.of_state(state)));
+        let agreed = of_states.reduce(|a, b| {
+            if a == b {
+                a
+            } else {
+                Interpolation::NaturalNeighbour
+            }
+        });
+        return agreed.expect("at least one state");
+    }
+    if positions.len() == 1 {
+        return Interpolation::Nearest;
+    }
+    match RegularGrid::detect(positions) {
+        Ok(grid) if grid.xs().len() >= 2 && grid.ys().len() >= 2 => {
+            if positions.len() == 4 {
+                Interpolation::Bilinear
+            } else {
+                Interpolation::Bicubic
+            }
+        }
+        _ => Interpolation::NaturalNeighbour,
+    }
+}
+
+/// An interpolation that was chosen for samples, and the reason in words.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct Choice {
+    /// The interpolation, with all parameters.
+    pub interpolation: Interpolation,
+    /// The reason. Empty if the caller named the interpolation.
+    pub reason: String,
+}
+
+impl Choice {
+    /// An interpolation that the caller named.
+    pub fn named(interpolation: Interpolation) -> Self {
+        Self {
+            interpolation,
+            reason: String::new(),
+        }
+    }
+}
+
+/// Kriging is considered for at least this many samples: fewer do not tell its parameters.
+const FEWEST: usize = 10;
+/// Kriging is considered for at most this many samples: its time grows as their cube.
+const MOST: usize = 2000;
+
+/// Chooses the interpolation for samples, where `wanted` leaves that open.
+///
+/// * [`Interpolation::Auto`]: kriging or the [`local_method`], whichever predicts samples from the others
+///   with the smaller error (r.m.s. over the field, at the samples that both can predict). The error that
+///   kriging expects between the samples counts, too. Below 10 samples and above
+///   2000, it is the local method.
+/// * [`Interpolation::Kriging`] without parameters: with the parameters that suit the samples best.
+/// * Any other interpolation is returned unchanged.
+///
+/// If all states of the samples have the same positions, their coefficients count together.
+///
+/// # Errors
+/// [`CoeffFieldError`] when the method does not suit the samples.
+pub fn choose(
+    wanted: Interpolation,
+    samples: &SampleCoefficients,
+    outside: OutsidePolicy,
+) -> Result<Choice, CoeffFieldError> {
+    match wanted {
+        Interpolation::Kriging(None) => {
+            let parameters = Kriging::default().parameters(&joined(samples)?)?;
+            Ok(Choice::named(Interpolation::Kriging(Some(parameters))))
+        }
+        Interpolation::Auto => best(samples, outside),
+        other => Ok(Choice::named(other)),
+    }
+}
+
+fn best(samples: &SampleCoefficients, outside: OutsidePolicy) -> Result<Choice, CoeffFieldError> {
+    let local = local_method(samples.positions());
+    let Ok(joined) = joined(samples) else {
+        return Ok(Choice {
+            interpolation: local,
+            reason: "the states have samples at different positions".to_owned(),
+        });
+    };
+    let count = joined.positions().len();
+    if !(FEWEST..=MOST).contains(&count) {
+        return Ok(Choice {
+            interpolation: local,
+            reason: format!("kriging is considered for {FEWEST} to {MOST} samples, and there are {count}"),
+        });
+    }
+    let Ok(parameters) = Kriging::default().parameters(&joined) else {
+        return Ok(Choice {
+            interpolation: local,
+            reason: "the samples do not determine the parameters of kriging".to_owned(),
+        });
+    };
+    let kriging = Kriging::new(parameters).leave_one_out(&joined, outside)?;
+    let of_local = interpolation(local)?.leave_one_out(&joined, outside)?;
+    let expected = expected_error(parameters, &joined)?;
+    Ok(match compared(&kriging, &of_local, joined.positions()) {
+        Some([kriging, of_local]) => {
+            // Samples that are close to others say little about wide gaps.
+            let kriging = kriging.max(expected);
+            let (interpolation, better, worse) = if kriging < of_local {
+                (
+                    Interpolation::Kriging(Some(parameters)),
+                    ("kriging".to_owned(), kriging),
+                    (local.to_string(), of_local),
+                )
+            } else {
+                (
+                    local,
+                    (local.to_string(), of_local),
+                    ("kriging".to_owned(), kriging),
+                )
+            };
+            Choice {
+                interpolation,
+                reason: format!(
+                    "{} predicts samples from the others with an error of {:.1e} (r.m.s., in the units of the PSF), {} with \
+                     {:.1e}",
+                    better.0, better.1, worse.0, worse.1
+                ),
+            }
+        }
+        None => Choice {
+            interpolation: local,
+            reason: "no sample can be predicted from the others".to_owned(),
+        },
+    })
+}
+
+/// The number of positions along each axis at which kriging's expected error is looked at.
+const ALONG_AXIS: usize = 16;
+
+/// The root mean square of the errors that kriging expects, over the convex hull of the samples.
+fn expected_error(
+    parameters: KrigingParameters,
+    samples: &SampleCoefficients,
+) -> Result<f64, CoeffFieldError> {
+    let points: Vec<[f64; 2]> = samples
+        .positions()
+        .as_slice()
+        .iter()
+        .map(|p| [p.x(), p.y()])
+        .collect();
+    let (hull, ranges) = (ConvexHull::new(&points), [0, 1].map(|axis| range(&points, axis)));
+    let place = |i: usize, (low, high): (f64, f64)| low + (i as f64 + 0.5) / ALONG_AXIS as f64 * (high - low);
+    let grid = (0..ALONG_AXIS * ALONG_AXIS)
+        .map(|i| [place(i % ALONG_AXIS, ranges[0]), place(i / ALONG_AXIS, ranges[1])])
+        .filter(|&p| hull.contains(p));
+    let grid: Vec<Position> = grid.map(|[x, y]| Position::new(x, y)).collect::<Result<_, _>>()?;
+    if grid.is_empty() {
+        return Ok(0.0);
+    }
+    let fit = Kriging::new(parameters).fit(samples, OutsidePolicy::Extend)?;
+    let squares: f64 = fit
+        .expected_errors(&grid)?
+        .iter()
+        .map(|error| error * error)
+        .sum();
+    Ok((squares / grid.len() as f64).sqrt())
+}
+
+/// The root mean square of two methods' errors at the samples that both interpolate. A sample counts as
+/// the square of its distance from the next one, which is about the area of the field that it stands for.
+fn compared(a: &LeaveOneOut, b: &LeaveOneOut, positions: &SamplePositions) -> Option<[f64; 2]> {
+    let at = positions.as_slice();
+    let area = |sample: usize| {
+        let others = at.iter().enumerate().filter(|&(other, _)| other != sample);
+        others
+            .map(|(_, p)| p.distance(at[sample]).powi(2))
+            .fold(f64::INFINITY, f64::min)
+    };
+    let pairs = a.outcomes().iter().zip(b.outcomes()).enumerate();
+    let (mut sums, mut whole) = ([0.0; 2], 0.0);
+    for (sample, pair) in pairs {
+        if let (LeftOut::Predicted { error: a }, LeftOut::Predicted { error: b }) = pair {
+            let area = area(sample);
+            sums = [sums[0] + area * a * a, sums[1] + area * b * b];
+            whole += area;
+        }
+    }
+    (whole > 0.0).then(|| sums.map(|sum| (sum / whole).sqrt()))
+}
+
+/// The coefficients of all states side by side, at the positions that they share.
+fn joined(samples: &SampleCoefficients) -> Result<SampleCoefficients, CoeffFieldError> {
+    let positions = samples.positions();
+    let Some(states) = positions.states() else {
+        return Ok(samples.clone());
+    };
+    let of_states: Vec<SampleCoefficients> = (0..positions.state_count())
+        .map(|state| samples.of_state(state))
+        .collect();
+    let first = &of_states[0];
+    let mut columns: Vec<Array2<f64>> = Vec::with_capacity(of_states.len());
+    for of_state in &of_states {
+        let at = of_state.positions().as_slice();
+        let place = |wanted: &Position| at.iter().position(|p| p.bits() == wanted.bits());
+        let order: Option<Vec<usize>> = first.positions().as_slice().iter().map(place).collect();
+        match order {
+            Some(order) if order.len() == at.len() => columns.push(of_state.values().select(Axis(0), &order)),
+            _ => {
+                let (kind, count) = (states.kind(), states.values().len());
+                return Err(CoeffFieldError::SeveralStates { kind, count });
+            }
+        }
+    }
+    let views: Vec<_> = columns.iter().map(|of_state| of_state.view()).collect();
+    let values = concatenate(Axis(1), &views).expect("one row for each position");
+    Ok(SampleCoefficients::new(values, first.positions().clone())?)
+}
+
+/// Returns the interpolation method that `choice` names. [`Auto`] chooses a method when it receives
+/// the samples.
+///
+/// ```
+/// use coeff_field::interpolation;
+/// use psf_types::Interpolation;
+/// let choice: Interpolation = "polynomial=3".parse()?;
+/// println!("{:?}", interpolation(choice)?);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+///
+/// # Errors
+/// [`CoeffFieldError::Parameter`] for a parameter out of range,
+/// [`CoeffFieldError::UnknownInterpolation`] for a choice that this version does not know.
+pub fn interpolation(choice: Interpolation) -> Result<Box<dyn FieldInterpolation>, CoeffFieldError> {
+    Ok(match choice {
+        Interpolation::Auto => Box::new(Auto),
+        Interpolation::Kriging(None) => Box::new(Kriging::default()),
+        Interpolation::Kriging(Some(parameters)) => Box::new(Kriging::new(parameters)),
+        Interpolation::Delaunay => Box::new(Delaunay),
+        Interpolation::NaturalNeighbour => Box::new(NaturalNeighbour),
+        Interpolation::InverseDistance { power } => {
+            Box::new(InverseDistance::new(power, InverseDistance::DEFAULT_NEIGHBOURS)?)
+        }
+        Interpolation::Bilinear => Box::new(Bilinear),
+        Interpolation::Bicubic => Box::new(Bicubic),
+        Interpolation::Polynomial { degree } => Box::new(Polynomial::new(degree)?),
+        Interpolation::Nearest => Box::new(Nearest),
+        other => return Err(CoeffFieldError::UnknownInterpolation(other)),
+    })
+}
+
+/// The method that [`choose`] selects for the given samples.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Auto;
+
+impl FieldInterpolation for Auto {
+    fn interpolate(&self, samples: &SampleCoefficients, outside: OutsidePolicy) -> Interpolated {
+        let chosen = choose(Interpolation::Auto, samples, outside)?;
+        interpolation(chosen.interpolation)?.interpolate(samples, outside)
+    }
+
+    /// Selects the method once, for all samples. This method then predicts each sample from the
+    /// others.
+    fn leave_one_out(&self, samples: &SampleCoefficients, outside: OutsidePolicy) -> Outcomes {
+        let chosen = choose(Interpolation::Auto, samples, outside)?;
+        interpolation(chosen.interpolation)?.leave_one_out(samples, outside)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+
+    use super::*;
+
+    #[test]
+    fn the_local_method_suits_the_positions() {
+        let choose = |points: &[(i64, i64)]| {
+            let positions = points.iter().map(|&(x, y)| Position::of_pixel(x, y)).collect();
+            local_method(&SamplePositions::new(positions, None).unwrap())
+        };
+        assert_eq!(choose(&[(1, 1)]), Interpolation::Nearest);
+        assert_eq!(choose(&[(0, 0), (5, 0)]), Interpolation::NaturalNeighbour);
+        assert_eq!(choose(&[(0, 0), (5, 5), (9, 9)]), Interpolation::NaturalNeighbour);
+        assert_eq!(choose(&[(0, 0), (5, 0), (0, 1), (5, 1)]), Interpolation::Bilinear);
+        let lines = [(0, 0), (5, 0), (9, 0), (0, 1), (5, 1), (9, 1)];
+        assert_eq!(choose(&lines), Interpolation::Bicubic);
+    }
+
+    #[test]
+    fn every_choice_has_its_method() {
+        for (text, name) in [
+            ("auto", "Auto"),
+            ("kriging", "Kriging { parameters: None }"),
+            ("delaunay", "Delaunay"),
+            ("natural-neighbour", "NaturalNeighbour"),
+            ("idw=3", "InverseDistance { power: 3.0, neighbours: 6 }"),
+            ("bilinear", "Bilinear"),
+            ("bicubic", "Bicubic"),
+            ("polynomial=4", "Polynomial { degree: 4 }"),
+            ("nearest", "Nearest"),
+        ] {
+            assert_eq!(
+                format!("{:?}", interpolation(text.parse().unwrap()).unwrap()),
+                name
+            );
+        }
+        assert!(interpolation(Interpolation::InverseDistance { power: f64::NAN }).is_err());
+        assert!(interpolation(Interpolation::Polynomial { degree: 99 }).is_err());
+    }
+}
