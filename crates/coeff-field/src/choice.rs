@@ -1,15 +1,11 @@
 //! The methods by name, and the choice of a method for samples.
 
 use ndarray::{Array2, Axis, concatenate};
-use psf_types::maths::ConvexHull;
-use psf_types::{
-    Interpolation, KrigingParameters, OutsidePolicy, Position, SampleCoefficients, SamplePositions,
-};
+use psf_types::{Interpolation, OutsidePolicy, Position, SampleCoefficients, SamplePositions};
 
 use crate::bilinear::{Bicubic, Bilinear};
 use crate::delaunay::{Delaunay, NaturalNeighbour};
 use crate::error::CoeffFieldError;
-use crate::geometry::range;
 use crate::grid::RegularGrid;
 use crate::interpolation::{FieldInterpolation, Interpolated, LeaveOneOut, LeftOut, Outcomes};
 use crate::kriging::Kriging;
@@ -117,91 +113,47 @@ pub fn choose(
 
 fn best(samples: &SampleCoefficients, outside: OutsidePolicy) -> Result<Choice, CoeffFieldError> {
     let local = local_method(samples.positions());
-    let Ok(joined) = joined(samples) else {
-        return Ok(Choice {
+    let take_local = |reason: &str| {
+        Ok(Choice {
             interpolation: local,
-            reason: "the states have samples at different positions".to_owned(),
-        });
+            reason: reason.to_owned(),
+        })
+    };
+    let Ok(joined) = joined(samples) else {
+        return take_local("the states have samples at different positions");
     };
     let count = joined.positions().len();
     if !(FEWEST..=MOST).contains(&count) {
-        return Ok(Choice {
-            interpolation: local,
-            reason: format!("kriging is considered for {FEWEST} to {MOST} samples, and there are {count}"),
-        });
+        return take_local(&format!(
+            "kriging is considered for {FEWEST} to {MOST} samples, and there are {count}"
+        ));
     }
     let Ok(parameters) = Kriging::default().parameters(&joined) else {
-        return Ok(Choice {
-            interpolation: local,
-            reason: "the samples do not determine the parameters of kriging".to_owned(),
-        });
+        return take_local("the samples do not determine the parameters of kriging");
     };
-    let kriging = Kriging::new(parameters).leave_one_out(&joined, outside)?;
+    let kriging = Kriging::new(parameters).fit(&joined, outside)?;
+    let left_out = kriging.leave_one_out(&joined, outside)?;
     let of_local = interpolation(local)?.leave_one_out(&joined, outside)?;
-    let expected = expected_error(parameters, &joined)?;
-    Ok(match compared(&kriging, &of_local, joined.positions()) {
-        Some([kriging, of_local]) => {
-            // Samples that are close to others say little about wide gaps.
-            let kriging = kriging.max(expected);
-            let (interpolation, better, worse) = if kriging < of_local {
-                (
-                    Interpolation::Kriging(Some(parameters)),
-                    ("kriging".to_owned(), kriging),
-                    (local.to_string(), of_local),
-                )
-            } else {
-                (
-                    local,
-                    (local.to_string(), of_local),
-                    ("kriging".to_owned(), kriging),
-                )
-            };
-            Choice {
-                interpolation,
-                reason: format!(
-                    "{} predicts samples from the others with an error of {:.1e} (r.m.s., in the units of the PSF), {} with \
-                     {:.1e}",
-                    better.0, better.1, worse.0, worse.1
-                ),
-            }
-        }
-        None => Choice {
-            interpolation: local,
-            reason: "no sample can be predicted from the others".to_owned(),
-        },
+    let Some([left_out, of_local]) = compared(&left_out, &of_local, joined.positions()) else {
+        return take_local("no sample can be predicted from the others");
+    };
+    // Samples that are close to others say little about wide gaps.
+    let of_kriging = left_out.max(kriging.expected_rms_error());
+    let kriging = (Interpolation::Kriging(Some(parameters)), "kriging", of_kriging);
+    let name = local.to_string();
+    let local = (local, name.as_str(), of_local);
+    let (better, worse) = if of_kriging < of_local {
+        (kriging, local)
+    } else {
+        (local, kriging)
+    };
+    Ok(Choice {
+        interpolation: better.0,
+        reason: format!(
+            "{} predicts samples from the others with an error of {:.1e} (r.m.s., in the units of the PSF), {} with {:.1e}",
+            better.1, better.2, worse.1, worse.2
+        ),
     })
-}
-
-/// The number of positions along each axis at which kriging's expected error is looked at.
-const ALONG_AXIS: usize = 16;
-
-/// The root mean square of the errors that kriging expects, over the convex hull of the samples.
-fn expected_error(
-    parameters: KrigingParameters,
-    samples: &SampleCoefficients,
-) -> Result<f64, CoeffFieldError> {
-    let points: Vec<[f64; 2]> = samples
-        .positions()
-        .as_slice()
-        .iter()
-        .map(|p| [p.x(), p.y()])
-        .collect();
-    let (hull, ranges) = (ConvexHull::new(&points), [0, 1].map(|axis| range(&points, axis)));
-    let place = |i: usize, (low, high): (f64, f64)| low + (i as f64 + 0.5) / ALONG_AXIS as f64 * (high - low);
-    let grid = (0..ALONG_AXIS * ALONG_AXIS)
-        .map(|i| [place(i % ALONG_AXIS, ranges[0]), place(i / ALONG_AXIS, ranges[1])])
-        .filter(|&p| hull.contains(p));
-    let grid: Vec<Position> = grid.map(|[x, y]| Position::new(x, y)).collect::<Result<_, _>>()?;
-    if grid.is_empty() {
-        return Ok(0.0);
-    }
-    let fit = Kriging::new(parameters).fit(samples, OutsidePolicy::Extend)?;
-    let squares: f64 = fit
-        .expected_errors(&grid)?
-        .iter()
-        .map(|error| error * error)
-        .sum();
-    Ok((squares / grid.len() as f64).sqrt())
 }
 
 /// The root mean square of two methods' errors at the samples that both interpolate. A sample counts as
@@ -229,9 +181,9 @@ fn compared(a: &LeaveOneOut, b: &LeaveOneOut, positions: &SamplePositions) -> Op
 /// The coefficients of all states side by side, at the positions that they share.
 fn joined(samples: &SampleCoefficients) -> Result<SampleCoefficients, CoeffFieldError> {
     let positions = samples.positions();
-    let Some(states) = positions.states() else {
+    if positions.states().is_none() {
         return Ok(samples.clone());
-    };
+    }
     let of_states: Vec<SampleCoefficients> = (0..positions.state_count())
         .map(|state| samples.of_state(state))
         .collect();
@@ -243,10 +195,7 @@ fn joined(samples: &SampleCoefficients) -> Result<SampleCoefficients, CoeffField
         let order: Option<Vec<usize>> = first.positions().as_slice().iter().map(place).collect();
         match order {
             Some(order) if order.len() == at.len() => columns.push(of_state.values().select(Axis(0), &order)),
-            _ => {
-                let (kind, count) = (states.kind(), states.values().len());
-                return Err(CoeffFieldError::SeveralStates { kind, count });
-            }
+            _ => CoeffFieldError::unless_one_state(positions)?,
         }
     }
     let views: Vec<_> = columns.iter().map(|of_state| of_state.view()).collect();

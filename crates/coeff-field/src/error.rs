@@ -1,6 +1,6 @@
 //! Errors of preparing an interpolator and of evaluating it.
 
-use psf_types::{DataError, FieldError, Interpolation, OutsidePolicy, Position, StateKind};
+use psf_types::{DataError, FieldError, Interpolation, OutsidePolicy, Position, SamplePositions, StateKind};
 use thiserror::Error;
 
 /// The reason why coefficients cannot be interpolated. All indices are 0-based.
@@ -193,4 +193,17 @@ pub enum CoeffFieldError {
     /// An error of an interpolator in another crate, or of the search tree.
     #[error("the interpolator could not be prepared")]
     External(#[source] Box<dyn std::error::Error + Send + Sync>),
+}
+
+impl CoeffFieldError {
+    /// Returns an error for samples of several states.
+    pub(crate) fn unless_one_state(positions: &SamplePositions) -> Result<(), Self> {
+        match positions.states() {
+            None => Ok(()),
+            Some(states) => Err(Self::SeveralStates {
+                kind: states.kind(),
+                count: states.values().len(),
+            }),
+        }
+    }
 }

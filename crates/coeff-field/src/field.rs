@@ -59,10 +59,7 @@ impl InterpolatedField {
         samples: &SampleCoefficients,
         weights: Box<dyn FieldWeights>,
     ) -> Result<Self, CoeffFieldError> {
-        if let Some(states) = samples.positions().states() {
-            let (kind, count) = (states.kind(), states.values().len());
-            return Err(CoeffFieldError::SeveralStates { kind, count });
-        }
+        CoeffFieldError::unless_one_state(samples.positions())?;
         let nodes = weights.node_values(samples.values())?;
         let nodes = if nodes.is_standard_layout() {
             nodes

@@ -36,8 +36,8 @@
 //! area, so that rounding at an edge causes no error.
 //!
 //! # Accuracy
-//! Weights of local methods are finite. They sum to 1 within 1e-12 of the sum of their magnitudes, except in a
-//! [`Polynomial`], and far outside a tree of cells under the policy extend, where large weights of a
+//! Weights of local methods are finite. They sum to 1 within 1e-12 of the sum of their magnitudes, except
+//! in a [`Polynomial`], and far outside a tree of cells under the policy extend, where large weights of a
 //! cell's corners cancel. All methods reproduce constants. The geometry uses coordinates relative to
 //! the requested position, so weights stay precise at large coordinates and in tight clusters of
 //! samples. ([`NaturalNeighbour`] states an exception.) Coordinates may have magnitudes up to 1e50

@@ -69,8 +69,13 @@ impl Polynomial {
 
     /// The number of terms, `(d+1)(d+2)/2`. The fit needs at least as many samples.
     pub fn term_count(self) -> usize {
-        (self.degree + 1) * (self.degree + 2) / 2
+        term_count(self.degree)
     }
+}
+
+/// The number of terms of a polynomial in x and y of a total degree.
+pub(crate) fn term_count(degree: usize) -> usize {
+    (degree + 1) * (degree + 2) / 2
 }
 
 impl Polynomial {

@@ -31,6 +31,16 @@ pub enum KrigingKernel {
 }
 
 impl KrigingKernel {
+    /// All kernels.
+    pub const ALL: [Self; 6] = [
+        Self::Gaussian,
+        Self::Matern52,
+        Self::Matern32,
+        Self::ThinPlate,
+        Self::Cubic,
+        Self::Quintic,
+    ];
+
     /// The lowest degree of the trend with which this kernel is a covariance. None if it is one without
     /// a trend.
     pub fn lowest_trend(self) -> Option<usize> {

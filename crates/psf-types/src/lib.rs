@@ -18,6 +18,7 @@
 
 mod basis;
 mod choices;
+mod coefficient_field;
 mod frame;
 mod image;
 mod kriging;
@@ -34,14 +35,13 @@ mod text_file;
 
 pub use basis::{PsfBasis, SampleCoefficients};
 pub use choices::{Anchor, Interpolation, Normalisation, OutsidePolicy, StampInterpolation, ToleranceOn};
+pub use coefficient_field::{BilinearCells, CoefficientField, ErrorLimit, FieldError, RowRun, WeightedNodes};
 pub use frame::{DataError, FrameShape, PixelRegion, Position, Quantity};
 pub use image::{Image, ImageView, Real};
 pub use kriging::{KrigingKernel, KrigingParameters};
 pub use light_profile::{LightProfile, Outskirts};
 pub use mean_parts::MeanParts;
-pub use model::{
-    BilinearCells, CoefficientField, ErrorLimit, FieldError, PsfModel, PsfModelRecord, RowRun, WeightedNodes,
-};
+pub use model::{PsfModel, PsfModelRecord};
 pub use progress::{Cancelled, NoProgress, Progress, Uncounted};
 pub use sample_positions::{SamplePositions, SampleStates, StateKind};
 pub use samples::{PsfSamples, PsfSource, SourceError};

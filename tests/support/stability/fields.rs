@@ -11,7 +11,8 @@ use super::positions::{Positions, positions};
 use super::scenes::uneven_of;
 use super::{Case, Cell, Section};
 
-/// Every interpolator with few weights at each position. The polynomial appears with the lowest and with a high degree.
+/// Every interpolator with few weights at each position. The polynomial appears with the lowest and with
+/// a high degree.
 const INTERPOLATIONS: [Interpolation; 8] = [
     Interpolation::Bilinear,
     Interpolation::Bicubic,

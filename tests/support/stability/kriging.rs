@@ -10,14 +10,6 @@ use psfield::psf_types::{
 use super::models::random;
 use super::{Case, Cell, Section};
 
-const KERNELS: [(KrigingKernel, usize); 6] = [
-    (KrigingKernel::Gaussian, 0),
-    (KrigingKernel::Matern52, 0),
-    (KrigingKernel::Matern32, 0),
-    (KrigingKernel::ThinPlate, 1),
-    (KrigingKernel::Cubic, 1),
-    (KrigingKernel::Quintic, 2),
-];
 const LENGTHS: [f64; 3] = [0.1, 1.0, 5.0];
 const COUNTS: [usize; 2] = [30, 500];
 /// The condition number that the least nugget allows. The trend takes a few of the samples.
@@ -36,7 +28,7 @@ fn wave(x: f64, y: f64) -> f64 {
     (0.004 * x + 0.002 * y).sin() * (0.003 * y - 0.001 * x).cos()
 }
 
-fn cells(kernel: KrigingKernel, trend: usize, length: f64, count: usize) -> Result<[f64; 4], PsfieldError> {
+fn figures(kernel: KrigingKernel, length: f64, count: usize) -> Result<[f64; 4], PsfieldError> {
     let mut share = random(41);
     let mut positions = Vec::with_capacity(count);
     for _ in 0..count {
@@ -51,6 +43,7 @@ fn cells(kernel: KrigingKernel, trend: usize, length: f64, count: usize) -> Resu
         )?)
     };
     let samples = samples_at(&positions)?;
+    let trend = kernel.lowest_trend().unwrap_or(0);
     let method = Kriging::new(KrigingParameters::new(kernel, [length; 2], trend, 0.0)?);
     let fit = method.fit(&samples, OutsidePolicy::Extend)?;
     let field = fit.field();
@@ -91,7 +84,7 @@ fn cells(kernel: KrigingKernel, trend: usize, length: f64, count: usize) -> Resu
 
 pub(super) fn section() -> Section {
     let mut cases = Vec::new();
-    for (kernel, trend) in KERNELS {
+    for kernel in KrigingKernel::ALL {
         // A radial spline has no length.
         let lengths = if kernel.lowest_trend().is_none() {
             &LENGTHS[..]
@@ -104,16 +97,14 @@ pub(super) fn section() -> Section {
                     None => format!("{kernel}, length {length}, {count} samples"),
                     Some(_) => format!("{kernel}, {count} samples"),
                 };
-                cases.push(Case::new(name, move || {
-                    match cells(kernel, trend, length, count) {
-                        Ok([condition, at_samples, between, disagree]) => vec![
-                            Cell::error(Ok(condition), CONDITION),
-                            Cell::error(Ok(at_samples), AT_SAMPLES),
-                            Cell::error(Ok(between), 1.0),
-                            Cell::error(Ok(disagree), AGREES),
-                        ],
-                        Err(error) => vec![Cell::error(Err(error), 0.0); 1],
-                    }
+                cases.push(Case::new(name, move || match figures(kernel, length, count) {
+                    Ok([condition, at_samples, between, disagree]) => vec![
+                        Cell::error(Ok(condition), CONDITION),
+                        Cell::error(Ok(at_samples), AT_SAMPLES),
+                        Cell::error(Ok(between), 1.0),
+                        Cell::error(Ok(disagree), AGREES),
+                    ],
+                    Err(error) => vec![Cell::error(Err(error), 0.0)],
                 }));
             }
         }

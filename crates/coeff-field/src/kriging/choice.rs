@@ -4,7 +4,7 @@ use ndarray::{Array2, ArrayView2};
 use psf_types::{KrigingKernel, KrigingParameters};
 use rayon::prelude::*;
 
-use super::system::{Covariances, LEAST_NUGGET, compressed};
+use super::system::{Covariances, Equations, LEAST_NUGGET, compressed};
 use crate::geometry::Point;
 
 /// The lengths that are tried first, the same along x and y.
@@ -28,12 +28,11 @@ struct Scored {
     score: f64,
 }
 
-/// Samples at scaled points: their values `[sample, column]`, and the standard deviations of their
-/// noise relative to each other, or nothing.
+/// Samples at scaled points, and their values `[sample, column]`.
+#[derive(Clone)]
 struct Samples {
     points: Vec<Point>,
     values: Array2<f64>,
-    noise: Vec<f64>,
 }
 
 /// The parameters with which the samples predict each other best.
@@ -42,30 +41,20 @@ struct Samples {
 /// samples (S. Geisser and W. Eddy 1979, JASA 74, 153; S. Sundararajan and S. Keerthi 2001, Neural
 /// Computation 13, 1103), with the variance that fits best. All columns count at once. `None` if there
 /// are too few samples.
-pub(super) fn chosen(
-    points: &[Point],
-    values: ArrayView2<'_, f64>,
-    noise: &[f64],
-) -> Option<KrigingParameters> {
+pub(super) fn chosen(points: &[Point], values: ArrayView2<'_, f64>) -> Option<KrigingParameters> {
     let all = Samples {
         points: points.to_vec(),
         values: compressed(values),
-        noise: noise.to_vec(),
     };
     let few = all.spread(FIRST_SAMPLES);
-    let first: Vec<(KrigingKernel, usize, f64)> = [
-        KrigingKernel::Gaussian,
-        KrigingKernel::Matern52,
-        KrigingKernel::Matern32,
-    ]
-    .into_iter()
-    .flat_map(|kernel| LENGTHS.map(|length| (kernel, 0, length)))
-    .chain([
-        (KrigingKernel::ThinPlate, 1, 1.0),
-        (KrigingKernel::Cubic, 1, 1.0),
-        (KrigingKernel::Quintic, 2, 1.0),
-    ])
-    .collect();
+    let first: Vec<(KrigingKernel, usize, f64)> = KrigingKernel::ALL
+        .into_iter()
+        .flat_map(|kernel| match kernel.lowest_trend() {
+            None => LENGTHS.map(|length| (kernel, 0, length)).to_vec(),
+            // A radial spline has no length.
+            Some(trend) => vec![(kernel, trend, 1.0)],
+        })
+        .collect();
     let scored: Vec<Option<Scored>> = first
         .into_par_iter()
         .map(|(kernel, trend, length)| few.best_nugget(kernel, [length; 2], trend))
@@ -83,11 +72,7 @@ impl Samples {
     /// At most `count` of the samples. Each of them is the one farthest from those before it.
     fn spread(&self, count: usize) -> Self {
         if self.points.len() <= count {
-            return Self {
-                points: self.points.clone(),
-                values: self.values.clone(),
-                noise: self.noise.clone(),
-            };
+            return self.clone();
         }
         let square = |a: Point, b: Point| (a[0] - b[0]).powi(2) + (a[1] - b[1]).powi(2);
         let mut nearest: Vec<f64> = self.points.iter().map(|&p| square(p, [-1.0, -1.0])).collect();
@@ -107,21 +92,16 @@ impl Samples {
             next = farthest.unwrap_or(0);
         }
         chosen.sort_unstable();
-        let noise = self
-            .noise
-            .first()
-            .map(|_| chosen.iter().map(|&i| self.noise[i]).collect());
         Self {
             points: chosen.iter().map(|&i| self.points[i]).collect(),
             values: self.values.select(ndarray::Axis(0), &chosen),
-            noise: noise.unwrap_or_default(),
         }
     }
 
     /// Tries several nuggets.
     fn best_nugget(&self, kernel: KrigingKernel, lengths: [f64; 2], trend: usize) -> Option<Scored> {
         let parameters = KrigingParameters::new(kernel, lengths, trend, 0.0).ok()?;
-        let covariances = Covariances::new(&self.points, &self.noise, &parameters)?;
+        let covariances = Covariances::new(&self.points, &parameters)?;
         let scored = NUGGETS.into_iter().filter_map(|nugget| {
             let parameters = KrigingParameters::new(kernel, lengths, trend, nugget).ok()?;
             self.score(&covariances, parameters)
@@ -130,7 +110,7 @@ impl Samples {
     }
 
     fn score(&self, covariances: &Covariances, parameters: KrigingParameters) -> Option<Scored> {
-        let equations = covariances.with_nugget(parameters.nugget())?;
+        let equations = Equations::new(covariances, parameters.nugget())?;
         let precisions = equations.precisions();
         let duals = equations.solve(self.values.view()).duals;
         let count = precisions.len() as f64;
@@ -147,7 +127,7 @@ impl Samples {
     /// Steps to better parameters until none of the neighbours is better.
     fn refined(&self, first: KrigingParameters) -> Option<Scored> {
         let scored = |parameters: KrigingParameters| {
-            let covariances = Covariances::new(&self.points, &self.noise, &parameters)?;
+            let covariances = Covariances::new(&self.points, &parameters)?;
             self.score(&covariances, parameters)
         };
         let mut best = scored(first)?;

@@ -1,51 +1,73 @@
 //! The field that kriging predicts.
 
 use ndarray::{Array1, Array2};
-use psf_types::{BilinearCells, CoefficientField, ErrorLimit, FieldError, FrameShape, PixelRegion, Position};
+use psf_types::{
+    BilinearCells, CoefficientField, ErrorLimit, FieldError, FrameShape, KrigingParameters, PixelRegion,
+    Position,
+};
 
 use super::kernel::{Covariance, Scaled, terms};
-use super::system::Solution;
 use crate::geometry::{Hull, Point};
 
-/// `a_k(x) = sum_i k(x, x_i) dual_ik + sum_j p_j(x) trend_jk`, with the covariance `k` and the terms
-/// `p` of the trend.
-#[derive(Debug)]
-pub(super) struct Prediction<'a> {
-    /// The samples' scaled points.
-    pub(super) points: &'a [Point],
+/// The functions of which fields are sums: covariances with the samples' scaled points, and the terms of
+/// the trend.
+#[derive(Debug, Clone)]
+pub(super) struct Functions {
+    pub(super) points: Vec<Point>,
     pub(super) covariance: Covariance,
     /// The degree of the trend.
     pub(super) degree: usize,
-    pub(super) solution: &'a Solution,
 }
 
-impl Prediction<'_> {
-    /// Writes the prediction at a scaled point.
-    fn write(&self, at: Point, values: &mut [f64]) {
+/// The field is `sum_i k(x, x_i) dual_i + sum_j p_j(x) trend_j`.
+#[derive(Debug)]
+pub(super) struct Solution {
+    /// `[sample, column]`.
+    pub(super) duals: Array2<f64>,
+    /// `[term, column]`.
+    pub(super) trend: Array2<f64>,
+}
+
+impl Functions {
+    pub(super) fn new(points: &[Point], parameters: &KrigingParameters) -> Self {
+        Self {
+            points: points.to_vec(),
+            covariance: Covariance::new(parameters),
+            degree: parameters.trend(),
+        }
+    }
+
+    /// The covariances of a scaled point with the samples.
+    pub(super) fn of_samples(&self, at: Point) -> Vec<f64> {
+        let points = self.points.iter();
+        points.map(|&p| self.covariance.between(at, p)).collect()
+    }
+
+    /// The terms of the trend at a scaled point.
+    pub(super) fn of_trend(&self, at: Point) -> Vec<f64> {
+        terms(self.degree, at).collect()
+    }
+
+    /// Writes the field of a solution at a scaled point.
+    fn write(&self, solution: &Solution, at: Point, values: &mut [f64]) {
         values.fill(0.0);
-        let of_samples: Vec<f64> = self
-            .points
-            .iter()
-            .map(|&p| self.covariance.between(at, p))
-            .collect();
-        let of_trend: Vec<f64> = terms(self.degree, at).collect();
         let arch = pulp::Arch::new();
         for (weights, rows) in [
-            (&of_samples, &self.solution.duals),
-            (&of_trend, &self.solution.trend),
+            (self.of_samples(at), &solution.duals),
+            (self.of_trend(at), &solution.trend),
         ] {
-            let rows = rows.as_slice().expect("row-major");
             arch.dispatch(AddRows {
-                weights,
-                rows,
+                weights: &weights,
+                rows: rows.as_slice().expect("row-major"),
                 sums: &mut *values,
             });
         }
     }
 
-    pub(super) fn at(&self, at: Point) -> Array1<f64> {
-        let mut values = vec![0.0; self.solution.duals.ncols()];
-        self.write(at, &mut values);
+    /// The field of a solution at a scaled point.
+    pub(super) fn at(&self, solution: &Solution, at: Point) -> Array1<f64> {
+        let mut values = vec![0.0; solution.duals.ncols()];
+        self.write(solution, at, &mut values);
         values.into()
     }
 }
@@ -78,30 +100,17 @@ impl pulp::WithSimd for AddRows<'_> {
     }
 }
 
-/// The prediction at the positions of a frame.
+/// The field that kriging predicts, at positions of the frame.
 #[derive(Debug)]
 pub(super) struct KrigingField {
     pub(super) scaled: Scaled,
-    pub(super) points: Vec<Point>,
-    pub(super) covariance: Covariance,
-    pub(super) degree: usize,
+    pub(super) functions: Functions,
     pub(super) solution: Solution,
     pub(super) hull: Hull,
     /// The distance in pixels over which the field may bend.
     pub(super) scale: f64,
     /// The coefficients of the samples.
     pub(super) values: Array2<f64>,
-}
-
-impl KrigingField {
-    pub(super) fn prediction(&self) -> Prediction<'_> {
-        Prediction {
-            points: &self.points,
-            covariance: self.covariance,
-            degree: self.degree,
-            solution: &self.solution,
-        }
-    }
 }
 
 impl CoefficientField for KrigingField {
@@ -118,7 +127,8 @@ impl CoefficientField for KrigingField {
             "one coefficient per component"
         );
         let p = self.hull.admit(position)?;
-        self.prediction().write(self.scaled.at(p), coefficients);
+        self.functions
+            .write(&self.solution, self.scaled.at(p), coefficients);
         Ok(())
     }
 

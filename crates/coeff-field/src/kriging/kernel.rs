@@ -72,11 +72,6 @@ impl Covariance {
     }
 }
 
-/// The number of terms of a polynomial trend of a total degree.
-pub(super) fn term_count(degree: usize) -> usize {
-    (degree + 1) * (degree + 2) / 2
-}
-
 /// The terms `x^i y^j`, `i + j <= degree`, at a scaled point.
 pub(super) fn terms(degree: usize, [x, y]: Point) -> impl Iterator<Item = f64> {
     (0..=degree).flat_map(move |i| (0..=degree - i).map(move |j| x.powi(i as i32) * y.powi(j as i32)))

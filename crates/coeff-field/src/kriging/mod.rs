@@ -10,12 +10,13 @@ use std::sync::Arc;
 use ndarray::Array2;
 use psf_types::{CoefficientField, KrigingParameters, OutsidePolicy, Position, SampleCoefficients};
 
-use self::field::{KrigingField, Prediction};
-use self::kernel::{Covariance, Scaled, term_count};
+use self::field::{Functions, KrigingField};
+use self::kernel::Scaled;
 use self::system::{Covariances, Equations};
 use crate::error::CoeffFieldError;
-use crate::geometry::{Hull, Point, Points, query};
+use crate::geometry::{Hull, Point, Points, query, range};
 use crate::interpolation::{FieldInterpolation, Interpolated, Outcomes, Unpredictable, hull_leave_one_out};
+use crate::polynomial::term_count;
 
 /// Universal kriging, also called Gaussian process regression: a polynomial trend, and around it a
 /// random field with a covariance ([`psf_types::KrigingKernel`]), observed at the samples with noise
@@ -72,7 +73,7 @@ impl Kriging {
         if let Some(parameters) = self.parameters {
             return Ok(parameters);
         }
-        let chosen = choice::chosen(&prepared.scaled_points, samples.values(), &[]);
+        let chosen = choice::chosen(&prepared.scaled_points, samples.values());
         chosen.ok_or_else(|| few(samples, term_count(0)))
     }
 
@@ -101,10 +102,7 @@ struct Prepared {
 impl Prepared {
     fn new(samples: &SampleCoefficients) -> Result<Self, CoeffFieldError> {
         let positions = samples.positions();
-        if let Some(states) = positions.states() {
-            let (kind, count) = (states.kind(), states.values().len());
-            return Err(CoeffFieldError::SeveralStates { kind, count });
-        }
+        CoeffFieldError::unless_one_state(positions)?;
         let (count, most) = (positions.len(), Kriging::MAX_SAMPLES);
         if count > most {
             return Err(CoeffFieldError::ManyForKriging { samples: count, most });
@@ -125,35 +123,29 @@ impl Prepared {
         parameters: KrigingParameters,
         outside: OutsidePolicy,
     ) -> Result<KrigingFit, CoeffFieldError> {
-        let too_few = || few(samples, term_count(parameters.trend()));
-        let covariances = Covariances::new(&self.scaled_points, &[], &parameters).ok_or_else(too_few)?;
-        let equations = covariances.with_nugget(parameters.nugget()).ok_or_else(too_few)?;
+        let equations = Covariances::new(&self.scaled_points, &parameters)
+            .and_then(|covariances| Equations::new(covariances, parameters.nugget()))
+            .ok_or_else(|| few(samples, term_count(parameters.trend())))?;
         let solution = equations.solve(samples.values());
         let precisions = equations.precisions();
         let squares = solution.duals.outer_iter().map(|dual| dual.dot(&dual));
-        let squares: Vec<f64> = squares.zip(&precisions).map(|(square, a)| square / a).collect();
-        let scale = squares.iter().sum::<f64>() / squares.len() as f64;
-        drop(equations);
-        let hull = Hull::new(&self.points, outside)?;
+        let squares = squares.zip(&precisions).map(|(square, a)| square / a);
+        let variance = squares.sum::<f64>() / precisions.len() as f64;
+        let bends = of_kernel(&parameters, precisions.len());
         let field = KrigingField {
-            scaled: self.scaled,
-            points: self.scaled_points,
-            covariance: Covariance::new(&parameters),
-            degree: parameters.trend(),
+            functions: Functions::new(&self.scaled_points, &parameters),
             solution,
-            hull,
-            scale: self
-                .scaled
-                .pixels(of_kernel(&parameters, samples.positions().len())),
+            hull: Hull::new(&self.points, outside)?,
+            scale: self.scaled.pixels(bends),
             values: samples.values().to_owned(),
+            scaled: self.scaled,
         };
         Ok(KrigingFit {
             parameters,
             field: Arc::new(field),
-            covariances,
-            scaled: self.scaled,
+            equations,
             points: self.points,
-            scale,
+            variance,
             precisions,
         })
     }
@@ -179,11 +171,10 @@ fn few(samples: &SampleCoefficients, terms: usize) -> CoeffFieldError {
 pub struct KrigingFit {
     parameters: KrigingParameters,
     field: Arc<KrigingField>,
-    covariances: Covariances,
-    scaled: Scaled,
+    equations: Equations<Covariances>,
     points: Points,
     /// The variance of the coefficients together, in units of the kernel.
-    scale: f64,
+    variance: f64,
     /// For each sample, the inverse of its variance as predicted from the others, in units of the kernel.
     precisions: Vec<f64>,
 }
@@ -197,17 +188,12 @@ impl KrigingFit {
     /// The nugget that is used: at least `1e-14 n` for `n` samples. The condition number of the equations
     /// is at most `n` divided by it.
     pub fn nugget(&self) -> f64 {
-        self.equations().nugget()
+        self.equations.nugget()
     }
 
     /// The predicted field.
     pub fn field(&self) -> Arc<dyn CoefficientField> {
         Arc::<KrigingField>::clone(&self.field)
-    }
-
-    fn equations(&self) -> Equations<'_> {
-        let equations = self.covariances.with_nugget(self.parameters.nugget());
-        equations.expect("the fit solved these equations")
     }
 
     /// For each sample, the L2 error over the components of its prediction from all other samples, with
@@ -226,28 +212,46 @@ impl KrigingFit {
     /// # Errors
     /// [`CoeffFieldError::QueryRange`] for positions that are too far away.
     pub fn expected_errors(&self, positions: &[Position]) -> Result<Vec<f64>, CoeffFieldError> {
-        let equations = self.equations();
-        let expected = positions.iter().map(|&position| {
-            let p = query(position)?;
-            Ok((self.scale * equations.variance(self.scaled.at(p))).sqrt())
-        });
+        let expected = positions
+            .iter()
+            .map(|&position| Ok(self.expected_error(query(position)?)));
         expected.collect()
     }
-}
 
-impl FieldInterpolation for Kriging {
-    fn interpolate(&self, samples: &SampleCoefficients, outside: OutsidePolicy) -> Interpolated {
-        Ok(self.fit(samples, outside)?.field())
+    fn expected_error(&self, p: Point) -> f64 {
+        let variance = self.equations.variance(self.field.scaled.at(p));
+        (self.variance * variance).sqrt()
     }
 
-    /// In closed form, with the parameters of all samples.
-    fn leave_one_out(&self, samples: &SampleCoefficients, outside: OutsidePolicy) -> Outcomes {
-        let fit = self.fit(samples, outside)?;
-        let errors = fit.leave_one_out_errors();
-        let equations = fit.equations();
-        let (field, values) = (&fit.field, samples.values());
-        hull_leave_one_out(samples, &fit.points, outside, |sample, at| {
-            if at == fit.points.points[sample] {
+    /// The root mean square of the expected errors over the convex hull of the samples.
+    pub(crate) fn expected_rms_error(&self) -> f64 {
+        let ranges = [0, 1].map(|axis| range(&self.points.points, axis));
+        let place = |i: usize, axis: usize| {
+            let (low, high) = ranges[axis];
+            low + (i as f64 + 0.5) / ALONG_AXIS as f64 * (high - low)
+        };
+        let grid = (0..ALONG_AXIS * ALONG_AXIS).map(|i| [place(i % ALONG_AXIS, 0), place(i / ALONG_AXIS, 1)]);
+        let inside = grid.filter(|&p| self.field.hull.contains(p));
+        let (mut sum, mut count) = (0.0, 0.0_f64);
+        for p in inside {
+            sum += self.expected_error(p).powi(2);
+            count += 1.0;
+        }
+        (sum / count.max(1.0)).sqrt()
+    }
+
+    /// Predicts every sample from all others, in closed form, with the parameters of all samples.
+    pub(crate) fn leave_one_out(&self, samples: &SampleCoefficients, outside: OutsidePolicy) -> Outcomes {
+        let errors = self.leave_one_out_errors();
+        let KrigingField {
+            scaled,
+            functions,
+            solution,
+            ..
+        } = &*self.field;
+        let values = samples.values();
+        hull_leave_one_out(samples, &self.points, outside, |sample, at| {
+            if at == self.points.points[sample] {
                 return match errors[sample] {
                     error if error.is_finite() => Ok(error),
                     _ => Err(Unpredictable::Undetermined),
@@ -256,16 +260,26 @@ impl FieldInterpolation for Kriging {
             // Without a sample, the field is the one with the sample's value as the others predict it.
             let mut unit = Array2::zeros((values.nrows(), 1));
             unit[(sample, 0)] = 1.0;
-            let influence = equations.solve(unit.view());
-            let influence = Prediction {
-                solution: &influence,
-                ..field.prediction()
-            };
-            let at = fit.scaled.at(at);
-            let change = &field.solution.duals.row(sample) / fit.precisions[sample];
-            let predicted = field.prediction().at(at) - change * influence.at(at)[0];
+            let influence = self.equations.solve(unit.view());
+            let at = scaled.at(at);
+            let change = &solution.duals.row(sample) / self.precisions[sample];
+            let predicted = functions.at(solution, at) - change * functions.at(&influence, at)[0];
             let error = predicted - values.row(sample);
             Ok(error.dot(&error).sqrt())
         })
+    }
+}
+
+/// The number of positions along each axis at which expected errors are averaged.
+const ALONG_AXIS: usize = 16;
+
+impl FieldInterpolation for Kriging {
+    fn interpolate(&self, samples: &SampleCoefficients, outside: OutsidePolicy) -> Interpolated {
+        Ok(self.fit(samples, outside)?.field())
+    }
+
+    /// In closed form, with the parameters of all samples.
+    fn leave_one_out(&self, samples: &SampleCoefficients, outside: OutsidePolicy) -> Outcomes {
+        self.fit(samples, outside)?.leave_one_out(samples, outside)
     }
 }

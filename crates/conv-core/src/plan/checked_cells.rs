@@ -166,10 +166,6 @@ impl KnownValues {
                 });
             }
         }
-        self.evaluate(field, region, &missing);
-    }
-
-    fn evaluate(&mut self, field: &dyn CoefficientField, region: PixelRegion, missing: &[Pixel]) {
         let mut values = Array2::zeros((missing.len(), self.width));
         let chunks = values.axis_chunks_iter_mut(Axis(0), TOGETHER).into_par_iter();
         chunks
@@ -178,12 +174,13 @@ impl KnownValues {
                 let at: Vec<Position> = pixels.iter().map(|&[x, y]| region.position(x, y)).collect();
                 field.evaluate_each_into(&at, values);
             });
-        for (values, &at) in values.outer_iter().zip(missing) {
-            let place = values.iter().all(|v| v.is_finite()).then(|| {
+        for (values, at) in values.outer_iter().zip(missing) {
+            let place = self.values.len() / self.width.max(1);
+            let is_known = values.iter().all(|v| v.is_finite());
+            if is_known {
                 self.values.extend(values);
-                self.values.len() / self.width.max(1) - usize::from(self.width > 0)
-            });
-            self.places.insert(at, place);
+            }
+            self.places.insert(at, is_known.then_some(place));
         }
     }
 
@@ -211,8 +208,8 @@ impl KnownValues {
         Check::Halve(if halved == [false; 2] { can_halve } else { halved })
     }
 
-    /// The errors at the check points, as fractions of the limit: at the middles of the sides along x, along y, and
-    /// at points inside. None if the field has no value at one of these points.
+    /// The errors at the check points, as fractions of the limit: at the middles of the sides along x,
+    /// along y, and at points inside. None if the field has no value at one of these points.
     fn sizes(&self, sides: Rectangle, measure: Measure<'_>) -> Option<[f64; 3]> {
         let mut of_corners = [&[][..]; 4];
         for (values, at) in of_corners.iter_mut().zip(corners(sides)) {

@@ -1,7 +1,9 @@
 //! A table of a field whose coefficients take long to evaluate.
 
-use ndarray::{Array2, ArrayViewMut2, Axis};
-use psf_types::{CoefficientField, FieldError, FrameShape, PixelRegion, Position};
+use ndarray::{Array2, ArrayView1, ArrayViewMut2, Axis};
+use psf_types::{
+    BilinearCells, CoefficientField, ErrorLimit, FieldError, FrameShape, PixelRegion, Position, WeightedNodes,
+};
 use rayon::prelude::*;
 
 use super::allowed_errors::CellError;
@@ -253,7 +255,7 @@ impl CoefficientField for Tabulated<'_> {
         let mut others = Vec::new();
         for (i, (&position, mut row)) in positions.iter().zip(values.outer_iter_mut()).enumerate() {
             if table.write(position, &mut found) {
-                row.assign(&ndarray::ArrayView1::from(&found));
+                row.assign(&ArrayView1::from(&found));
             } else {
                 others.push(i);
             }
@@ -270,15 +272,11 @@ impl CoefficientField for Tabulated<'_> {
         self.field.some_coefficients(frame)
     }
 
-    fn weighted_nodes(&self) -> Option<&dyn psf_types::WeightedNodes> {
+    fn weighted_nodes(&self) -> Option<&dyn WeightedNodes> {
         self.field.weighted_nodes()
     }
 
-    fn bilinear_cells(
-        &self,
-        region: PixelRegion,
-        error: psf_types::ErrorLimit<'_>,
-    ) -> psf_types::BilinearCells {
+    fn bilinear_cells(&self, region: PixelRegion, error: ErrorLimit<'_>) -> BilinearCells {
         self.field.bilinear_cells(region, error)
     }
 }
