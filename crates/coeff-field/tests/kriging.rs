@@ -168,6 +168,57 @@ fn expected_errors_are_those_that_occur() {
     }
 }
 
+/// Each least known candidate is the one with the largest expected error when those before it are samples,
+/// too. Units of the expected errors depend on the samples' values, so ratios are compared.
+#[test]
+fn least_known_positions_are_those_of_refits() {
+    let positions = scattered(30, 5, 0.0, 100.0);
+    let candidates = Extent::of(&positions).probes(60, 9, 0.0);
+    let ones = vec![1.0; candidates.len()];
+    for (kernel, trend) in KERNELS {
+        let method = with(kernel, 0.3, trend, 0.0);
+        let fit_of = |positions: &[Position]| {
+            let samples = samples_of(positions, 2, waves);
+            method.fit(&samples, OutsidePolicy::Extend).unwrap()
+        };
+        let fit = fit_of(&positions);
+        let chosen = fit.least_known(&candidates, &ones, 4).unwrap();
+        let mut known = positions.clone();
+        for (number, &(next, _)) in chosen.iter().enumerate() {
+            let expected = fit_of(&known).expected_errors(&candidates).unwrap();
+            let largest = expected.iter().copied().fold(0.0, f64::max);
+            assert!(expected[next] >= (1.0 - ROUNDING) * largest, "{kernel} {number}");
+            known.push(candidates[next]);
+        }
+        let first = fit.expected_errors(&candidates[chosen[0].0..][..1]).unwrap()[0];
+        assert!((chosen[0].1 / first - 1.0).abs() < ROUNDING, "{kernel}");
+        // What is left at two other candidates after the first, here made sure to be taken.
+        let (a, b) = (candidates[chosen[1].0], candidates[chosen[2].0]);
+        let left = |other| {
+            let both = [candidates[chosen[0].0], other];
+            fit.least_known(&both, &[1e9, 1.0], 2).unwrap()[1].1
+        };
+        let refit = fit_of(&[&positions[..], &[candidates[chosen[0].0]]].concat());
+        let refit = refit.expected_errors(&[a, b]).unwrap();
+        assert!(
+            (left(a) / left(b) * refit[1] / refit[0] - 1.0).abs() < ROUNDING,
+            "{kernel}"
+        );
+        // Weights select, and no candidate is taken twice.
+        let mut weights = vec![0.0; candidates.len()];
+        weights[7] = 1.0;
+        assert_eq!(fit.least_known(&candidates, &weights, 1).unwrap()[0].0, 7);
+        let mut all: Vec<usize> = fit
+            .least_known(&candidates, &ones, 99)
+            .unwrap()
+            .iter()
+            .map(|c| c.0)
+            .collect();
+        all.sort_unstable();
+        assert!(all.into_iter().eq(0..candidates.len()));
+    }
+}
+
 #[test]
 fn samples_that_do_not_suit_are_refused() {
     let two = samples_of(&[at(0.0, 0.0), at(5.0, 1.0)], 1, waves);

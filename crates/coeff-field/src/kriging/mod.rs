@@ -223,6 +223,60 @@ impl KrigingFit {
         (self.variance * variance).sqrt()
     }
 
+    /// The candidates with the largest expected errors, one after another: each is the one with the
+    /// largest error that is left when the values at the candidates before it are known, too. So they
+    /// are spread over the field. At most `count`, each with its expected error times its weight.
+    ///
+    /// Sampling at these positions is a sequential design: the variance of kriging depends on positions
+    /// and parameters alone, so it can be known before a sample is drawn (J. Sacks, W. Welch, T. Mitchell
+    /// and H. Wynn 1989, Statistical Science 4, 409, section 5).
+    ///
+    /// # Errors
+    /// [`CoeffFieldError::QueryRange`] for positions that are too far away.
+    ///
+    /// # Panics
+    /// When there is not one weight for each candidate.
+    pub fn least_known(
+        &self,
+        candidates: &[Position],
+        weights: &[f64],
+        count: usize,
+    ) -> Result<Vec<(usize, f64)>, CoeffFieldError> {
+        assert_eq!(candidates.len(), weights.len(), "one weight for each candidate");
+        let points = candidates
+            .iter()
+            .map(|&position| Ok(self.field.scaled.at(query(position)?)));
+        let predictions = self
+            .equations
+            .predictions(points.collect::<Result<_, CoeffFieldError>>()?);
+        let all = 0..candidates.len();
+        let mut variances: Vec<f64> = all.clone().map(|i| predictions.variance(i)).collect();
+        // For each chosen candidate, the covariances with all: the columns of Cholesky's factor, pivoted.
+        let mut known: Vec<Vec<f64>> = Vec::with_capacity(count);
+        let mut chosen: Vec<(usize, f64)> = Vec::with_capacity(count);
+        while chosen.len() < count {
+            let weighted = |i: usize| variances[i] * weights[i] * weights[i];
+            let left = all.clone().filter(|i| chosen.iter().all(|(taken, _)| taken != i));
+            let Some(next) = left.max_by(|&a, &b| weighted(a).total_cmp(&weighted(b)).then(b.cmp(&a))) else {
+                break;
+            };
+            chosen.push((next, (self.variance * weighted(next)).sqrt()));
+            let scale = (variances[next] + self.equations.nugget_in_kernel()).sqrt();
+            let column: Vec<f64> = all
+                .clone()
+                .map(|i| {
+                    let before: f64 = known.iter().map(|column| column[i] * column[next]).sum();
+                    (predictions.covariance(i, next) - before) / scale
+                })
+                .collect();
+            for (variance, part) in variances.iter_mut().zip(&column) {
+                *variance = (*variance - part * part).max(0.0);
+            }
+            known.push(column);
+        }
+        Ok(chosen)
+    }
+
     /// The root mean square of the expected errors over the convex hull of the samples.
     pub(crate) fn expected_rms_error(&self) -> f64 {
         let ranges = [0, 1].map(|axis| range(&self.points.points, axis));

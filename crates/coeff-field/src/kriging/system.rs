@@ -145,6 +145,11 @@ impl<C: Borrow<Covariances>> Equations<C> {
         self.nugget / self.covariances.borrow().variance
     }
 
+    /// The nugget in units of the kernel.
+    pub(super) fn nugget_in_kernel(&self) -> f64 {
+        self.nugget
+    }
+
     /// The field through values `[sample, column]`.
     pub(super) fn solve(&self, values: ArrayView2<'_, f64>) -> Solution {
         let all = self.covariances.borrow();
@@ -214,38 +219,98 @@ impl<C: Borrow<Covariances>> Equations<C> {
 
     /// The variance of the prediction at a scaled point, without noise, in units of the kernel.
     pub(super) fn variance(&self, at: Point) -> f64 {
-        let all = self.covariances.borrow();
-        let (terms, count) = (all.reflections.len(), all.functions.points.len());
-        let mut known = all.functions.of_samples(at);
-        reflect_by(&all.reflections, &mut known);
-        // R^T w = p: the first weights keep the trend.
-        let mut weights: Vec<f64> = Vec::with_capacity(terms);
-        for (j, term) in all.functions.of_trend(at).into_iter().enumerate() {
-            let before = (0..j).map(|i| all.upper[i][j] * weights[i]).sum::<f64>();
-            weights.push((term - before) / all.upper[j][j]);
-        }
-        let mut free = Mat::zeros(count - terms, 1);
-        let (mut of_trend, mut variance) = (0.0, all.functions.covariance.between(at, at));
-        for (i, wi) in weights.iter().enumerate() {
-            variance -= 2.0 * wi * known[i];
-            for (j, wj) in weights.iter().enumerate() {
-                of_trend += wi * wj * all.reflected[(i, j)];
-            }
-            of_trend += self.nugget * wi * wi;
-        }
-        for i in 0..free.nrows() {
-            let along = weights
-                .iter()
-                .enumerate()
-                .map(|(j, w)| w * all.reflected[(j, terms + i)]);
-            free[(i, 0)] = known[terms + i] - along.sum::<f64>();
-        }
-        solve_lower_triangular_in_place(self.lower.as_ref(), free.as_mut(), Par::Seq);
-        let known = free.squared_norm_l2();
-        // Rounding of the difference may be all that is left.
-        let rounding = ROUNDING * (variance.abs() + of_trend.abs() + known);
-        (variance + of_trend - known).max(rounding)
+        self.predictions(vec![at]).variance(0)
     }
+
+    /// The predictions at scaled points.
+    pub(super) fn predictions(&self, points: Vec<Point>) -> Predictions<'_> {
+        let all = self.covariances.borrow();
+        let (terms, free) = (all.reflections.len(), all.free());
+        let mut weights = Mat::zeros(terms, points.len());
+        let mut along = Mat::zeros(terms, points.len());
+        let mut explained = Mat::zeros(free, points.len());
+        for (column, &at) in points.iter().enumerate() {
+            let mut known = all.functions.of_samples(at);
+            reflect_by(&all.reflections, &mut known);
+            for (j, term) in all.functions.of_trend(at).into_iter().enumerate() {
+                let before = (0..j).map(|i| all.upper[i][j] * weights[(i, column)]);
+                let before: f64 = before.sum();
+                weights[(j, column)] = (term - before) / all.upper[j][j];
+            }
+            let (of_trend, of_field) = known.split_at(terms);
+            for (to, value) in column_of(along.as_mut(), column).iter_mut().zip(of_trend) {
+                *to = *value;
+            }
+            for (to, value) in column_of(explained.as_mut(), column).iter_mut().zip(of_field) {
+                *to = *value;
+            }
+        }
+        let across = all.reflected.submatrix(terms, 0, free, terms);
+        let to = explained.as_mut();
+        matmul(to, Accum::Add, across, weights.as_ref(), -1.0, Par::Seq);
+        solve_lower_triangular_in_place(self.lower.as_ref(), explained.as_mut(), Par::Seq);
+        let mut of_trend = weights.clone() * faer::Scale(self.nugget);
+        let first = all.reflected.submatrix(0, 0, terms, terms);
+        matmul(
+            of_trend.as_mut(),
+            Accum::Add,
+            first,
+            weights.as_ref(),
+            1.0,
+            Par::Seq,
+        );
+        Predictions {
+            functions: &all.functions,
+            points,
+            weights,
+            along,
+            of_trend,
+            explained,
+        }
+    }
+}
+
+/// Predictions at some points, with the covariances of their errors.
+pub(super) struct Predictions<'a> {
+    functions: &'a Functions,
+    points: Vec<Point>,
+    /// For each point the `w` with `R^T w = p`: these weights of the first rows of `H y` keep the trend.
+    weights: Mat<f64>,
+    /// The covariances of each point with the first rows of `H y`.
+    along: Mat<f64>,
+    /// `w` times the covariance of the first rows of `H y`, with their noise.
+    of_trend: Mat<f64>,
+    /// The part of each point's variance that the free values explain, as a vector.
+    explained: Mat<f64>,
+}
+
+impl Predictions<'_> {
+    /// The covariance of the errors of two predictions, without noise, in units of the kernel.
+    pub(super) fn covariance(&self, a: usize, b: usize) -> f64 {
+        let covariance = self.functions.covariance.between(self.points[a], self.points[b]);
+        covariance + self.of_trend(a, b) - dot(&self.explained, a, &self.explained, b)
+    }
+
+    /// The variance of a prediction's error.
+    pub(super) fn variance(&self, a: usize) -> f64 {
+        let known = dot(&self.explained, a, &self.explained, a);
+        let covariance = self.functions.covariance.between(self.points[a], self.points[a]);
+        let trend = dot(&self.weights, a, &self.of_trend, a);
+        // Rounding of the difference may be all that is left.
+        let terms = covariance.abs() + 2.0 * dot(&self.weights, a, &self.along, a).abs() + trend + known;
+        self.covariance(a, a).max(ROUNDING * terms)
+    }
+
+    fn of_trend(&self, a: usize, b: usize) -> f64 {
+        let both = dot(&self.weights, a, &self.along, b) + dot(&self.weights, b, &self.along, a);
+        dot(&self.weights, a, &self.of_trend, b) - both
+    }
+}
+
+/// The scalar product of two columns.
+fn dot(a: &Mat<f64>, i: usize, b: &Mat<f64>, j: usize) -> f64 {
+    let products = a.col(i).iter().zip(b.col(j).iter()).map(|(a, b)| a * b);
+    products.sum()
 }
 
 /// The reflections that make columns upper triangular, and the triangle, row-major. `None` if columns
