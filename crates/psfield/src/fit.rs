@@ -82,7 +82,8 @@ pub struct Fit {
     spectrum: Option<Spectrum>,
     errors: Vec<f64>,
     norms: Vec<f64>,
-    selection: RankSelection,
+    /// Whether the rank and the noise both come from the samples.
+    noise_is_guessed: bool,
     /// The reason for the interpolation.
     reason: String,
 }
@@ -277,7 +278,7 @@ impl Fit {
             spectrum,
             errors,
             norms,
-            selection: options.rank,
+            noise_is_guessed: options.rank == RankSelection::Auto && options.noise == PixelNoise::Estimate,
             reason: choice.reason,
         })
     }
@@ -326,7 +327,7 @@ impl Fit {
             record,
             spectrum: self.spectrum.clone(),
             norms: self.norms.clone(),
-            selection: RankSelection::Fixed(rank),
+            noise_is_guessed: false,
             reason: self.reason.clone(),
         })
     }

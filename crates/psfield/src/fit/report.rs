@@ -2,7 +2,6 @@
 
 use coeff_field::LeftOut;
 use metrics::Summary;
-use psf_basis::RankSelection;
 use psf_types::{Interpolation, Normalisation, OutsidePolicy};
 use serde::Serialize;
 
@@ -130,7 +129,7 @@ impl Fit {
     fn warning_of_all_components(&self) -> Option<String> {
         let spectrum = self.spectrum.as_ref()?;
         let (rank, samples) = (self.record.basis().rank(), self.norms.len());
-        let chosen = self.selection == RankSelection::Auto && spectrum.noise_sigma.is_none();
+        let chosen = self.noise_is_guessed && spectrum.noise_sigma.is_none();
         let all = samples >= MANY_SAMPLES && rank as f64 >= NEARLY_ALL * (samples - 1) as f64;
         (chosen && all).then(|| {
             format!(
