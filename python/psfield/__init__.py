@@ -31,7 +31,13 @@ from psfield._errors import PsfieldWarning
 from psfield._model import PsfModel
 from psfield._native import __version__
 from psfield._plan import Plan, SpotCheck
-from psfield._reports import FitReport, LeaveOneOutReport, PlanSummary, SamplingReport
+from psfield._reports import (
+    FitReport,
+    LeaveOneOutReport,
+    PlanSummary,
+    SamplingReport,
+    VerificationReport,
+)
 from psfield._simulate import example, simulate
 from psfield._threads import set_threads, threads
 
@@ -44,6 +50,7 @@ __all__ = [
     "PsfieldWarning",
     "SamplingReport",
     "SpotCheck",
+    "VerificationReport",
     "__version__",
     "detector",
     "example",

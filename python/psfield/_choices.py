@@ -81,3 +81,8 @@ def choice(value: Any, name: str, known: Collection[str]) -> str:
         *most, last = known
         raise ValueError(f"{name} must be {', '.join(most)} or {last}, got {value}")
     return str(value)
+
+
+def choice_or_none(value: Any, name: str, known: Collection[str]) -> str | None:
+    """Return one of the known strings, or None."""
+    return None if value is None else choice(value, name, known)

@@ -26,11 +26,10 @@ class Defaults(NamedTuple):
     oversampling: float
     pixel_response_included: bool
     stamp_interpolation: Literal["cubic-spline", "lanczos3"]
-    criterion: Literal["interpolation", "neighbours"]
     measure: Literal["l2", "l1"]
     threshold: float
-    start: tuple[int, int]
-    max_samples: int
+    max_draws: int
+    seed: int
 
 
 class DetectorDefaults(NamedTuple):

@@ -27,6 +27,7 @@ from psfield._astropy import in_unit
 from psfield._choices import (
     boolean,
     choice,
+    choice_or_none,
     integer,
     integer_or_none,
     pair_or_none,
@@ -40,7 +41,7 @@ from psfield._errors import PsfieldWarning
 from psfield._html import size, table
 from psfield._plan import Plan
 from psfield._progress import Progress, as_callback
-from psfield._reports import FitReport, LeaveOneOutReport, SamplingReport
+from psfield._reports import FitReport, LeaveOneOutReport, SamplingReport, VerificationReport
 from psfield._spelling import american, british
 
 if TYPE_CHECKING:
@@ -358,10 +359,14 @@ class PsfModel:
         shape: tuple[int, int],
         *,
         threshold: float = DEFAULTS.threshold,
-        criterion: Literal["interpolation", "neighbours", "neighbors"] = DEFAULTS.criterion,
+        method: Literal["kriging", "mesh"] | None = None,
         measure: Literal["l2", "l1"] = DEFAULTS.measure,
-        start: tuple[int, int] = DEFAULTS.start,
-        max_samples: int = DEFAULTS.max_samples,
+        verify: int | None = None,
+        seed: int = DEFAULTS.seed,
+        criterion: Literal["interpolation", "neighbours", "neighbors"] | None = None,
+        start: tuple[int, int] | None = None,
+        max_draws: int = DEFAULTS.max_draws,
+        accept_cap: bool = False,
         uniform: tuple[int, int] | None = None,
         oversampling: float = DEFAULTS.oversampling,
         centre: Centre | None = None,
@@ -379,7 +384,10 @@ class PsfModel:
     ) -> PsfModel:
         """Make a model from a function that draws the PSF at any position.
 
-        The function is sampled densely where the PSF varies and sparsely elsewhere.
+        The function is called where kriging (Gaussian process regression) expects the largest
+        error. Each PSF is predicted before it is drawn, until errors are at most `threshold`. Then
+        random PSFs verify the result. Where the PSF is not smooth, a mesh takes over: a grid,
+        refined until interpolation errors are at most `threshold`.
 
         Parameters
         ----------
@@ -390,16 +398,28 @@ class PsfModel:
         shape : (int, int)
             Rows and columns of the frame.
         threshold : float
-            The refinement stops where the relative error is at most this value.
-        criterion : {'interpolation', 'neighbours'}
-            The error that is compared with ``threshold``: the error of interpolating between
-            neighbouring samples, or the difference of neighbouring samples.
+            Largest error of a predicted PSF, relative to its norm.
+        method : {'kriging', 'mesh'}, optional
+            Way to choose positions. By default kriging, or the mesh if `criterion` or `start` is
+            given.
         measure : {'l2', 'l1'}
             Norm in which PSFs are compared.
-        start : (int, int)
-            Rows and columns of the coarse grid at which the refinement starts.
-        max_samples : int
-            Largest number of samples. If more are needed, an error is raised.
+        verify : int, optional
+            Only for kriging: number of PSFs drawn at random at the end, by default 16. If one of
+            them has a larger error than `threshold`, sampling goes on.
+        seed : int
+            Seed of the random positions.
+        criterion : {'interpolation', 'neighbours'}, optional
+            Only for the mesh: the error that is compared with `threshold`. By default the error of
+            interpolating between neighbouring samples, or the difference of neighbouring samples.
+        start : (int, int), optional
+            Only for the mesh: rows and columns of the coarse grid at which the refinement starts,
+            by default 5 x 5.
+        max_draws : int
+            Largest number of PSFs drawn. If more are needed, an error is raised.
+        accept_cap : bool
+            If `threshold` is not met, return a model of the samples so far in place of an error.
+            The report's ``outcome`` tells.
         uniform : (int, int), optional
             Rows and columns of a regular grid of samples that replaces the refinement.
         oversampling, centre, pixel_response_included, stamp_interpolation
@@ -438,19 +458,27 @@ class PsfModel:
             (rows, columns),
             _grid(oversampling, centre, pixel_response_included, stamp_interpolation),
             {
-                "criterion": choice(
-                    british(criterion), "criterion", ("neighbours", "interpolation")
+                "method": choice_or_none(method, "method", ("kriging", "mesh")),
+                "criterion": choice_or_none(
+                    None if criterion is None else british(criterion),
+                    "criterion",
+                    ("neighbours", "interpolation"),
                 ),
                 "measure": choice(measure, "measure", ("l1", "l2")),
                 "threshold": real(threshold, "threshold"),
-                "start": shape_of(start, "start"),
-                "max_samples": integer(max_samples, "max_samples", 1),
+                "start": shape_or_none(start, "start"),
+                "max_draws": integer(max_draws, "max_draws", 1),
+                "accept_cap": boolean(accept_cap, "accept_cap"),
+                "verify": integer_or_none(verify, "verify"),
+                "seed": integer(seed, "seed"),
                 "uniform": shape_or_none(uniform, "uniform"),
             },
             _fit(rank, centring, noise, interpolation, outside, normalise, shift_copies),
             as_callback(progress),
         )
-        return cls._of(native, SamplingReport(**sampling))
+        random = sampling.pop("verification")
+        verification = None if random is None else VerificationReport(**random)
+        return cls._of(native, SamplingReport(**sampling, verification=verification))
 
     @classmethod
     @american

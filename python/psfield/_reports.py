@@ -122,21 +122,64 @@ class FitReport(Report):
 
 
 @dataclass(frozen=True)
+class VerificationReport(Report):
+    """The random tests of a sampling. `SamplingReport.verification` is one.
+
+    Attributes
+    ----------
+    tests, above : int
+        Number of PSFs drawn at random, and of those whose error exceeds the threshold.
+    fraction_limit : float
+        With 95 % confidence, errors exceed the threshold in at most this fraction of the field.
+    worst : float
+        Largest error of these PSFs.
+    worst_at : (float, float)
+        Its position x, y.
+    draws : int
+        Number of PSFs drawn at random in all, those of earlier verifications included.
+
+    Examples
+    --------
+    >>> import psfield
+    >>> model = psfield.PsfModel.from_function(lambda x, y: [[0, 1, 0], [1, 4, 1]], (50, 80))
+    >>> found = model.sampling.verification
+    >>> found.above, found.tests, round(found.fraction_limit, 2)
+    (0, 16, 0.17)
+    """
+
+    tests: int
+    above: int
+    fraction_limit: float
+    worst: float
+    worst_at: tuple[float, float]
+    draws: int
+
+
+@dataclass(frozen=True)
 class SamplingReport(Report):
     """The sampling of a PSF that a function draws. `PsfModel.sampling` is one.
 
     Attributes
     ----------
+    method : {'kriging', 'mesh'} or None
+        Method that chose the last positions. None for a regular grid.
     samples, draws : int
         Number of samples kept, and of PSFs drawn.
     cells, unmet_cells : int
-        Number of cells between samples, and of those whose error exceeds the threshold.
+        Number of cells of the mesh, and of those whose error exceeds the threshold.
     worst : float
-        Largest error of a cell.
-    threshold : float
-        Error at which the refinement stops.
-    outcome : {'met', 'cell-size-reached'}
-        Whether every cell meets the threshold, or some are as small as cells may be.
+        Largest error measured last: by the last tests of kriging, or in a cell of the mesh.
+    worst_at : (float, float) or None
+        Its position x, y.
+    expected : float or None
+        Largest error that kriging expects anywhere in the field.
+    threshold : float or None
+        Largest error allowed.
+    outcome : {'met', 'cell-size-reached', 'cap-reached'}
+        Whether the threshold is met, some cells are as small as cells may be, or ``max_draws`` is
+        reached.
+    verification : VerificationReport or None
+        Random tests at the end. None if there were none.
 
     Examples
     --------
@@ -146,13 +189,17 @@ class SamplingReport(Report):
     ('met', True)
     """
 
+    method: str | None
     samples: int
     draws: int
     cells: int
     unmet_cells: int
     worst: float
-    threshold: float
+    worst_at: tuple[float, float] | None
+    expected: float | None
+    threshold: float | None
     outcome: str
+    verification: VerificationReport | None
 
 
 @dataclass(frozen=True)

@@ -238,14 +238,34 @@ class TestFunctions:
         model = psfield.PsfModel.from_function(
             draw, (300, 400), threshold=0.005, progress=lambda *step: steps.append(step)
         )
-        assert model.sampling.outcome == "met" and model.sampling.worst <= 0.005
-        assert model.sampling.samples == len(model.positions)
-        right = np.mean(model.positions[:, 0] > 300)
-        assert right > 0.5
+        report = model.sampling
+        assert (report.method, report.outcome) == ("kriging", "met") and report.worst <= 0.005
+        assert report.samples == report.draws == len(model.positions) < 200
+        assert report.verification.above == 0 and report.verification.tests == 16
+        assert report.expected <= 0.005
         for x, y in [(10.3, 20.4), (350.1, 33.0), (398.0, 299.0), (200.0, 150.0)]:
             assert relative_l2(model.evaluate(x, y), draw(x, y)) < 0.01
         assert steps and steps[-1][0] > 0
         assert model.field_shape == (300, 400)
+
+    def test_a_mesh_lies_where_the_psf_varies(self):
+        def draw(x, y):
+            return gaussian_stamp(1.5 + np.exp((x - 399) / 40))
+
+        model = psfield.PsfModel.from_function(draw, (300, 400), threshold=0.005, method="mesh")
+        assert (model.sampling.method, model.sampling.outcome) == ("mesh", "met")
+        assert model.sampling.verification is None
+        assert np.mean(model.positions[:, 0] > 300) > 0.5
+
+    def test_a_jump_is_told_and_its_samples_may_be_used(self):
+        def draw(x, y):
+            return gaussian_stamp(1.0 if x < 20 else 2.0)
+
+        with pytest.raises(ValueError, match=r"is not met: cells .* accept_cap"):
+            psfield.PsfModel.from_function(draw, (40, 60), threshold=0.01)
+        model = psfield.PsfModel.from_function(draw, (40, 60), threshold=0.01, accept_cap=True)
+        assert (model.sampling.method, model.sampling.outcome) == ("mesh", "cell-size-reached")
+        assert abs(model.sampling.worst_at[0] - 20) <= 1
 
     def test_a_regular_grid(self):
         model = psfield.PsfModel.from_function(
@@ -291,7 +311,10 @@ class TestFunctions:
             ({"measure": "l3"}, "l1 or l2"),
             ({"threshold": -1.0}, "threshold|must be"),
             ({"start": (1, 5)}, "from 2 to 4096"),
-            ({"max_samples": 30, "threshold": 1e-6}, "max_samples"),
+            ({"max_draws": 30, "threshold": 1e-6}, "max_draws"),
+            ({"method": "kriging", "start": (3, 3)}, "left out with the method kriging"),
+            ({"method": "mesh", "verify": 3}, "left out with the method mesh"),
+            ({"method": "grid"}, "kriging or mesh"),
         ],
     )
     def test_settings(self, options, text):

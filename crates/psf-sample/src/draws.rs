@@ -1,15 +1,14 @@
 //! Drawing of many PSFs: at any positions, on a regular grid, and at sub-pixel shifts.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 
-use ndarray::{Array2, Array3, Axis};
+use ndarray::{Array2, Array3, ArrayView2, Axis};
 use psf_types::{FrameShape, Position, Progress, PsfSamples, PsfSource, SamplePositions, Stamp, StateKind};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use rayon::prelude::*;
 
 use crate::criteria::DifferenceMeasure;
-use crate::mesh::{Mesh, Node};
 use crate::sampling::{SampleError, Sampling, SamplingMethod, SamplingReport};
 
 /// Draws a PSF and checks that its values are finite and its flux is positive.
@@ -83,58 +82,70 @@ pub fn draw_states(
     Ok(PsfSamples::new(stamps, positions, first.grid())?)
 }
 
-/// All PSFs drawn so far. The keys are their nodes of the mesh.
+/// All PSFs drawn so far, each position once.
 #[derive(Debug, Default)]
 pub(crate) struct DrawnStamps {
-    stamps: HashMap<Node, Array2<f64>>,
+    stamps: HashMap<[u64; 2], (Position, Array2<f64>)>,
     announced: u64,
 }
 
 impl DrawnStamps {
-    pub(crate) fn get(&self, node: Node) -> &Array2<f64> {
-        &self.stamps[&node]
+    /// The PSF at a position where one was drawn.
+    pub(crate) fn get(&self, position: Position) -> ArrayView2<'_, f64> {
+        self.stamps[&position.bits()].1.view()
     }
 
-    /// The number of PSFs drawn, each counted once.
+    pub(crate) fn contains(&self, position: Position) -> bool {
+        self.stamps.contains_key(&position.bits())
+    }
+
+    /// The number of PSFs drawn.
     pub(crate) fn count(&self) -> usize {
         self.stamps.len()
     }
 
-    /// Draws the PSFs at those `nodes` of a mesh where none has been drawn yet.
+    /// Draws the PSFs at those positions where none has been drawn yet.
     pub(crate) fn add(
         &mut self,
         source: &dyn PsfSource,
-        nodes: impl Iterator<Item = Node>,
-        mesh: &Mesh,
+        positions: &[Position],
         progress: &dyn Progress,
     ) -> Result<(), SampleError> {
-        let mut missing: Vec<Node> = nodes.filter(|n| !self.stamps.contains_key(n)).collect();
-        missing.sort_unstable();
-        missing.dedup();
+        let mut new = HashSet::new();
+        let missing: Vec<Position> = positions
+            .iter()
+            .copied()
+            .filter(|p| !self.contains(*p) && new.insert(p.bits()))
+            .collect();
         if missing.is_empty() {
             return Ok(());
         }
         self.announced += missing.len() as u64;
         progress.start(self.announced);
-        let positions = mesh.positions(&missing)?;
-        let drawn = draw_all(source, &positions, progress)?;
-        self.stamps.extend(missing.into_iter().zip(drawn));
+        let drawn = draw_all(source, &missing, progress)?;
+        let keyed = missing.into_iter().zip(drawn);
+        self.stamps
+            .extend(keyed.map(|(position, stamp)| (position.bits(), (position, stamp))));
         Ok(())
     }
 
-    /// The samples at the nodes of a mesh, ordered by y, then x.
+    /// The samples at some of the positions, ordered by y, then x.
     pub(crate) fn into_samples(
         mut self,
         source: &dyn PsfSource,
-        mesh: &Mesh,
+        mut positions: Vec<Position>,
     ) -> Result<PsfSamples, SampleError> {
-        let nodes = mesh.sorted_nodes();
-        let taken = nodes
-            .iter()
-            .map(|n| self.stamps.remove(n).expect("every sample was drawn"))
-            .collect();
+        positions.sort_by(|a, b| a.y().total_cmp(&b.y()).then(a.x().total_cmp(&b.x())));
+        let mut take = |p: &Position| self.stamps.remove(&p.bits()).expect("every sample was drawn").1;
+        let taken = positions.iter().map(&mut take).collect();
         drop(self);
-        into_samples(source, mesh.positions(&nodes)?, taken)
+        into_samples(source, positions, taken)
+    }
+
+    /// All PSFs as samples, ordered by y, then x.
+    pub(crate) fn into_all_samples(self, source: &dyn PsfSource) -> Result<PsfSamples, SampleError> {
+        let positions = self.stamps.values().map(|(position, _)| *position).collect();
+        self.into_samples(source, positions)
     }
 }
 
@@ -251,6 +262,35 @@ impl SamplingMethod for UniformSampling {
 fn unit(rng: &mut ChaCha8Rng) -> f64 {
     // 53 random bits: every multiple of 2^-53 in [0, 1) is equally likely.
     (rng.next_u64() >> 11) as f64 / (1u64 << 53) as f64
+}
+
+/// The positions of random tests. Each `round` has others. They are stratified: the field is divided into
+/// as many parts of equal area, almost square, and each part holds one, at random. So they are seldom
+/// close to each other.
+pub(crate) fn test_positions(
+    field: FrameShape,
+    (count, seed): (usize, u64),
+    round: u64,
+) -> Result<Vec<Position>, SampleError> {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    // Held-out PSFs use stream 0.
+    rng.set_stream(round + 1);
+    let (width, height) = ((field.nx() - 1) as f64, (field.ny() - 1) as f64);
+    let rows = (count as f64).sqrt().floor().max(1.0) as usize;
+    let mut positions = Vec::with_capacity(count);
+    for row in 0..rows {
+        let columns = count / rows + usize::from(row < count % rows);
+        let (low, part) = (
+            positions.len() as f64 / count as f64,
+            columns as f64 / count as f64,
+        );
+        for column in 0..columns {
+            let x = (column as f64 + unit(&mut rng)) / columns as f64;
+            let y = low + part * unit(&mut rng);
+            positions.push(Position::new(width * x, height * y)?);
+        }
+    }
+    Ok(positions)
 }
 
 /// Smallest distance of a held-out PSF from the samples, as a fraction of their mean distance.
@@ -391,5 +431,29 @@ impl ShiftAugmentation {
             .collect();
         done.into_iter().collect::<Result<(), _>>()?;
         Ok(ShiftedStamps { stamps, shifts })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn random_tests_are_spread_evenly() {
+        let field = FrameShape::new(1001, 501).unwrap();
+        for count in [0, 1, 2, 7, 16, 300] {
+            let found = test_positions(field, (count, 3), 0).unwrap();
+            assert_eq!(found.len(), count);
+            assert!(found.iter().all(|p| p.x() <= 1000.0 && p.y() <= 500.0));
+            // Every part of the field has its share, up to the parts that it cuts.
+            let left = found.iter().filter(|p| p.x() < 500.0).count() as f64;
+            let low = found.iter().filter(|p| p.y() < 250.0).count() as f64;
+            let cut = (count as f64).sqrt() + 1.0;
+            assert!((left - count as f64 / 2.0).abs() <= cut && (low - count as f64 / 2.0).abs() <= cut);
+        }
+        let first = test_positions(field, (16, 3), 0).unwrap();
+        assert_eq!(test_positions(field, (16, 3), 0).unwrap(), first);
+        assert_ne!(test_positions(field, (16, 3), 1).unwrap(), first);
+        assert_ne!(test_positions(field, (16, 4), 0).unwrap(), first);
     }
 }

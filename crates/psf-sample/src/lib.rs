@@ -1,15 +1,31 @@
-//! Uniform and non-uniform sampling of a PSF over the field of view.
+//! Sampling of a PSF over the field of view.
 //!
 //! A [`SamplingMethod`] takes any [`psf_types::PsfSource`] and returns [`psf_types::PsfSamples`]
 //! with a [`SamplingReport`]:
 //!
-//! * [`UniformSampling`]: a regular grid from corner to corner.
+//! * [`KrigingSampling`]: draws where kriging expects the largest error, and tests each prediction. The
+//!   default of [`SamplingOptions`].
 //! * [`AdaptiveSampling`]: a coarse grid, refined until a [`RefinementCriterion`] holds. The
 //!   criterion is [`InterpolationError`] (the default, 1 %) or [`NeighbourDifference`]. Both use a
 //!   [`DifferenceMeasure`].
+//! * [`UniformSampling`]: a regular grid from corner to corner.
 //!
 //! [`hold_out`] draws PSFs that are not samples, to check a model. [`ShiftAugmentation`] draws the
 //! samples again at sub-pixel shifts, to train a basis.
+//!
+//! # Which method
+//! A mesh compares PSFs with linear interpolation between neighbours, so its number of samples grows with
+//! the inverse of the error. Kriging uses all samples, and the number grows with the logarithm of the
+//! error if the field is smooth. PSFs drawn beside random ones, for errors of 1e-2, 3e-3, 1e-3 and 1e-4:
+//!
+//! | field | kriging | mesh |
+//! |---|---|---|
+//! | preset `survey-2m` | 76, 84, 92, 116 | 1609, -, 15 629, more than 66 000 |
+//! | preset `wide-field-lens` | 168, 216, 240, 392 | 2963, -, -, more than 65 000 |
+//!
+//! At a step, a kink or a small hot spot, kriging has errors that it does not expect. These are its tests:
+//! every PSF is predicted before it is drawn. Then the mesh takes over, with at most 150 draws
+//! more than the mesh alone.
 //!
 //! # The mesh of adaptive sampling
 //!
@@ -29,18 +45,26 @@
 //! * The criterion holds everywhere ([`SamplingOutcome::Met`]).
 //! * The criterion fails only in cells of the smallest size, usually because the PSF jumps there
 //!   ([`SamplingOutcome::CellSizeReached`]). The report contains the number of these cells.
-//! * The next refinement would exceed the cap on the number of samples
-//!   ([`SampleError::CapReached`]). This error carries the samples drawn so far.
+//! * The next refinement would exceed the number of draws allowed ([`SampleError::NotMet`]). This error
+//!   carries the samples drawn so far.
 //!
 //! All PSFs are drawn in parallel on the current rayon pool, each position once. Results, order and
 //! errors do not depend on the number of threads.
 
 mod adaptive;
+mod adaptive_run;
 mod criteria;
 mod draws;
+mod kriging;
+mod learner;
 mod mesh;
 mod options;
+mod orthonormal;
 mod sampling;
+mod spread;
+mod takeover;
+mod verification;
+mod verifier;
 
 pub use adaptive::AdaptiveSampling;
 pub use criteria::{
@@ -48,5 +72,9 @@ pub use criteria::{
     RefinementCriterion,
 };
 pub use draws::{ShiftAugmentation, ShiftedStamps, UniformSampling, draw_states, hold_out};
+pub use kriging::KrigingSampling;
 pub use options::{Criterion, SamplingOptions};
-pub use sampling::{CapReached, SampleError, Sampling, SamplingMethod, SamplingOutcome, SamplingReport};
+pub use sampling::{
+    NotMet, Refinement, SampleError, Sampling, SamplingMethod, SamplingOutcome, SamplingReport,
+};
+pub use verification::{Verification, fraction_limit};

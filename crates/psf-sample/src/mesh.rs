@@ -161,7 +161,8 @@ impl Mesh {
         &self.leaves
     }
 
-    pub(crate) fn node_count(&self) -> usize {
+    #[cfg(test)]
+    fn node_count(&self) -> usize {
         self.nodes.len()
     }
 
@@ -172,14 +173,41 @@ impl Mesh {
         nodes
     }
 
-    /// The position of a node on the field.
-    pub(crate) fn position(&self, node: Node) -> Result<Position, psf_types::DataError> {
-        Position::new(self.axes[0].coordinate(node.x), self.axes[1].coordinate(node.y))
+    /// Nodes of the lattice that divide each axis into `intervals` parts of equal width, or up to twice
+    /// as many. Fewer if the lattice has fewer. They are ordered by y, then x.
+    pub(crate) fn lattice(&self, intervals: u64) -> Vec<Node> {
+        let along = |axis: Axis| {
+            let last = axis.cells * axis.steps;
+            let mut step = 1;
+            while axis.steps.is_multiple_of(2 * step) && last / (2 * step) >= intervals {
+                step *= 2;
+            }
+            (0..=last / step).map(move |i| i * step)
+        };
+        let rows = along(self.axes[1]);
+        rows.flat_map(|y| along(self.axes[0]).map(move |x| Node { y, x }))
+            .collect()
     }
 
-    /// The positions of nodes on the field, in the given order.
-    pub(crate) fn positions(&self, nodes: &[Node]) -> Result<Vec<Position>, psf_types::DataError> {
-        nodes.iter().map(|&node| self.position(node)).collect()
+    /// The place of a position in a cell, from 0 to 1 along x and y. `None` if it lies outside.
+    pub(crate) fn place_in(&self, cell: Cell, position: Position) -> Option<[f64; 2]> {
+        let along = |axis: Axis, ends: (u64, u64), at: f64| {
+            let (low, high) = (axis.coordinate(ends.0), axis.coordinate(ends.1));
+            let place = if high > low {
+                (at - low) / (high - low)
+            } else {
+                0.0
+            };
+            (low <= at && at <= high).then_some(place)
+        };
+        let x = along(self.axes[0], cell.x, position.x())?;
+        Some([x, along(self.axes[1], cell.y, position.y())?])
+    }
+
+    /// The position of a node on the field.
+    pub(crate) fn position(&self, node: Node) -> Position {
+        let position = Position::new(self.axes[0].coordinate(node.x), self.axes[1].coordinate(node.y));
+        position.expect("coordinates on a frame are finite")
     }
 
     /// The axes of `wanted` along which the cell can be halved. If there is only one such axis and
@@ -263,7 +291,7 @@ mod tests {
         let mesh = mesh(9232, 9216, 5, 2.0);
         assert_eq!((mesh.node_count(), mesh.leaves.len()), (25, 16));
         let nodes = mesh.sorted_nodes();
-        let at = |i: usize| mesh.position(nodes[i]).unwrap();
+        let at = |i: usize| mesh.position(nodes[i]);
         assert_eq!((at(0).x(), at(0).y()), (0.0, 0.0));
         assert_eq!((at(4).x(), at(4).y()), (9231.0, 0.0));
         assert_eq!((at(24).x(), at(24).y()), (9231.0, 9215.0));

@@ -3,6 +3,8 @@
 use psf_types::{Cancelled, DataError, Position, Progress, PsfSamples, PsfSource, SourceError};
 use thiserror::Error;
 
+use crate::verification::Verification;
+
 /// A method that chooses the positions at which a PSF is sampled. The trait is object-safe.
 pub trait SamplingMethod: std::fmt::Debug + Send + Sync {
     /// Samples `source` over its field, in parallel on the current rayon pool. The result does not
@@ -27,17 +29,26 @@ pub struct Sampling {
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct SamplingReport {
+    /// The way in which the last positions were chosen. `None` for fixed positions.
+    pub refinement: Option<Refinement>,
     /// The reason why the sampling ended.
     pub outcome: SamplingOutcome,
-    /// Number of PSFs drawn: at the samples and at the other points that a criterion needs.
+    /// Number of PSFs drawn, all of them: samples, and other points that a criterion needs.
     pub draws: usize,
-    /// Number of cells between the samples.
+    /// Number of cells between the samples. 0 for kriging.
     pub cells: usize,
     /// Number of cells in which the criterion does not hold.
     pub unmet_cells: usize,
-    /// The largest variation that the criterion measured in any cell. For a uniform grid, the
-    /// largest difference of neighbours. 0 for a method that measures no variation.
+    /// The largest error measured: for kriging that of the last tests, for a mesh the largest variation
+    /// that the criterion measured in any cell. For a uniform grid, the largest difference of neighbours.
+    /// 0 for a method that measures no variation.
     pub worst: f64,
+    /// The position of the worst error, or the middle of its cell.
+    pub worst_at: Option<Position>,
+    /// The largest error that kriging expects anywhere in the field (relative, L2).
+    pub expected: Option<f64>,
+    /// The random tests at the end.
+    pub verification: Option<Verification>,
     /// The largest variation at which the criterion holds. `None` if there is no criterion.
     pub threshold: Option<f64>,
 }
@@ -46,27 +57,59 @@ impl SamplingReport {
     /// The report of a method that uses fixed positions and measures no variation of the PSF.
     pub fn of_fixed_positions(draws: usize) -> Self {
         Self {
+            refinement: None,
             outcome: SamplingOutcome::Met,
             draws,
             cells: 0,
             unmet_cells: 0,
             worst: 0.0,
+            worst_at: None,
+            expected: None,
+            verification: None,
             threshold: None,
         }
     }
+
+    /// The largest error that was found, and its position: of the tests and the criterion, and of the
+    /// random tests at the end.
+    fn largest_error(&self) -> (f64, Option<Position>) {
+        match self.verification {
+            Some(random) if random.worst > self.worst => (random.worst, Some(random.worst_at)),
+            _ => (self.worst, self.worst_at),
+        }
+    }
 }
+
+/// A way to choose further positions. Written as `kriging` or `mesh`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[non_exhaustive]
+pub enum Refinement {
+    /// Where kriging expects the largest error ([`KrigingSampling`](crate::KrigingSampling)).
+    #[default]
+    Kriging,
+    /// In the cells in which a criterion does not hold ([`AdaptiveSampling`](crate::AdaptiveSampling)).
+    Mesh,
+}
+
+psf_types::named!(
+    Refinement,
+    SampleError,
+    |text| SampleError::refused("the method", "kriging or mesh", text),
+    "kriging" => Kriging,
+    "mesh" => Mesh
+);
 
 /// The reason why a sampling ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum SamplingOutcome {
-    /// The criterion holds in every cell, or there was no criterion.
+    /// The criterion holds in every cell and every test, or there was no criterion.
     Met,
     /// Some cells are as small as allowed, and the criterion still does not hold there. Usually
     /// the PSF jumps there.
     CellSizeReached,
-    /// The criterion does not hold in every cell, and a further refinement would exceed the cap on
-    /// the number of samples.
+    /// The criterion does not hold everywhere, and a further refinement would exceed the number of
+    /// draws allowed.
     CapReached,
 }
 
@@ -120,10 +163,9 @@ pub enum SampleError {
         /// The value that the criterion returned.
         value: f64,
     },
-    /// The criterion does not hold with the largest number of samples allowed. The error contains
-    /// the samples drawn so far.
+    /// The threshold is not met. The error contains the samples drawn so far.
     #[error(transparent)]
-    CapReached(Box<CapReached>),
+    NotMet(Box<NotMet>),
     /// The progress object cancelled the work ([`Progress::cancelled`]).
     #[error(transparent)]
     Cancelled(#[from] Cancelled),
@@ -150,49 +192,93 @@ impl SampleError {
         }
     }
 
+    pub(crate) fn not_met(most_draws: usize, wanted: Option<usize>, sampling: Sampling) -> Self {
+        Self::NotMet(Box::new(NotMet {
+            most_draws,
+            wanted,
+            sampling,
+        }))
+    }
+
     pub(crate) fn refused(name: &'static str, allowed: &'static str, got: impl std::fmt::Display) -> Self {
         let got = got.to_string();
         Self::Setting { name, allowed, got }
     }
 }
 
-/// The state of an adaptive sampling that reached its cap: a complete, valid sampling whose
-/// criterion does not hold everywhere.
+/// A sampling that does not meet its threshold: complete and valid, but less accurate than asked.
 #[derive(Debug, Error)]
-#[error(
-    "the criterion does not hold with the {cap} samples allowed: the next refinement would have {wanted} samples. The threshold {threshold} \
-     is exceeded in {unmet} of {cells} cells, the largest variation is {worst:.3e}. Raise the cap or the threshold, or use the {count} samples as they are",
-    unmet = sampling.report.unmet_cells,
-    cells = sampling.report.cells,
-    threshold = sampling.report.threshold.unwrap_or(f64::NAN),
-    worst = sampling.report.worst,
-    count = sampling.samples.len()
-)]
-pub struct CapReached {
-    pub(crate) cap: usize,
-    pub(crate) wanted: usize,
+#[error("{}", self.text())]
+pub struct NotMet {
+    pub(crate) most_draws: usize,
+    pub(crate) wanted: Option<usize>,
     pub(crate) sampling: Sampling,
 }
 
-impl CapReached {
-    /// The largest number of samples allowed.
-    pub fn cap(&self) -> usize {
-        self.cap
+impl NotMet {
+    /// The largest number of draws allowed.
+    pub fn most_draws(&self) -> usize {
+        self.most_draws
     }
 
-    /// The number of samples that the next refinement would have. The criterion may need even more.
-    pub fn wanted(&self) -> usize {
+    /// The number of draws after the next refinement, if the number allowed ended the sampling. The
+    /// criterion may need even more.
+    pub fn wanted(&self) -> Option<usize> {
         self.wanted
     }
 
-    /// The samples drawn, and their report. The last refinement halved the cells with the largest
-    /// variation, as many as the cap allows.
+    /// The samples drawn, and their report. If the number of draws ended the sampling, the cells with
+    /// the largest variation were refined last.
     pub fn sampling(&self) -> &Sampling {
         &self.sampling
     }
 
-    /// Returns the samples drawn, to use them although the criterion does not hold.
+    /// Returns the samples drawn, to use them although the threshold is not met.
     pub fn into_sampling(self) -> Sampling {
         self.sampling
+    }
+
+    fn text(&self) -> String {
+        let Sampling { samples, report } = &self.sampling;
+        let threshold = report.threshold.unwrap_or(f64::NAN);
+        let (why, what) = match self.wanted {
+            Some(wanted) => (
+                format!(
+                    " with the {} draws allowed: the next refinement would have {wanted}",
+                    self.most_draws
+                ),
+                "the number of draws or the threshold",
+            ),
+            None => (
+                ": cells between samples cannot be smaller, and the PSF is probably discontinuous there"
+                    .to_owned(),
+                "the threshold",
+            ),
+        };
+        let mut sentences = vec![format!("the threshold {threshold} is not met{why}")];
+        if let (worst, Some(at)) = report.largest_error() {
+            let (x, y) = (at.x(), at.y());
+            sentences.push(format!("The largest error is {worst:.2e}, at ({x:.1}, {y:.1})"));
+        }
+        if let Some(expected) = report.expected {
+            sentences.push(format!(
+                "Kriging expects errors of up to {expected:.2e} elsewhere"
+            ));
+        }
+        if report.cells > 0 {
+            let (unmet, cells) = (report.unmet_cells, report.cells);
+            sentences.push(format!(
+                "Errors are above the threshold in {unmet} of {cells} cells"
+            ));
+        }
+        if let Some(random) = &report.verification {
+            let (above, tests) = (random.above, random.tests);
+            sentences.push(format!(
+                "Of {tests} random tests, {above} have errors above the threshold"
+            ));
+        }
+        let count = samples.len();
+        sentences.push(format!("Raise {what}, or use the {count} samples as they are"));
+        sentences.join(". ")
     }
 }

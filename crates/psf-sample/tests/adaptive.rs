@@ -161,35 +161,40 @@ fn midpoints_meet_the_interpolation_error_and_become_samples() {
 #[test]
 fn the_cap_is_an_error_that_carries_the_samples() {
     let source = Blob::new(1000, 1000, corner);
-    let needed = sample(&neighbours(0.01), &source).samples.len();
+    let needed = sample(&neighbours(0.01), &source).report.draws;
     let roomy = neighbours(0.01)
-        .with_max_samples(needed)
+        .with_max_draws(needed)
         .sample(&source, &NoProgress)
         .unwrap();
     assert_eq!(roomy.report.outcome, SamplingOutcome::Met);
-    let capped = neighbours(0.01).with_max_samples(300);
-    let SampleError::CapReached(reached) = capped.sample(&source, &NoProgress).unwrap_err() else {
-        panic!("the cap is reached");
-    };
-    let message = reached.to_string();
-    assert!(
-        message.contains("with the 300 samples allowed") && message.contains("Raise the cap"),
-        "{message}"
-    );
-    assert!(reached.wanted() > 300 && reached.cap() == 300);
-    let sampling = reached.into_sampling();
-    assert!(
-        (250..=300).contains(&sampling.samples.len()),
-        "the samples nearly reach the cap: {}",
-        sampling.samples.len()
-    );
-    assert_eq!(sampling.report.outcome, SamplingOutcome::CapReached);
-    assert!(sampling.report.unmet_cells > 0 && sampling.report.worst > 0.01);
+    for (method, fewest) in [(neighbours(0.01), 250), (interpolation(0.002), 250)] {
+        let capped = method.with_max_draws(300);
+        let SampleError::NotMet(found) = capped.sample(&source, &NoProgress).unwrap_err() else {
+            panic!("the cap is reached");
+        };
+        let message = found.to_string();
+        assert!(
+            message.contains("with the 300 draws allowed") && message.contains("Raise the number of draws"),
+            "{message}"
+        );
+        assert!(found.wanted().unwrap() > 300 && found.most_draws() == 300);
+        let sampling = found.into_sampling();
+        assert!(
+            (fewest..=300).contains(&sampling.report.draws),
+            "the draws nearly reach the cap: {}",
+            sampling.report.draws
+        );
+        assert_eq!(sampling.report.outcome, SamplingOutcome::CapReached);
+        assert!(sampling.report.unmet_cells > 0 && sampling.report.worst > 0.002);
+    }
     let too_few = neighbours(0.01)
-        .with_max_samples(24)
+        .with_max_draws(24)
         .sample(&source, &NoProgress)
         .unwrap_err();
-    assert!(too_few.to_string().contains("24 for a grid of 25"), "{too_few}");
+    assert!(
+        too_few.to_string().contains("24 where the grid needs 25"),
+        "{too_few}"
+    );
 }
 
 #[test]
@@ -216,10 +221,10 @@ fn threads_change_nothing() {
     assert!(runs[0] == runs[1] && runs[0] == runs[2]);
     let capped = |cap: usize| {
         let error = neighbours(0.01)
-            .with_max_samples(cap)
+            .with_max_draws(cap)
             .sample(&Blob::new(700, 500, corner), &NoProgress);
         match error {
-            Err(SampleError::CapReached(reached)) => reached.into_sampling(),
+            Err(SampleError::NotMet(reached)) => reached.into_sampling(),
             other => panic!("{other:?}"),
         }
     };

@@ -6,10 +6,11 @@ use std::ffi::OsString;
 const COMMANDS: [(&str, &str); 1] = [("roundtrip", "validate")];
 
 /// Options that have a new name: the command, the old name and the new one.
-const OPTIONS: [(&str, &str, &str); 5] = [
+const OPTIONS: [(&str, &str, &str); 6] = [
     ("evaluate", "--grid", "--pixels"),
     ("fit", "--noise", "--sample-noise"),
     ("roundtrip", "--threshold", "--detection-threshold"),
+    ("sample", "--max-samples", "--max-draws"),
     ("simulate", "--oversample", "--oversampling"),
     ("validate", "--truth", "--reference"),
 ];

@@ -9,7 +9,8 @@ use ndarray::{Axis, stack};
 use psf_io::{Card, FileKind};
 use psf_optics::{OpticsError, Telescope};
 use psf_sample::{
-    Criterion, DifferenceMeasure, SampleError, Sampling, SamplingOptions, SamplingOutcome, hold_out,
+    AdaptiveSampling, Criterion, DifferenceMeasure, KrigingSampling, Refinement, SampleError, Sampling,
+    SamplingOptions, SamplingOutcome, Verification, hold_out,
 };
 use psf_stars::{CoverageMap, SOURCE_COLUMNS, StarSamples};
 use psf_types::{Position, PsfSamples, PsfSource, StateKind};
@@ -23,9 +24,10 @@ use crate::values::{Pair, above_zero};
 
 /// Sample the PSF of a telescope over its field, or of the stars in a real frame
 ///
-/// A telescope file (TOML) is sampled non-uniformly by default: the grid is refined where the PSF
-/// varies, until the quantity of --criterion is at most --threshold everywhere. The samples always
-/// cover the corners and edges of the frame.
+/// A telescope file (TOML) is sampled where kriging (Gaussian process regression) expects the largest
+/// error. Each PSF is predicted before it is drawn, until errors are at most --threshold. Then random PSFs
+/// verify the result (--verify). Where the PSF is not smooth, a mesh takes over, which is refined until
+/// its criterion holds. Samples always cover the corners of the frame.
 ///
 /// A frame (FITS) is sampled at its own stars: psfield subtracts the background, detects and
 /// selects stars, and registers them to sub-pixel precision. The content of the file decides
@@ -58,9 +60,12 @@ pub(crate) struct SampleArgs {
     /// (--registration) cannot be held out.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     hold_out: Option<u16>,
-    /// Seed that chooses the PSFs of --hold-out
-    #[arg(long, value_name = "N", default_value_t = 1, requires = "hold_out")]
-    seed: u64,
+    #[arg(
+        long,
+        value_name = "N",
+        help = format!("Seed that chooses the PSFs of --hold-out and --verify [default: {}]", defaults().seed)
+    )]
+    seed: Option<u64>,
     #[command(flatten)]
     telescope: TelescopeArgs,
     #[command(flatten)]
@@ -92,6 +97,16 @@ impl SampleArgs {
                 self.telescope.run(&self, context)
             }
         }
+    }
+
+    /// The seed, unless nothing is random (`what` says why).
+    fn seed(&self, is_random: bool, what: &str) -> Result<u64, UsageError> {
+        if self.seed.is_some() && !is_random && self.hold_out.is_none() {
+            return Err(UsageError(format!(
+                "--seed chooses the PSFs of --hold-out, which is not given, {what}"
+            )));
+        }
+        Ok(self.seed.unwrap_or(defaults().seed))
     }
 
     /// The file of --hold-out, next to the output. `None` without this option.
@@ -169,9 +184,13 @@ fn defaults() -> SamplingOptions {
     SamplingOptions::default()
 }
 
-fn start() -> String {
-    let (nx, ny) = defaults().start;
-    format!("Coarse grid from which refinement starts [default: {nx},{ny}]")
+/// The parser of `--method`.
+fn method() -> impl TypedValueParser<Value = Refinement> {
+    let values = [
+        PossibleValue::new("kriging").help("Where kriging expects the largest error"),
+        PossibleValue::new("mesh").help("A grid, refined where the quantity of --criterion is too large"),
+    ];
+    PossibleValuesParser::new(values).try_map(|text| text.parse::<Refinement>())
 }
 
 /// The parser of `--criterion`.
@@ -198,15 +217,15 @@ struct TelescopeArgs {
     preset: Option<Preset>,
     #[arg(
         long,
-        value_parser = criterion(),
-        help = format!("Quantity that must not exceed --threshold [default: {}]", defaults().criterion)
+        value_parser = method(),
+        help = format!("Way to choose positions [default: {}, or mesh with --criterion or --start]", Refinement::default())
     )]
-    criterion: Option<Criterion>,
+    method: Option<Refinement>,
     #[arg(
         long,
         value_name = "X",
         value_parser = above_zero,
-        help = format!("Limit of the quantity that --criterion names, as a fraction of the PSF's norm [default: {}]", defaults().threshold)
+        help = format!("Largest error of a predicted PSF, as a fraction of its norm [default: {}]", defaults().threshold)
     )]
     threshold: Option<f64>,
     #[arg(
@@ -216,19 +235,42 @@ struct TelescopeArgs {
         help = format!("Norm in which PSFs are compared [default: {}]", defaults().measure)
     )]
     measure: Option<DifferenceMeasure>,
-    #[arg(long, value_name = "NX,NY", allow_hyphen_values = true, hide_short_help = true, help = start())]
+    #[arg(
+        long,
+        value_name = "N",
+        help = format!("PSFs drawn at random at the end, to verify the threshold (0: none) [default: {}]", KrigingSampling::DEFAULT_VERIFY)
+    )]
+    verify: Option<u16>,
+    #[arg(
+        long,
+        value_parser = criterion(),
+        hide_short_help = true,
+        help = format!("For the method mesh: quantity that must not exceed --threshold [default: {}]", Criterion::default())
+    )]
+    criterion: Option<Criterion>,
+    #[arg(
+        long,
+        value_name = "NX,NY",
+        allow_hyphen_values = true,
+        hide_short_help = true,
+        help = format!("For the method mesh: coarse grid from which refinement starts [default: {0},{0}]", AdaptiveSampling::DEFAULT_START)
+    )]
     start: Option<Pair>,
     #[arg(
         long,
         value_name = "N",
-        help = format!("Stop with an error if more samples are needed [default: {}]", defaults().max_samples)
+        help = format!("Stop with an error if more PSFs must be drawn [default: {}]", defaults().max_draws)
     )]
-    max_samples: Option<usize>,
-    /// If more than --max-samples are needed, write the samples drawn so far, with a warning
+    max_draws: Option<usize>,
+    /// If --threshold is not met, write the samples drawn so far, with a warning
     #[arg(long, hide_short_help = true)]
     accept_cap: bool,
-    /// Sample a regular grid of NX x NY positions, without --criterion and --threshold
-    #[arg(long, value_name = "NX,NY", conflicts_with_all = ["criterion", "threshold", "start", "max_samples", "accept_cap"])]
+    /// Sample a regular grid of NX x NY positions, without --threshold
+    #[arg(
+        long,
+        value_name = "NX,NY",
+        conflicts_with_all = ["method", "criterion", "threshold", "verify", "start", "max_draws", "accept_cap"]
+    )]
     uniform: Option<Pair>,
     /// Draw the PSF at these wavelengths, two or more (micrometres)
     ///
@@ -262,11 +304,13 @@ impl TelescopeArgs {
     fn given(&self) -> Option<&'static str> {
         [
             ("--preset", self.preset.is_some()),
-            ("--criterion", self.criterion.is_some()),
+            ("--method", self.method.is_some()),
             ("--threshold", self.threshold.is_some()),
             ("--measure", self.measure.is_some()),
+            ("--verify", self.verify.is_some()),
+            ("--criterion", self.criterion.is_some()),
             ("--start", self.start.is_some()),
-            ("--max-samples", self.max_samples.is_some()),
+            ("--max-draws", self.max_draws.is_some()),
             ("--accept-cap", self.accept_cap),
             ("--uniform", self.uniform.is_some()),
             ("--wavelengths", !self.wavelengths.is_empty()),
@@ -293,31 +337,47 @@ impl TelescopeArgs {
                 "--wavelengths needs two or more wavelengths: for one, set wavelength_nm of the telescope";
             return Err(UsageError(ONE.to_owned()).into());
         }
-        let mut sampling = self.draw(&telescope, context).map_err(named)?;
+        let options = self.options(asked)?;
+        let mut sampling = self.draw(&telescope, &options, context).map_err(named)?;
         if !self.wavelengths.is_empty() {
             let at = sampling.samples.positions().as_slice().to_vec();
             sampling.samples = self.draw_wavelengths(&telescope, &at, context)?;
         }
         let positions = sampling.samples.positions();
         let held_out = asked.hold_out.map(|count| {
-            let drawn = (usize::from(count), asked.seed);
+            let drawn = (usize::from(count), options.seed);
             hold_out(&telescope, positions, drawn, &context.bar("holding out"))
         });
         let held_out = held_out.transpose().map_err(|error| named(error.into()))?;
         let held_out = held_out.as_ref();
         asked.write(&sampling.samples, held_out)?;
         let found = &sampling.report;
+        let place = |at: Position| [at.x(), at.y()];
         let report = object! {
             output: &asked.output,
+            // The method that ended. A uniform grid has none.
+            method: found.refinement.map(|method| method.to_string()),
             samples: sampling.samples.len(),
             hold_out: asked.hold_out_file(),
             held_out: held_out.map(PsfSamples::len),
-            // PSFs drawn: the samples, and PSFs at points that only the criterion uses.
+            // PSFs drawn, random ones included. The mesh also draws PSFs that only its criterion uses.
             draws: if self.wavelengths.is_empty() { found.draws } else { found.draws + sampling.samples.len() },
             cells: found.cells,
             unmet_cells: found.unmet_cells,
+            // The largest error measured last, and where.
             worst: found.worst,
+            worst_at: found.worst_at.map(place),
+            // The largest error that kriging expects.
+            expected: found.expected,
             threshold: found.threshold,
+            verification: found.verification.map(|random| object! {
+                tests: random.tests,
+                above: random.above,
+                fraction_limit: random.fraction_limit(),
+                worst: random.worst,
+                worst_at: place(random.worst_at),
+                draws: random.draws,
+            }),
             outcome: match found.outcome {
                 SamplingOutcome::Met => "met",
                 SamplingOutcome::CellSizeReached => "cell-size-reached",
@@ -325,16 +385,10 @@ impl TelescopeArgs {
                 _ => "unknown",
             },
         };
-        if report.unmet_cells > 0 {
-            let why = match report.outcome {
-                "cap-reached" => format!(
-                    ": the next refinement needs more samples than --max-samples allows ({} samples are written)",
-                    report.samples
-                ),
-                _ => ": these cells cannot be halved again: the PSF is probably discontinuous".to_owned(),
-            };
+        if report.unmet_cells > 0 && report.outcome == "cell-size-reached" && !self.accept_cap {
             context.warn(&format!(
-                "the criterion does not hold in {} of {} cells (largest variation {:.2e}){why}",
+                "the criterion does not hold in {} of {} cells (largest variation {:.2e}): these cells cannot be halved again: \
+                 the PSF is probably discontinuous",
                 report.unmet_cells, report.cells, report.worst
             ));
         }
@@ -343,11 +397,15 @@ impl TelescopeArgs {
                 .threshold
                 .map_or_else(String::new, |t| format!(" (threshold {t})"));
             format!(
-                "{}: {} samples, {} PSFs drawn, largest variation {:.2e}{limit}{}",
+                "{}: {} samples, {} PSFs drawn{}, largest error {:.2e}{limit}{}{}",
                 report.output.display(),
                 report.samples,
                 report.draws,
+                found
+                    .refinement
+                    .map_or_else(String::new, |method| format!(" (method {method})")),
                 report.worst,
+                found.verification.as_ref().map_or_else(String::new, verified),
                 asked.held_out_text(held_out)
             )
         })
@@ -369,41 +427,75 @@ impl TelescopeArgs {
         Ok(psf_sample::draw_states(&sources, states, positions, &bar)?)
     }
 
-    fn draw(&self, telescope: &Telescope, context: &Context) -> anyhow::Result<Sampling> {
+    fn options(&self, asked: &SampleArgs) -> Result<SamplingOptions, UsageError> {
         let defaults = defaults();
-        let options = SamplingOptions {
-            criterion: self.criterion.unwrap_or(defaults.criterion),
+        let mut options = SamplingOptions {
+            refinement: self.method,
+            criterion: self.criterion,
             measure: self.measure.unwrap_or(defaults.measure),
             threshold: self.threshold.unwrap_or(defaults.threshold),
-            start: self.start.map_or(defaults.start, |Pair(nx, ny)| (nx, ny)),
-            max_samples: self.max_samples.unwrap_or(defaults.max_samples),
+            start: self.start.map(|Pair(nx, ny)| (nx, ny)),
+            max_draws: self.max_draws.unwrap_or(defaults.max_draws),
+            verify: self.verify.map(usize::from),
+            seed: defaults.seed,
             uniform: self.uniform.map(|Pair(nx, ny)| (nx, ny)),
         };
-        let ((nx, ny), max) = (options.start, options.max_samples);
+        let verifies = options.uniform.is_none() && options.refinement() == Refinement::Kriging;
+        options.seed = asked.seed(verifies, "and of the method kriging, which is not used")?;
+        Ok(options)
+    }
+
+    fn draw(
+        &self,
+        telescope: &Telescope,
+        options: &SamplingOptions,
+        context: &Context,
+    ) -> anyhow::Result<Sampling> {
         if let Some((nx, ny)) = options.uniform {
             psfield::check_stack(nx.saturating_mul(ny), telescope.grid())
                 .map_err(|e| UsageError(format!("--uniform: {e}")))?;
-        } else if max < nx.saturating_mul(ny) {
-            let start = nx.saturating_mul(ny);
-            let what = format!(
-                "--max-samples {max} is less than the {start} samples of the starting grid (--start {nx},{ny})"
-            );
-            return Err(UsageError(what).into());
         }
-        let refused = |e: SampleError| match options.uniform {
-            Some(_) => anyhow::Error::from(e),
-            None => UsageError(format!("--start: {e}")).into(),
+        let refused = |e: SampleError| match (&e, options.uniform) {
+            (SampleError::Setting { name, .. }, None) => {
+                UsageError(format!("{}: {e}", option_of(name))).into()
+            }
+            _ => anyhow::Error::from(e),
         };
         let sampling = options.method().map_err(refused)?;
         let bar = context.bar("sampling");
         match sampling.sample(telescope, &bar) {
-            Err(SampleError::CapReached(cap)) if self.accept_cap => Ok(cap.into_sampling()),
-            Err(SampleError::CapReached(cap)) => Err(anyhow::anyhow!(
-                "{cap} (options --max-samples, --threshold and --accept-cap)"
+            Err(SampleError::NotMet(found)) if self.accept_cap => {
+                drop(bar);
+                context.warn(&found.to_string());
+                Ok(found.into_sampling())
+            }
+            Err(SampleError::NotMet(found)) => Err(anyhow::anyhow!(
+                "{found} (options --max-draws, --threshold and --accept-cap)"
             )),
-            other => Ok(other?),
+            other => other.map_err(refused),
         }
     }
+}
+
+/// The option that sets what a message of sampling names.
+fn option_of(name: &str) -> &'static str {
+    match name {
+        "the criterion" => "--criterion",
+        "the number of random tests" => "--verify",
+        "the largest number of draws" => "--max-draws",
+        _ => "--start",
+    }
+}
+
+/// A line of text about random tests.
+fn verified(random: &Verification) -> String {
+    format!(
+        "\nverified at random: {} of {} PSFs above the threshold, largest error {:.2e}: with 95 % confidence at most {:.2} % of the field",
+        random.above,
+        random.tests,
+        random.worst,
+        100.0 * random.fraction_limit()
+    )
 }
 
 /// Outputs that exist only for frames.
@@ -429,10 +521,11 @@ impl FrameArgs {
     }
 
     fn run(&self, path: &Path, asked: &SampleArgs, context: &Context) -> anyhow::Result<()> {
+        let seed = asked.seed(false, "for a frame")?;
         let spinner = context.spinner("finding stars");
         let (frame, _, sampling) = asked.stars.open(path, &asked.mask)?;
         let found = sampling
-            .with_hold_out(asked.hold_out.map_or(0, usize::from), asked.seed)
+            .with_hold_out(asked.hold_out.map_or(0, usize::from), seed)
             .run_masked(frame)
             .with_context(|| format!("in {}", path.display()))?;
         psf_io::write_together(|| -> anyhow::Result<()> {

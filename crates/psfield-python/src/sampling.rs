@@ -7,7 +7,8 @@ use ndarray::ArrayViewMut2;
 use numpy::PyReadonlyArray2;
 use psfield::psf_optics::Telescope;
 use psfield::psf_sample::{
-    SampleError, Sampling, SamplingMethod, SamplingOptions, SamplingOutcome, UniformSampling, draw_states,
+    SampleError, Sampling, SamplingMethod, SamplingOptions, SamplingOutcome, SamplingReport, UniformSampling,
+    draw_states,
 };
 use psfield::psf_types::{
     FrameShape, Position, Progress, PsfSamples, PsfSource, SourceError, StampGrid, StateKind,
@@ -25,25 +26,33 @@ use crate::threads::{self, Watch};
 #[derive(Debug, FromPyObject)]
 #[pyo3(from_item_all)]
 pub(crate) struct SamplingSettings {
-    criterion: String,
+    method: Option<String>,
+    criterion: Option<String>,
     measure: String,
     threshold: f64,
     /// (ny, nx) of the starting grid.
-    start: (usize, usize),
-    max_samples: usize,
+    start: Option<(usize, usize)>,
+    max_draws: usize,
+    accept_cap: bool,
+    verify: Option<usize>,
+    seed: u64,
     /// (ny, nx) of a regular grid that replaces refinement.
     uniform: Option<(usize, usize)>,
 }
 
 impl SamplingSettings {
     fn options(&self) -> PyResult<SamplingOptions> {
-        let (ny, nx) = self.start;
+        let refinement = self.method.as_deref().map(str::parse).transpose();
+        let criterion = self.criterion.as_deref().map(str::parse).transpose();
         Ok(SamplingOptions {
-            criterion: self.criterion.parse().map_err(Failure::from)?,
+            refinement: refinement.map_err(Failure::from)?,
+            criterion: criterion.map_err(Failure::from)?,
             measure: self.measure.parse().map_err(Failure::from)?,
             threshold: self.threshold,
-            start: (nx, ny),
-            max_samples: self.max_samples,
+            start: self.start.map(|(ny, nx)| (nx, ny)),
+            max_draws: self.max_draws,
+            verify: self.verify,
+            seed: self.seed,
             uniform: self.uniform.map(|(ny, nx)| (nx, ny)),
         })
     }
@@ -82,31 +91,52 @@ pub(crate) fn sample_function(
     })?;
     let Sampling { samples, report } = match sampled {
         Ok(sampling) => sampling,
-        Err(SampleError::CapReached(cap)) => {
+        Err(SampleError::NotMet(found)) if sampling.accept_cap => found.into_sampling(),
+        Err(SampleError::NotMet(found)) => {
             return Err(invalid(format!(
-                "threshold={} is not met with max_samples={}: the next refinement needs {} samples in all. \
-                 Raise max_samples or threshold",
-                sampling.threshold,
-                cap.cap(),
-                cap.wanted()
+                "{found} (arguments max_draws, threshold and accept_cap)"
             )));
         }
         Err(error) => return Err(Failure::from(PsfieldError::from(error)).into()),
     };
+    let found = report_of(py, &report, samples.len())?;
+    Ok((PsfModel(Psf::new(samples, options)), found))
+}
+
+/// The values of a report, by their names in Python.
+fn report_of<'py>(py: Python<'py>, report: &SamplingReport, samples: usize) -> PyResult<Bound<'py, PyDict>> {
+    let place = |at: Position| (at.x(), at.y());
     let found = PyDict::new(py);
-    found.set_item("samples", samples.len())?;
+    found.set_item("method", report.refinement.map(|method| method.to_string()))?;
+    found.set_item("samples", samples)?;
     found.set_item("draws", report.draws)?;
     found.set_item("cells", report.cells)?;
     found.set_item("unmet_cells", report.unmet_cells)?;
     found.set_item("worst", report.worst)?;
+    found.set_item("worst_at", report.worst_at.map(place))?;
+    found.set_item("expected", report.expected)?;
     found.set_item("threshold", report.threshold)?;
+    let verification = match &report.verification {
+        None => None,
+        Some(random) => {
+            let values = PyDict::new(py);
+            values.set_item("tests", random.tests)?;
+            values.set_item("above", random.above)?;
+            values.set_item("fraction_limit", random.fraction_limit())?;
+            values.set_item("worst", random.worst)?;
+            values.set_item("worst_at", place(random.worst_at))?;
+            values.set_item("draws", random.draws)?;
+            Some(values)
+        }
+    };
+    found.set_item("verification", verification)?;
     let outcome = match report.outcome {
         SamplingOutcome::Met => "met",
         SamplingOutcome::CellSizeReached => "cell-size-reached",
         _ => "cap-reached",
     };
     found.set_item("outcome", outcome)?;
-    Ok((PsfModel(Psf::new(samples, options)), found))
+    Ok(found)
 }
 
 /// The PSF of a telescope, as read from Python arguments by name.

@@ -173,10 +173,9 @@ pub(crate) fn defaults(py: Python<'_>) -> PyResult<Bound<'_, PyDict>> {
     values.set_item("oversampling", grid.oversampling())?;
     values.set_item("pixel_response_included", grid.pixel_response_included())?;
     values.set_item("stamp_interpolation", grid.interpolation().to_string())?;
-    values.set_item("criterion", sampling.criterion.to_string())?;
     values.set_item("measure", sampling.measure.to_string())?;
     values.set_item("threshold", sampling.threshold)?;
-    values.set_item("start", (sampling.start.1, sampling.start.0))?;
-    values.set_item("max_samples", sampling.max_samples)?;
+    values.set_item("max_draws", sampling.max_draws)?;
+    values.set_item("seed", sampling.seed)?;
     Ok(values)
 }

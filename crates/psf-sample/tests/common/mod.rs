@@ -9,15 +9,15 @@ use psf_types::{FrameShape, Position, PsfSource, SourceError, StampGrid};
 /// A round Gaussian whose sigma in pixels is a function of `(x / (nx - 1), y / (ny - 1))`.
 pub(crate) struct Blob {
     pub(crate) field: FrameShape,
-    pub(crate) sigma: fn(f64, f64) -> f64,
+    sigma: Box<dyn Fn(f64, f64) -> f64 + Send + Sync>,
     pub(crate) drawn: Mutex<Vec<(f64, f64)>>,
 }
 
 impl Blob {
-    pub(crate) fn new(nx: usize, ny: usize, sigma: fn(f64, f64) -> f64) -> Self {
+    pub(crate) fn new(nx: usize, ny: usize, sigma: impl Fn(f64, f64) -> f64 + Send + Sync + 'static) -> Self {
         Self {
             field: FrameShape::new(nx, ny).unwrap(),
-            sigma,
+            sigma: Box::new(sigma),
             drawn: Mutex::default(),
         }
     }

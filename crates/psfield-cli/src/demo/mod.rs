@@ -3,13 +3,12 @@
 mod output;
 mod sky;
 
-use std::sync::Arc;
 use std::time::Instant;
 
 use anyhow::Context as _;
 use metrics::{Comparison, Summary};
 use psf_optics::Telescope;
-use psf_sample::{AdaptiveSampling, DifferenceMeasure, InterpolationError, SamplingMethod, hold_out};
+use psf_sample::{SamplingOptions, hold_out};
 use psf_types::{FrameShape, NoProgress, Progress, PsfModel, PsfModelRecord, PsfSamples, PsfSource};
 use psfield::convert::PsfFormat;
 use psfield::{Device, FitOptions, Method, Psf, Scene, SpotCheck};
@@ -40,7 +39,7 @@ pub(crate) struct DemoArgs {
 }
 
 const TELESCOPE: &str = include_str!("../../assets/demo_telescope.toml");
-/// Interpolation error (relative L2) at which the sampling stops.
+/// Error of predicted PSFs (relative L2) at which the sampling stops.
 const SAMPLING_THRESHOLD: f64 = 0.01;
 /// Number of PSFs with which the model is compared.
 const TEST_PSFS: usize = 100;
@@ -166,8 +165,11 @@ impl DemoArgs {
 /// Samples the telescope's PSF. Returns the samples, the number of PSFs computed, and the seconds.
 fn sample(telescope: &Telescope, progress: &dyn Progress) -> anyhow::Result<(PsfSamples, usize, f64)> {
     let clock = Instant::now();
-    let criterion = InterpolationError::new(SAMPLING_THRESHOLD, DifferenceMeasure::L2)?;
-    let sampling = AdaptiveSampling::new(Arc::new(criterion)).sample(telescope, progress)?;
+    let options = SamplingOptions {
+        threshold: SAMPLING_THRESHOLD,
+        ..SamplingOptions::default()
+    };
+    let sampling = options.method()?.sample(telescope, progress)?;
     let seconds = clock.elapsed().as_secs_f64();
     Ok((sampling.samples, sampling.report.draws, seconds))
 }

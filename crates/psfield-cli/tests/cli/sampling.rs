@@ -31,7 +31,7 @@ fn sampled(desk: &Desk, options: &str, out: &str) -> Value {
         .json()
 }
 
-/// The default settings suit the built-in telescopes: hundreds of samples, and seconds.
+/// The default settings suit the built-in telescopes: some hundred samples, and seconds.
 #[test]
 fn presets_need_no_options() {
     let desk = Desk::empty();
@@ -39,7 +39,15 @@ fn presets_need_no_options() {
         let line = format!("sample --preset {preset} -o {preset}.fits --json");
         let report = desk.done(&line).json();
         assert_eq!(report["outcome"], "met", "{preset}");
-        assert!(report["samples"].as_u64().unwrap() < 1000, "{report}");
+        assert_eq!(report["method"], "kriging", "{preset}");
+        assert!(report["samples"].as_u64().unwrap() < 250, "{report}");
+        assert_eq!(report["draws"], report["samples"], "no draw is lost");
+        let random = &report["verification"];
+        assert_eq!(
+            (random["tests"].as_u64(), random["above"].as_u64()),
+            (Some(16), Some(0))
+        );
+        assert!(random["fraction_limit"].as_f64().unwrap() < 0.171);
     }
 }
 
@@ -71,10 +79,24 @@ fn uniform_samples() {
 #[test]
 fn adaptive_samples() {
     let desk = desk();
+    let learned = sampled(&desk, "--threshold 0.01 --verify 20 --seed 5", "learned.fits");
+    assert_keys(&learned, &["method", "worst_at", "expected", "verification"]);
+    assert_eq!(
+        (&learned["method"], &learned["outcome"]),
+        (&"kriging".into(), &"met".into())
+    );
+    assert_eq!(learned["verification"]["tests"], 20);
+    assert!(learned["expected"].as_f64().unwrap() <= 0.01);
+    let text = desk.done("sample telescope.toml -o text.fits --threshold 0.01");
+    assert!(
+        text.stdout.contains("0 of 16 PSFs above the threshold"),
+        "{text:?}"
+    );
     let loose = sampled(&desk, "--threshold 0.2 --start 3,3", "loose.fits");
     let tight = sampled(&desk, "--threshold 0.1 --start 3,3", "tight.fits");
     for (report, threshold) in [(&loose, 0.2), (&tight, 0.1)] {
         assert_eq!(report["outcome"], "met");
+        assert_eq!(report["method"], "mesh", "--start belongs to the mesh");
         assert!(report["worst"].as_f64().unwrap() <= threshold);
     }
     let count = |report: &Value| report["samples"].as_u64().unwrap() as usize;
@@ -91,24 +113,33 @@ fn adaptive_samples() {
 #[test]
 fn a_cap_is_an_error_unless_accepted() {
     let desk = desk();
-    let to = "sample telescope.toml -o out.fits --threshold 0.01 --max-samples 30";
-    desk.refused(
-        to,
-        1,
-        &["30 samples", "--max-samples", "--threshold", "--accept-cap"],
-    );
-    let run = desk.run(&format!("{to} --accept-cap --json"));
-    assert_eq!(run.code, Some(0), "{run:?}");
-    assert!(
-        run.stderr.contains("warning") && run.stderr.contains("30 samples"),
-        "{run:?}"
-    );
-    let report = run.json();
-    assert_eq!(report["outcome"], "cap-reached");
-    assert!(report["unmet_cells"].as_u64().unwrap() > 0);
-    assert!(desk.samples("out.fits").len() <= 30);
-    let quiet = desk.done(&format!("{to} --accept-cap --overwrite -q"));
-    assert_eq!(quiet.stdout, "");
+    // Kriging, and the mesh. The old name of the option still works.
+    for (out, options, draws) in [
+        ("kriging.fits", "--max-draws 30", "30 draws"),
+        ("mesh.fits", "--max-samples 100 --method mesh", "100 draws"),
+    ] {
+        let to = format!("sample telescope.toml -o {out} --threshold 1e-6 {options}");
+        let needles = [
+            draws,
+            "--max-draws",
+            "--threshold",
+            "--accept-cap",
+            "largest error",
+            "at (",
+        ];
+        desk.refused(&to, 1, &needles);
+        let run = desk.run(&format!("{to} --accept-cap --json"));
+        assert_eq!(run.code, Some(0), "{run:?}");
+        assert!(
+            run.stderr.contains("warning") && run.stderr.contains(draws),
+            "{run:?}"
+        );
+        let report = run.json();
+        assert_eq!(report["outcome"], "cap-reached");
+        assert!((20..=100).contains(&desk.samples(out).len()));
+        let quiet = desk.done(&format!("{to} --accept-cap --overwrite -q"));
+        assert_eq!(quiet.stdout, "");
+    }
 }
 
 #[test]
@@ -131,7 +162,18 @@ fn bad_telescopes_and_options() {
         ("--start 1,5", "--start"),
         ("--uniform 3,0", "--uniform"),
         ("--uniform 1000000,1000000", "--uniform"),
-        ("--max-samples 24", "--start 5,5"),
+        ("--max-draws 15", "at least 16"),
+        ("--max-draws 24 --start 5,5", "--max-draws"),
+        ("--method kriging --start 5,5", "left out with the method kriging"),
+        (
+            "--method kriging --criterion neighbours",
+            "left out with the method kriging",
+        ),
+        (
+            "--criterion neighbours --verify 5",
+            "left out with the method mesh",
+        ),
+        ("--uniform 3,3 --verify 5", "--verify"),
         ("--uniform 3,3 --threshold 0.1", "--threshold"),
         ("--preset survey-2m", "--preset"),
     ] {
@@ -179,7 +221,10 @@ fn a_model_is_validated_between_its_samples() {
     // A seed gives one choice, and needs something to choose.
     desk.done("sample telescope.toml -o again.fits --uniform 5,5 --hold-out 30 --seed 2");
     assert_ne!(desk.samples("again_holdout.fits"), held_out);
-    desk.refused("sample telescope.toml -o seed.fits --seed 2", 2, &["--hold-out"]);
+    for fixed in ["--uniform 3,3", "--method mesh"] {
+        let line = format!("sample telescope.toml -o seed.fits {fixed} --seed 2");
+        desk.refused(&line, 2, &["--hold-out"]);
+    }
     desk.refused(
         "sample telescope.toml -o again.fits --hold-out 0 --overwrite",
         2,

@@ -136,7 +136,7 @@ fn options_of_the_other_input_and_frames_without_stars() {
     for (option, needle) in [
         ("--criterion neighbours", "--criterion"),
         ("--uniform 3,3", "--uniform"),
-        ("--max-samples 9", "--max-samples"),
+        ("--max-draws 9", "--max-draws"),
         ("--stamp-size 4", "stamp size"),
         ("--read-noise 3", "--gain"),
         ("--snr -1", "--snr"),

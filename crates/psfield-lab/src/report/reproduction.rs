@@ -292,12 +292,12 @@ fn telescope_on(frame: Option<FrameShape>) -> Result<Telescope, LabError> {
     Ok(Telescope::new(params)?)
 }
 
-/// Samples the PSF non-uniformly, and returns the positions of the samples. The number of samples
+/// Samples the PSF non-uniformly, and returns the positions of the samples. The number of draws
 /// may reach its limit before the error is below `threshold`. All samples drawn are then used.
 fn adaptive_positions(source: &dyn PsfSource, threshold: f64) -> Result<Vec<Position>, LabError> {
     let criterion = InterpolationError::new(threshold, DifferenceMeasure::L2)?;
     let sampling = match AdaptiveSampling::new(Arc::new(criterion)).sample(source, &NoProgress) {
-        Err(SampleError::CapReached(cap)) => cap.into_sampling(),
+        Err(SampleError::NotMet(found)) => found.into_sampling(),
         other => other?,
     };
     Ok(sampling.samples.positions().as_slice().to_vec())
