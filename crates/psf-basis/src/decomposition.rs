@@ -56,6 +56,22 @@ pub enum BasisError {
         /// Shape of the training stamps.
         got: (usize, usize),
     },
+    /// A weight that is not finite and at least 0, or a sample whose weights are all 0.
+    #[error("the weights of sample {sample} (0-based) must be finite, at least 0, and not all 0, got {got}")]
+    BadWeight {
+        /// Index of the sample.
+        sample: usize,
+        /// The weight, or the sum of all weights.
+        got: f64,
+    },
+    /// Weights whose shape differs from the shape of the samples.
+    #[error("weights have the shape {got:?} [sample, y, x], but the samples have {expected:?}")]
+    WeightShape {
+        /// Shape of the samples.
+        expected: (usize, usize, usize),
+        /// Shape of the weights.
+        got: (usize, usize, usize),
+    },
     /// Given stamps that are not orthogonal, or parts that do not match each other.
     #[error(transparent)]
     Data(#[from] DataError),

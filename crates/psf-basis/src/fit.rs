@@ -7,8 +7,8 @@ use rayon::prelude::*;
 
 use crate::circles::{Circles, SampleFlux};
 use crate::components::{Components, Krylov, is_large};
-use crate::decomposition::{BasisError, ROUNDING_UNITS, fix_signs};
-use crate::noise::{NoiseSearch, PixelNoise};
+use crate::decomposition::{BasisError, ROUNDING_UNITS, fix_signs, orthonormal_in_order};
+use crate::noise::{NoiseSearch, PixelNoise, leverages};
 use crate::rank::{RankSelection, Spectrum};
 
 /// A method that makes a basis and the samples' coefficients from PSF samples.
@@ -31,6 +31,7 @@ pub struct BasisFit {
     spectrum: Option<Spectrum>,
     errors: Vec<f64>,
     circle_errors: Vec<f64>,
+    noise: Option<Vec<f64>>,
 }
 
 impl BasisFit {
@@ -65,7 +66,42 @@ impl BasisFit {
             spectrum,
             errors,
             circle_errors,
+            noise: None,
         })
+    }
+
+    /// States the noise of the samples' coefficients ([`noise`](Self::noise)).
+    #[must_use]
+    pub fn with_noise(self, noise: Option<Vec<f64>>) -> Self {
+        Self { noise, ..self }
+    }
+
+    /// The standard deviation of the noise in each sample's coefficients, in sample order. None if there is
+    /// no noise, or if it is not known.
+    ///
+    /// [`Svd`] finds it from the part of each sample that the basis leaves out, which is noise where the
+    /// fit found any.
+    pub fn noise(&self) -> Option<&[f64]> {
+        self.noise.as_deref()
+    }
+
+    /// The noise of samples of these norms, from their truncation errors.
+    fn noise_of_residuals(&self, norms: &[f64]) -> Option<Vec<f64>> {
+        self.spectrum.as_ref()?.noise_sigma.filter(|&sigma| sigma > 0.0)?;
+        let values = self.coefficients.values();
+        let squares = |row: ArrayView1<'_, f64>| row.dot(&row);
+        let sizes: Vec<f64> = values.columns().into_iter().map(|a| squares(a).sqrt()).collect();
+        let of_mean = usize::from(self.basis.mean().is_some());
+        let free = self.basis.grid().pixel_count() as f64 - (self.rank() + of_mean) as f64;
+        let leverages = leverages(values, &sizes, self.rank());
+        let noise = self.errors.iter().zip(norms).zip(leverages);
+        let noise: Vec<f64> = noise
+            .map(|((error, norm), leverage)| {
+                let left = (1.0 - leverage - of_mean as f64 / norms.len() as f64).max(0.05);
+                error * norm / (free * left).sqrt()
+            })
+            .collect();
+        (free > 0.0 && noise.iter().all(|n| *n > 0.0 && n.is_finite())).then_some(noise)
     }
 
     /// The basis.
@@ -193,11 +229,12 @@ fn truncation_errors(
     errors.unzip()
 }
 
-/// A basis of given, mutually orthogonal stamps, with an optional mean stamp. It is for bases from
-/// elsewhere, such as analytic modes or the principal components of another instrument.
+/// A basis of given stamps, with an optional mean stamp. It is for bases from elsewhere, such as analytic
+/// modes, the principal components of another instrument, or factors without negative values.
 ///
-/// The stamps are scaled to unit norm. The coefficients are inner products,
-/// `a_jk = <h_j - B_0, B_k>`, which is the least-squares solution for an orthonormal basis.
+/// Orthogonal stamps are scaled to unit norm. Other stamps are made orthonormal
+/// ([`orthonormal_in_order`](crate::orthonormal_in_order)). The coefficients are inner products,
+/// `a_jk = <h_j - B_0, B_k>`, which is the least-squares solution.
 #[derive(Debug, Clone, PartialEq)]
 pub struct GivenStamps {
     mean: Option<Array2<f64>>,
@@ -205,12 +242,13 @@ pub struct GivenStamps {
 }
 
 impl GivenStamps {
-    /// Stamps `[component, y, x]`, mutually orthogonal, of any norm except 0.
+    /// Stamps `[component, y, x]` of any norm except 0.
     ///
     /// # Errors
-    /// [`BasisError::ZeroStamp`] for a stamp that is zero everywhere. [`fit`](BasisMethod::fit)
-    /// checks that the stamps are orthogonal.
-    pub fn new(mut stamps: Array3<f64>, mean: Option<Array2<f64>>) -> Result<Self, BasisError> {
+    /// [`BasisError::ZeroStamp`] for a stamp that is zero everywhere.
+    pub fn new(stamps: Array3<f64>, mean: Option<Array2<f64>>) -> Result<Self, BasisError> {
+        let mut stamps = stamps.as_standard_layout().into_owned();
+        let mean = mean.map(|mean| mean.as_standard_layout().into_owned());
         for (index, mut stamp) in stamps.axis_iter_mut(Axis(0)).enumerate() {
             let norm = stamp.iter().map(|v| v * v).sum::<f64>().sqrt();
             if norm == 0.0 {
@@ -224,7 +262,15 @@ impl GivenStamps {
 
 impl BasisMethod for GivenStamps {
     fn fit(&self, samples: &PsfSamples) -> Result<BasisFit, BasisError> {
-        let basis = PsfBasis::new(self.mean.clone(), self.stamps.clone(), samples.grid())?;
+        let (stamps, grid) = (self.stamps.clone(), samples.grid());
+        let own = PsfBasis::new(self.mean.clone(), stamps, grid);
+        let basis = match own {
+            Err(DataError::NotOrthonormal { .. }) => {
+                let each = Array2::eye(self.stamps.dim().0);
+                orthonormal_in_order(self.mean.clone(), self.stamps.clone(), each.view(), grid)?.0
+            }
+            own => own?,
+        };
         project(samples, basis)
     }
 }
@@ -416,13 +462,16 @@ impl Svd {
             &basis,
             coefficients.view(),
         );
-        Ok(BasisFit {
+        let fit = BasisFit {
             basis,
             coefficients: SampleCoefficients::new(coefficients, positions)?,
             spectrum: Some(spectrum),
             errors,
             circle_errors,
-        })
+            noise: None,
+        };
+        let noise = fit.noise_of_residuals(&sizes.norms);
+        Ok(fit.with_noise(noise))
     }
 
     /// Computes the components of rows `[sample, pixel]` and selects the rank. Of a large matrix,

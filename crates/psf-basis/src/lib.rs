@@ -4,8 +4,8 @@
 //! A sample `h_j` (a stamp) is approximated by `B_0(u) + sum_k a_jk B_k(u)` at pixel `u`, with a
 //! mean stamp `B_0` (absent if the basis is not centred) and orthonormal stamps `B_k`. A
 //! [`BasisMethod`] finds these stamps and the coefficients `a_jk`. [`Svd`] uses the singular value
-//! decomposition, and [`GivenStamps`] uses stamps from elsewhere. Implement the trait for other
-//! methods.
+//! decomposition, [`WeightedPca`] is for samples with bad pixels or very different noise, and
+//! [`GivenStamps`] uses stamps from elsewhere. Implement the trait for other methods.
 //!
 //! # Choosing the rank
 //! [`RankSelection`] selects the number of components. Every fit by [`Svd`] reports its
@@ -33,8 +33,12 @@ mod decomposition;
 mod fit;
 mod noise;
 mod rank;
+mod weighted;
+
+pub use {ndarray, psf_types};
 
 pub use decomposition::{BasisError, orthonormal, orthonormal_in_order};
 pub use fit::{BasisFit, BasisMethod, Centring, GivenStamps, Svd, project};
 pub use noise::PixelNoise;
 pub use rank::{RankSelection, Spectrum};
+pub use weighted::WeightedPca;

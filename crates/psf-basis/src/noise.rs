@@ -1,6 +1,6 @@
 //! White noise in samples, estimated from their singular values.
 
-use ndarray::{Array1, Array2, ArrayView2, Axis};
+use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 
@@ -82,7 +82,9 @@ impl NoiseSearch {
     ) -> Result<Self, BasisError> {
         Ok(match noise {
             PixelNoise::Known(sigma) => Self::Known(known(sigma, rows.ncols(), freedom)?),
-            PixelNoise::Estimate if is_large(rows) => Self::Subset(search_subset(rows, freedom)?),
+            PixelNoise::Estimate if is_large(rows) || needs_subset(rows) => {
+                Self::Subset(search_subset(rows, freedom)?)
+            }
             PixelNoise::Estimate => Self::All,
         })
     }
@@ -93,12 +95,33 @@ impl NoiseSearch {
         match self {
             Self::Known(floor) => *floor,
             Self::Subset(first) => first.map(|floor| by_sample(found, pixels, floor)),
-            Self::All => match estimate(&found.values, pixels, freedom) {
-                Some(even) => Some(by_sample(found, pixels, even)),
-                None => uneven_levels(found, pixels, freedom).map(|v| floor_of(&v, pixels, 1.0)),
-            },
+            Self::All => {
+                let even = estimate(&found.values, pixels, freedom);
+                // Uneven noise of few samples may look like even noise of a lower level, and many components.
+                let is_sound = |even: &NoiseFloor| {
+                    3 * count_above(&found.values, even.threshold) <= found.coefficients.nrows().min(pixels)
+                };
+                match even {
+                    Some(even) if is_sound(&even) => Some(by_sample(found, pixels, even)),
+                    even => {
+                        let uneven = uneven_levels(found, pixels, freedom);
+                        uneven.map(|v| floor_of(&v, pixels, 1.0)).or(even)
+                    }
+                }
+            }
         }
     }
+}
+
+/// Returns whether there are so many samples that uneven noise is only searched in some of them.
+fn needs_subset(rows: ArrayView2<'_, f64>) -> bool {
+    let (count, pixels) = rows.dim();
+    count > SUBSET && work(count, pixels, count.min(pixels)) > MAX_WORK
+}
+
+/// The work of a decomposition.
+fn work(count: usize, pixels: usize, size: usize) -> f64 {
+    count as f64 * pixels as f64 * size as f64
 }
 
 /// The floor of known noise.
@@ -225,6 +248,8 @@ const EVEN: f64 = 3.0;
 /// Largest work (samples x pixels x the smaller of the two) for which uneven noise is searched. Of
 /// 256 samples, stamps may have 15 000 pixels.
 const MAX_WORK: f64 = 1e9;
+/// A sample keeps at least this part of its noise when components are removed.
+const LEAST_LEFT: f64 = 0.05;
 /// Relative scatter of the largest singular value of finite matrices about its limit.
 const FINITE: f64 = 0.02;
 
@@ -241,7 +266,7 @@ const FINITE: f64 = 0.02;
 /// that space, at most as many as there are samples, instead of pixels.
 fn uneven_levels(found: &Components, pixels: usize, freedom: usize) -> Option<Vec<f64>> {
     let (count, size) = found.coefficients.dim();
-    if size < 2 || count as f64 * pixels as f64 * size as f64 > MAX_WORK || !may_be_noise(&found.values) {
+    if size < 2 || work(count, pixels, size) > MAX_WORK || !may_be_noise(&found.values) {
         return None;
     }
     SIGNALS
@@ -266,8 +291,12 @@ fn by_sample(found: &Components, pixels: usize, first: NoiseFloor) -> NoiseFloor
         if 3 * signal > count.min(pixels) {
             return first;
         }
-        let left = degrees_of_freedom(count, pixels, signal);
-        let variances: Vec<f64> = found.left_after(signal).map(|square| square / left).collect();
+        let leverages = leverages(found.coefficients.view(), &found.values, signal);
+        let left = found.left_after(signal).zip(&leverages);
+        let variances: Vec<f64> = left
+            .map(|(square, leverage)| square / degrees_of_freedom(pixels, signal, *leverage))
+            .collect();
+        let left = degrees_of_freedom(pixels, signal, signal as f64 / count as f64);
         let mean = variances.iter().sum::<f64>() / count as f64;
         let scatter = variances.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / count as f64;
         // The last factor is the relative scatter of a variance computed from `left` values.
@@ -282,9 +311,20 @@ fn by_sample(found: &Components, pixels: usize, first: NoiseFloor) -> NoiseFloor
     floor
 }
 
-/// The degrees of freedom of a row's noise after `signal` components are removed.
-fn degrees_of_freedom(count: usize, pixels: usize, signal: usize) -> f64 {
-    (pixels - signal) as f64 * (1.0 - signal as f64 / count as f64)
+/// The degrees of freedom of the noise in a sample of this leverage after `signal` components are removed.
+fn degrees_of_freedom(pixels: usize, signal: usize, leverage: f64) -> f64 {
+    (pixels - signal) as f64 * (1.0 - leverage).max(LEAST_LEFT)
+}
+
+/// The leverage of each sample on the first `signal` components: the part of its noise that they follow. It is
+/// near 1 for a sample that has a component for itself. `coefficients` `[sample, k]` are those of all
+/// components, with these singular values.
+pub(crate) fn leverages(coefficients: ArrayView2<'_, f64>, values: &[f64], signal: usize) -> Vec<f64> {
+    let of_sample = |row: ArrayView1<'_, f64>| -> f64 {
+        let shares = row.iter().zip(values).take(signal);
+        shares.map(|(a, value)| (a / value).powi(2)).sum()
+    };
+    coefficients.outer_iter().map(of_sample).collect()
 }
 
 /// A cheap test: the tail of noise-free samples falls by many decades.
@@ -296,8 +336,6 @@ fn may_be_noise(singular_values: &[f64]) -> bool {
 /// The noise variance of every sample of `pixels` pixels, or `None` if `signal` components leave
 /// more than noise. Samples are rows `[sample, coordinate]`.
 fn levels(rows: ArrayView2<'_, f64>, pixels: usize, signal: usize, freedom: usize) -> Option<Vec<f64>> {
-    let count = rows.nrows();
-    let left = degrees_of_freedom(count, pixels, signal);
     let mut variances: Vec<f64> = rows
         .outer_iter()
         .map(|row| row.dot(&row) / pixels as f64)
@@ -313,11 +351,14 @@ fn levels(rows: ArrayView2<'_, f64>, pixels: usize, signal: usize, freedom: usiz
         let divided: Array2<f64> = &rows * &scales.insert_axis(Axis(1));
         let (found, vectors) = decompose(columns_of(divided.view())).ok()?;
         let explained = project(divided.view(), vectors.subcols(0, signal));
-        for ((row, a), variance) in divided
+        let leverages = leverages(explained.view(), &found, signal);
+        for (((row, a), leverage), variance) in divided
             .outer_iter()
             .zip(explained.outer_iter())
+            .zip(leverages)
             .zip(&mut variances)
         {
+            let left = degrees_of_freedom(pixels, signal, leverage);
             *variance = variance.max(least) * (row.dot(&row) - a.dot(&a)).max(0.0) / left;
         }
         values = found;

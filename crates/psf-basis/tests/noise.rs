@@ -142,3 +142,29 @@ fn auto_finds_the_rank_of_stars_scaled_to_unit_flux() {
         }
     }
 }
+
+/// 64 stars of signal to noise 100 to 400, and their own noise levels.
+#[test]
+fn the_noise_of_few_stars_is_found_for_each_of_them() {
+    const FEW: usize = 64;
+    let pixels = SIDE * SIDE;
+    let all = clean(2e-3);
+    let exact = all.slice(ndarray::s![..FEW, ..]);
+    let sigmas: Array1<f64> = (0..FEW)
+        .map(|j| 1e-3 * 4.0_f64.powf((j * 29 % FEW) as f64 / FEW as f64))
+        .collect();
+    let rows = &exact + &(normal(FEW, pixels, 9) * sigmas.view().insert_axis(Axis(1)));
+    let fit = Svd::new().fit(&samples(rows.into_shape_with_order((FEW, SIDE, SIDE)).unwrap()));
+    let fit = fit.unwrap();
+    assert!(fit.rank() <= 2 * MODES, "{}", fit.rank());
+    let noise = fit.noise().expect("noise is found");
+    let mut ratios: Vec<f64> = noise
+        .iter()
+        .zip(&sigmas)
+        .map(|(found, sigma)| found / sigma)
+        .collect();
+    ratios.sort_by(f64::total_cmp);
+    // Signal that is not told from noise counts as noise. 200 pixels tell a standard deviation to 5 %.
+    assert!(ratios[0] > 0.8 && ratios[FEW - 1] < 1.6, "{ratios:?}");
+    assert!((ratios[FEW / 2] - 1.0).abs() < 0.1, "{ratios:?}");
+}
