@@ -9,6 +9,7 @@ use psfield::coeff_field::{
     CoeffFieldError, FieldInterpolation, FieldWeights, InterpolatedField, WeightList,
 };
 use psfield::conv_core::{BasisConvolution, ConvError, ConvolutionMethod};
+use psfield::convert::PsfFormat;
 use psfield::psf_basis::{BasisError, BasisFit, BasisMethod};
 use psfield::psf_sample::{SampleError, Sampling, SamplingMethod, SamplingReport};
 use psfield::psf_types::{
@@ -150,6 +151,48 @@ impl FieldWeights for AlongXWeights {
     }
 }
 
+/// A nonlinear interpolator: the mean of the samples in logarithms of `1 + a^2`, with weights that fall as a
+/// Gaussian of the distance.
+#[derive(Debug)]
+struct Curved;
+
+#[derive(Debug)]
+struct CurvedField(SampleCoefficients);
+
+impl FieldInterpolation for Curved {
+    fn interpolate(
+        &self,
+        samples: &SampleCoefficients,
+        _: OutsidePolicy,
+    ) -> Result<Arc<dyn CoefficientField>, CoeffFieldError> {
+        Ok(Arc::new(CurvedField(samples.clone())))
+    }
+}
+
+impl CoefficientField for CurvedField {
+    fn component_count(&self) -> usize {
+        self.0.component_count()
+    }
+    fn evaluate_into(&self, at: Position, a: &mut [f64]) -> Result<(), FieldError> {
+        const WIDTH: f64 = 300.0;
+        let distances = self
+            .0
+            .positions()
+            .as_slice()
+            .iter()
+            .map(|p| p.distance(at) / WIDTH);
+        let weights: Vec<f64> = distances.map(|d| (-0.5 * d * d).exp()).collect();
+        let whole: f64 = weights.iter().sum();
+        for (k, a) in a.iter_mut().enumerate() {
+            let column = self.0.values().column(k).to_owned();
+            let logarithms = column.iter().map(|v: &f64| v.signum() * v.abs().ln_1p());
+            let mean = weights.iter().zip(logarithms).map(|(w, l)| w * l).sum::<f64>() / whole;
+            *a = mean.signum() * mean.abs().exp_m1();
+        }
+        Ok(())
+    }
+}
+
 /// A convolution method: a plain loop that spreads every lit pixel.
 #[derive(Debug)]
 struct PlainLoop;
@@ -253,4 +296,92 @@ fn a_custom_method_decides_the_anchoring() {
     }
     let nameless = psf.simulator((48, 64)).method(Method::Own);
     assert!(nameless.build::<f64>().is_err());
+}
+
+/// Fits samples of Gaussians that widen towards a corner of the frame, and interpolates them by [`Curved`].
+fn curved_psf(frame: FrameShape) -> (Psf, PsfSamples) {
+    let stamps = Array3::from_shape_fn((49, 32, 32), |(j, y, x)| {
+        let (dx, dy) = (x as f64 - 16.0, y as f64 - 16.0);
+        let width = 12.0 + (j % 7) as f64 + 0.3 * ((j / 7) as f64).powi(2);
+        (-(dx * dx + dy * dy + 0.2 * (j % 7) as f64 * dx * dy / 6.0) / width).exp()
+    });
+    let place = |i: usize, pixels: usize| (i * (pixels - 1) / 6) as i64;
+    let at = (0..49).map(|j| Position::of_pixel(place(j % 7, frame.nx()), place(j / 7, frame.ny())));
+    let positions = SamplePositions::new(at.collect(), Some(frame)).unwrap();
+    let grid = StampGrid::new(32, 32).unwrap().with_oversampling(2.0).unwrap();
+    let samples = PsfSamples::new(stamps, positions, grid).unwrap();
+    let method = psfield::psf_basis::Svd::new();
+    let fitted = fit_with(
+        samples.clone(),
+        &method,
+        &Curved,
+        OutsidePolicy::Nearest,
+        Normalisation::Unit,
+    );
+    (Psf::from(fitted.unwrap().0), samples)
+}
+
+/// A field that is not linear in the samples' coefficients can be saved and read again, and resampled to a
+/// finer scene and other stamp sizes. The error is that of its table.
+#[test]
+fn a_nonlinear_field_is_saved_and_resampled() {
+    let frame = FrameShape::new(800, 600).unwrap();
+    let (psf, _) = curved_psf(frame);
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("model.fits");
+    psf.write(&path, &PsfFormat::Model, &[], false).unwrap();
+    let again = Psf::open(&path).unwrap();
+    for (x, y) in [(0.0, 0.0), (799.0, 599.0), (123.4, 456.7), (400.2, 3.9)] {
+        let at = Position::new(x, y).unwrap();
+        let (a, b) = (psf.model().unwrap().psf_at(at), again.model().unwrap().psf_at(at));
+        let (a, b) = (a.unwrap().into_values(), b.unwrap().into_values());
+        let norm = |v: &Array2<f64>| v.iter().map(|v| v * v).sum::<f64>().sqrt();
+        assert!(norm(&(&a - &b)) <= 1e-5 * norm(&a), "{at}");
+    }
+    // A finer scene, and stamps of another size.
+    let light = test_scene(1600, 1200, 3);
+    let scene = Scene::from(&light);
+    let options = psfield::SimulateOptions {
+        oversample: 2,
+        stamp_size: Some(13),
+        tolerance: 1e-5,
+        ..psfield::SimulateOptions::default()
+    };
+    let simulator = psf
+        .simulator((1200, 1600))
+        .options(options)
+        .build::<f64>()
+        .unwrap();
+    let image = simulator.simulate(&scene).unwrap();
+    let check = simulator
+        .spot_check(&scene, &image, (200, 1), &NoProgress)
+        .unwrap();
+    assert!(check.max_over_peak.unwrap() < 1e-4, "{check:?}");
+}
+
+/// The engine needs as many cells and modes for a field of one's own as for kriging of the same samples.
+#[test]
+fn a_nonlinear_field_has_a_plan_like_kriging() {
+    let frame = FrameShape::new(800, 600).unwrap();
+    let (psf, samples) = curved_psf(frame);
+    let kriging = psfield::FitOptions {
+        interpolation: "kriging".parse().unwrap(),
+        ..psfield::FitOptions::default()
+    };
+    let modes = |psf: &Psf| {
+        let psf = psf.native(None).unwrap();
+        let simulator = psf.simulator((600, 800)).tolerance(1e-3).build::<f32>().unwrap();
+        let light = test_scene(800, 600, 1);
+        let scene = Scene::new(light.pixels().mapv(|v| v as f32)).unwrap();
+        let prepared = simulator.prepare(&scene, false, &NoProgress).unwrap();
+        let summary = prepared.plan.unwrap();
+        let modes = summary
+            .blocks_by_modes
+            .iter()
+            .enumerate()
+            .map(|(modes, blocks)| modes * blocks);
+        modes.sum::<usize>() as f64 / summary.blocks as f64
+    };
+    let (own, built_in) = (modes(&psf), modes(&Psf::new(samples, kriging)));
+    assert!(own <= built_in + 1.0, "{own} modes per block, kriging {built_in}");
 }

@@ -21,6 +21,7 @@ class Defaults(NamedTuple):
     oversample: int
     scene_pixels: Literal["point", "integrated"]
     interpolation: str
+    table_error: float
     outside: Literal["nearest", "extend", "error"]
     normalise: Literal["unit", "keep"]
     oversampling: float

@@ -19,6 +19,7 @@ from psfield._arrays import (
     plain,
     points,
     precision_of,
+    reals,
     shape_of,
     shape_or_none,
     stack,
@@ -39,6 +40,7 @@ from psfield._choices import (
 from psfield._defaults import DEFAULTS
 from psfield._errors import PsfieldWarning
 from psfield._html import size, table
+from psfield._own import Decomposition, Interpolation, basis_stamps, interpolated, split
 from psfield._plan import Plan
 from psfield._progress import Progress, as_callback
 from psfield._reports import FitReport, LeaveOneOutReport, SamplingReport, VerificationReport
@@ -89,10 +91,12 @@ class PsfModel:
     (20, 30)
     """
 
-    __slots__ = ("_handle", "_sampling")
+    __slots__ = ("_given", "_handle", "_report", "_sampling")
 
     _handle: _native.PsfModel
     _sampling: SamplingReport | None
+    _given: NDArray[np.float64] | None
+    _report: str | None
 
     def __init__(self) -> None:
         raise TypeError(
@@ -101,10 +105,18 @@ class PsfModel:
         )
 
     @classmethod
-    def _of(cls, native: _native.PsfModel, sampling: SamplingReport | None = None) -> PsfModel:
+    def _of(
+        cls,
+        native: _native.PsfModel,
+        sampling: SamplingReport | None = None,
+        given: NDArray[np.float64] | None = None,
+        report: str | None = None,
+    ) -> PsfModel:
         model = cls.__new__(cls)
         model._handle = native
         model._sampling = sampling
+        model._given = given
+        model._report = report
         return model
 
     @classmethod
@@ -125,11 +137,13 @@ class PsfModel:
         rank: str | int | None = None,
         centring: Literal["mean", "none"] | None = None,
         noise: float | None = None,
-        interpolation: str | None = None,
+        interpolation: Interpolation | None = None,
+        table_error: float = DEFAULTS.table_error,
         outside: Literal["nearest", "extend", "error"] | None = None,
         normalise: Literal["unit", "keep"] | None = None,
         shift_copies: int | None = None,
-        basis: PsfModel | None = None,
+        basis: PsfModel | Decomposition | ArrayLike | None = None,
+        weights: ArrayLike | None = None,
         **american: Unpack[American],
     ) -> PsfModel:
         """Make a model from PSF stamps at positions of the field.
@@ -166,12 +180,20 @@ class PsfModel:
         noise : float, optional
             Standard deviation of the noise in the pixels of the samples, after normalisation. 0
             means no noise. Default: estimated.
-        interpolation : str, optional
+        interpolation : str, object or callable, optional
             Interpolation over the field: ``'auto'`` (default: kriging or a local method, whichever
             predicts the samples better from each other), ``'kriging'`` (Gaussian process
             regression), ``'kriging=KERNEL,LENGTH_X,LENGTH_Y,TREND,NUGGET'``, ``'delaunay'``,
             ``'natural-neighbour'``, ``'idw'``, ``'idw=POWER'``, ``'bilinear'``, ``'bicubic'``,
-            ``'polynomial=DEGREE'`` or ``'nearest'``.
+            ``'polynomial=DEGREE'`` or ``'nearest'``. Or an interpolation of your own: an object
+            with ``fit(positions, values)`` and ``predict(positions)``, such as a regressor of
+            scikit-learn, or a function ``f(positions, values)`` that returns a function
+            ``g(positions)``, such as `scipy.interpolate.RBFInterpolator`. Positions are
+            ``[sample, (x, y)]`` in pixels, values ``[sample, component]``. Copies of the object are
+            fitted, on this thread. The result is stored as a table, so it must be smooth.
+        table_error : float
+            Largest error of the table of an interpolation of your own: relative L2 error of the
+            PSF, checked at points.
         outside : {'nearest', 'extend', 'error'}, optional
             Policy for positions outside the area of the samples. Default: ``nearest``.
         normalise : {'unit', 'keep'}, optional
@@ -179,8 +201,17 @@ class PsfModel:
         shift_copies : int, optional
             Number of copies of each stamp, shifted by up to half a pixel, from which the basis is
             computed in addition to the stamps. Default: 0.
-        basis : PsfModel, optional
-            Keep the basis of this model, and find only the coefficients of the stamps.
+        basis : PsfModel, object or array_like, optional
+            Keep the basis of this model, and find only the coefficients of the stamps. Or a basis
+            of your own: stamps ``[component, y, x]``, or an object with ``fit_transform`` and
+            ``components_``, such as a decomposition of scikit-learn, which is fitted to the pixels
+            of the stamps (scaled to unit flux, unless ``normalise='keep'``). They are made
+            orthonormal. `given_components` returns them as they were. ``rank``, ``centring`` and
+            ``shift_copies`` do not apply then.
+        weights : array_like, optional
+            Inverse variances of the pixels of the stamps, up to a factor: ``[sample, y, x]``, or
+            ``[sample]``. 0 for bad pixels, which may be NaN. The basis is then that of weighted
+            principal components, and kriging weighs samples by their noise.
 
         Returns
         -------
@@ -213,15 +244,29 @@ class PsfModel:
         [0.125, 0.375, 0.125]
         """
         cube = stack(stamps, "stamps", "[sample, y, x]")
+        of_pixels = None
+        if weights is not None:
+            _refuse_with("weights", basis=basis, shift_copies=shift_copies)
+            cube, of_pixels = _weighted(cube, weights)
         x, y = points(positions)
         grid = _grid(oversampling, centre, pixel_response_included, stamp_interpolation)
-        fit = _fit(rank, centring, noise, interpolation, outside, normalise, shift_copies)
+        named, own = split(interpolation)
+        fit = _fit(rank, centring, noise, named, outside, normalise, shift_copies)
         field = shape_or_none(field_shape, "field_shape")
         states = _states(wavelengths_um, times_s, frame_numbers)
-        given = None if basis is None else basis._handle
-        return cls._of(
-            _native.PsfModel.from_samples(cube, x, y, states, field, grid, fit, False, given)
+        of_basis: _native.PsfModel | tuple[Any, NDArray[np.float64]] | None = None
+        given = None
+        if basis is not None:
+            _refuse_with("basis", rank=rank, centring=centring, shift_copies=shift_copies)
+        if isinstance(basis, PsfModel):
+            of_basis = basis._handle
+        elif basis is not None:
+            mean, given = basis_stamps(basis, cube, grid["oversampling"], normalise)
+            of_basis = mean, given
+        native = _native.PsfModel.from_samples(
+            cube, x, y, states, field, grid, fit, False, of_basis, of_pixels
         )
+        return cls._of(interpolated(native, own, table_error), given=given)
 
     @classmethod
     @american
@@ -240,7 +285,8 @@ class PsfModel:
         centre: Centre | None = None,
         pixel_response_included: bool = DEFAULTS.pixel_response_included,
         stamp_interpolation: Literal["cubic-spline", "lanczos3"] = DEFAULTS.stamp_interpolation,
-        interpolation: str = DEFAULTS.interpolation,
+        interpolation: Interpolation = DEFAULTS.interpolation,
+        table_error: float = DEFAULTS.table_error,
         outside: Literal["nearest", "extend", "error"] = DEFAULTS.outside,
         normalise: Literal["unit", "keep"] = DEFAULTS.normalise,
         **american: Unpack[American],
@@ -261,7 +307,7 @@ class PsfModel:
             As for `from_samples`.
         field_shape, oversampling, centre, pixel_response_included, stamp_interpolation
             As for `from_samples`.
-        interpolation, outside, normalise
+        interpolation, table_error, outside, normalise
             As for `from_samples`.
 
         Returns
@@ -281,6 +327,7 @@ class PsfModel:
         3.0
         """
         x, y = points(positions)
+        named, own = split(interpolation)
         grid = _grid(oversampling, centre, pixel_response_included, stamp_interpolation)
         native = _native.PsfModel.from_basis(
             None if mean is None else doubles(mean, "mean", "[y, x]"),
@@ -292,12 +339,13 @@ class PsfModel:
             shape_or_none(field_shape, "field_shape"),
             grid,
             (
-                text(british(interpolation), "interpolation"),
+                DEFAULTS.interpolation if named is None else british(named),
                 text(outside, "outside"),
                 text(normalise, "normalise"),
+                None,
             ),
         )
-        return cls._of(native)
+        return cls._of(interpolated(native, own, table_error))
 
     @classmethod
     def from_gridded_psf_model(
@@ -305,7 +353,8 @@ class PsfModel:
         model: GriddedPSFModel,
         *,
         field_shape: tuple[int, int] | None = None,
-        interpolation: str | None = None,
+        interpolation: Interpolation | None = None,
+        table_error: float = DEFAULTS.table_error,
     ) -> PsfModel:
         """Make a model from a gridded PSF model of photutils.
 
@@ -320,8 +369,10 @@ class PsfModel:
             ``flux``, ``x_0`` and ``y_0`` are ignored.
         field_shape : (int, int), optional
             Rows and columns of the frame.
-        interpolation : str, optional
-            Interpolation over the field. Default: bilinear.
+        interpolation : str, object or callable, optional
+            Interpolation over the field. Default: bilinear. As for `from_samples`.
+        table_error : float
+            As for `from_samples`.
 
         Returns
         -------
@@ -345,11 +396,11 @@ class PsfModel:
         x, y = points(np.asarray(model.grid_xypos, dtype=float), "grid_xypos")
         _, ny, nx = cube.shape
         grid = _grid(float(oversampling[0]), ((nx - 1) / 2, (ny - 1) / 2), True, "cubic-spline")
-        fit = _fit(None, None, None, interpolation, None, None, None)
+        named, own = split(interpolation)
+        fit = _fit(None, None, None, named, None, None, None)
         field = shape_or_none(field_shape, "field_shape")
-        return cls._of(
-            _native.PsfModel.from_samples(cube, x, y, None, field, grid, fit, True, None)
-        )
+        native = _native.PsfModel.from_samples(cube, x, y, None, field, grid, fit, True, None, None)
+        return cls._of(interpolated(native, own, table_error))
 
     @classmethod
     @american
@@ -375,7 +426,8 @@ class PsfModel:
         rank: str | int | None = None,
         centring: Literal["mean", "none"] | None = None,
         noise: float | None = None,
-        interpolation: str | None = None,
+        interpolation: Interpolation | None = None,
+        table_error: float = DEFAULTS.table_error,
         outside: Literal["nearest", "extend", "error"] | None = None,
         normalise: Literal["unit", "keep"] | None = None,
         shift_copies: int | None = None,
@@ -424,7 +476,7 @@ class PsfModel:
             Rows and columns of a regular grid of samples that replaces the refinement.
         oversampling, centre, pixel_response_included, stamp_interpolation
             Geometry of the stamps, as for `from_samples`.
-        rank, centring, noise, interpolation, outside, normalise, shift_copies
+        rank, centring, noise, interpolation, table_error, outside, normalise, shift_copies
             Fit of the samples, as for `from_samples`.
         progress : callable or tqdm bar, optional
             ``progress(done, total)`` with the number of PSFs drawn so far, and the number of PSFs
@@ -447,6 +499,7 @@ class PsfModel:
         ('met', (40, 60))
         """
         rows, columns = shape_of(shape, "shape")
+        named, own = split(interpolation)
 
         def draw(x: float, y: float) -> NDArray[np.float64]:
             return doubles(function(x, y), f"the PSF at ({x:g}, {y:g})", "[y, x]")
@@ -473,12 +526,15 @@ class PsfModel:
                 "seed": integer(seed, "seed"),
                 "uniform": shape_or_none(uniform, "uniform"),
             },
-            _fit(rank, centring, noise, interpolation, outside, normalise, shift_copies),
+            _fit(rank, centring, noise, named, outside, normalise, shift_copies),
             as_callback(progress),
         )
         random = sampling.pop("verification")
         verification = None if random is None else VerificationReport(**random)
-        return cls._of(native, SamplingReport(**sampling, verification=verification))
+        return cls._of(
+            interpolated(native, own, table_error),
+            SamplingReport(**sampling, verification=verification),
+        )
 
     @classmethod
     @american
@@ -493,7 +549,8 @@ class PsfModel:
         wavelengths_um: ArrayLike | None = None,
         rank: str | int | None = None,
         centring: Literal["mean", "none"] | None = None,
-        interpolation: str | None = None,
+        interpolation: Interpolation | None = None,
+        table_error: float = DEFAULTS.table_error,
         outside: Literal["nearest", "extend", "error"] | None = None,
         normalise: Literal["unit", "keep"] | None = None,
         **american: Unpack[American],
@@ -525,7 +582,7 @@ class PsfModel:
             Wavelengths in micrometres at which the PSF is computed. Diffraction, the phase of the
             wavefront and the seeing depend on them. Default: the telescope's own wavelength, and
             the PSF does not depend on the wavelength.
-        rank, centring, interpolation, outside, normalise
+        rank, centring, interpolation, table_error, outside, normalise
             Fit of the samples, as for `from_samples`. The samples have no noise.
 
         Returns
@@ -559,8 +616,9 @@ class PsfModel:
             "oversampling": integer(oversampling, "oversampling", 1),
             "wavelengths_um": at,
         }
-        fit = _fit(rank, centring, 0.0, interpolation, outside, normalise, None)
-        return cls._of(_native.sample_telescope(settings, fit))
+        named, own = split(interpolation)
+        fit = _fit(rank, centring, 0.0, named, outside, normalise, None)
+        return cls._of(interpolated(_native.sample_telescope(settings, fit), own, table_error))
 
     @classmethod
     @american
@@ -585,7 +643,8 @@ class PsfModel:
         rank: str | int | None = None,
         centring: Literal["mean", "none"] | None = None,
         noise: float | None = None,
-        interpolation: str | None = None,
+        interpolation: Interpolation | None = None,
+        table_error: float = DEFAULTS.table_error,
         outside: Literal["nearest", "extend", "error"] | None = None,
         normalise: Literal["unit", "keep"] | None = None,
         shift_copies: int | None = None,
@@ -625,7 +684,7 @@ class PsfModel:
             Positions of the stamps of a plain cube.
         oversampling, centre, pixel_response_included : optional
             Geometry of the stamps, for files that do not state it. As for `from_samples`.
-        rank, centring, noise, interpolation, outside, normalise, shift_copies
+        rank, centring, noise, interpolation, table_error, outside, normalise, shift_copies
             Fit of the samples, as for `from_samples`. Only ``outside`` and ``normalise`` apply to
             models. By default STPSF and STDPSF libraries are interpolated bilinearly and not
             scaled.
@@ -674,8 +733,10 @@ class PsfModel:
                 else boolean(pixel_response_included, "pixel_response_included")
             ),
         }
-        fit = _fit(rank, centring, noise, interpolation, outside, normalise, shift_copies)
-        return cls._of(_native.PsfModel.read(os.fspath(path), file, fit))
+        named, own = split(interpolation)
+        fit = _fit(rank, centring, noise, named, outside, normalise, shift_copies)
+        native = _native.PsfModel.read(os.fspath(path), file, fit)
+        return cls._of(interpolated(native, own, table_error))
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -868,7 +929,7 @@ class PsfModel:
         kind, value = chosen[0]
         if self._states_of(kind) is None:
             raise ValueError(f"this PSF does not depend on the {kind}")
-        return PsfModel._of(self._handle.at_state(value), self._sampling)
+        return PsfModel._of(self._handle.at_state(value), self._sampling, self._given)
 
     def for_spectrum(
         self,
@@ -923,7 +984,7 @@ class PsfModel:
         native = self._handle.for_spectrum(
             _curve(bandpass, "bandpass"), _curve(spectrum, "spectrum")
         )
-        return PsfModel._of(native, self._sampling)
+        return PsfModel._of(native, self._sampling, self._given)
 
     @property
     def rank(self) -> int:
@@ -965,6 +1026,20 @@ class PsfModel:
         return self._handle.basis()[1]
 
     @property
+    def given_components(self) -> NDArray[np.float64] | None:
+        """Components of a basis of your own, as given: ``[component, y, x]``. Not stored in files.
+
+        Examples
+        --------
+        >>> import psfield
+        >>> own = [[[1, 0, 1]], [[0, 2, 0]]]
+        >>> model = psfield.PsfModel.from_samples([[1, 2, 1]], (0, 0), basis=own)
+        >>> model.given_components.tolist(), model.components.shape
+        ([[[1.0, 0.0, 1.0]], [[0.0, 2.0, 0.0]]], (2, 1, 3))
+        """
+        return self._given
+
+    @property
     def coefficients(self) -> NDArray[np.float64]:
         """Coefficients of the components at `positions`: ``[position, component]``.
 
@@ -981,6 +1056,8 @@ class PsfModel:
     def interpolation(self) -> str:
         """Interpolation of the coefficients over the field.
 
+        An interpolation of your own is a table, as in ``'RBFInterpolator (table=8,8)'``.
+
         Examples
         --------
         >>> import psfield
@@ -988,7 +1065,8 @@ class PsfModel:
         >>> psfield.PsfModel.from_samples(stamps, corners, interpolation="bilinear").interpolation
         'bilinear'
         """
-        return self._handle.choices()[0]
+        name, *_, table_of = self._handle.choices()
+        return name if table_of is None else f"{table_of} ({name})"
 
     @property
     def outside(self) -> str:
@@ -1035,7 +1113,7 @@ class PsfModel:
         >>> report.rank, report.max_error < 1e-12
         (1, True)
         """
-        report = self._handle.fit_report()
+        report = self._report or self._handle.fit_report()
         if report is None:
             return None
         found = json.loads(report)
@@ -1341,14 +1419,21 @@ class PsfModel:
         return table("PsfModel", rows)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _again, (*self._handle.state(), self._sampling)
+        has_samples = self._handle.has_samples()
+        report = None if has_samples else self._report or self._handle.fit_report()
+        return _again, (*self._handle.state(), self._sampling, self._given, report)
 
 
 def _again(
-    constructor: str, arguments: tuple[Any, ...], sampling: SamplingReport | None
+    constructor: str,
+    arguments: tuple[Any, ...],
+    sampling: SamplingReport | None,
+    given: NDArray[np.float64] | None = None,
+    report: str | None = None,
 ) -> PsfModel:
     """Make a pickled model again."""
-    return PsfModel._of(getattr(_native.PsfModel, constructor)(*arguments), sampling)
+    native = getattr(_native.PsfModel, constructor)(*arguments)
+    return PsfModel._of(native, sampling, given, report)
 
 
 def _grid(
@@ -1384,6 +1469,33 @@ def _fit(
         "normalise": text_or_none(normalise, "normalise"),
         "shift_copies": integer_or_none(shift_copies, "shift_copies"),
     }
+
+
+def _refuse_with(given: str, **settings: Any) -> None:
+    """Refuse settings that do not apply together with an argument."""
+    for name, value in settings.items():
+        if value is not None:
+            raise ValueError(f"{name} does not apply together with {given}: leave it out")
+
+
+def _weighted(
+    stamps: NDArray[np.float64], weights: ArrayLike
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return stamps with 0 in place of bad pixels, and a weight for each pixel."""
+    given = reals(weights, "weights")
+    if given.ndim == 1 and len(given) == len(stamps):
+        given = given[:, np.newaxis, np.newaxis]
+    if given.ndim != 3:
+        raise ValueError(
+            f"weights must be an array [sample, y, x] or [sample], got one of shape {given.shape}"
+        )
+    try:
+        each = np.broadcast_to(given, stamps.shape).copy()
+    except ValueError:
+        raise ValueError(
+            f"weights must have the shape of the stamps, {stamps.shape}, got {given.shape}"
+        ) from None
+    return np.where(each == 0, 0.0, stamps), each
 
 
 def _curve(

@@ -26,6 +26,9 @@ class LeaveOneOutReport(Report):
 
     Attributes
     ----------
+    folds : int or None
+        Number of parts into which the samples were divided, if each part was predicted from the
+        others: for an interpolation of your own. None if each sample was predicted from all others.
     predicted : int
         Number of samples inside the area that the other samples cover. They are interpolated.
     median, max : float or None
@@ -46,6 +49,7 @@ class LeaveOneOutReport(Report):
     2
     """
 
+    folds: int | None
     predicted: int
     median: float | None
     max: float | None
@@ -86,6 +90,9 @@ class FitReport(Report):
         total flux. Of noisy samples, only what the noise does not explain.
     leave_one_out : LeaveOneOutReport
         Errors of predicting each sample from the others.
+    expected_error : float or None
+        Error that kriging expects between the samples: relative L2, root mean square over the
+        field, without the error of the truncated basis. None for other interpolations.
     singular_values, cumulative_weights : list of float
         Singular values that were computed, from the largest on, and their cumulative weights.
     warnings : list of str
@@ -116,6 +123,7 @@ class FitReport(Report):
     errors: list[float] = field(repr=False)
     circle_error: float | None
     leave_one_out: LeaveOneOutReport
+    expected_error: float | None
     singular_values: list[float] = field(repr=False)
     cumulative_weights: list[float] = field(repr=False)
     warnings: list[str]

@@ -65,7 +65,7 @@ def test_spot_checks(model, scene, options, error, text):
         ({"centre": (1, 2, 3)}, TypeError, "centre must be two numbers"),
         ({"oversampling": (2, 2)}, TypeError, "oversampling must be a number, got (2, 2)"),
         ({"noise": "0.1"}, TypeError, "noise must be a number"),
-        ({"interpolation": 3}, TypeError, "interpolation must be a string, got 3"),
+        ({"interpolation": 3}, TypeError, "interpolation must be a name, an object"),
         ({"normalise": True}, TypeError, "normalise must be a string, got True"),
         # bool("no") is True.
         (

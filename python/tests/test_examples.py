@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import os
 import re
 import subprocess
@@ -61,19 +60,3 @@ def test_roman_from_galsim(tmp_path):
     model = psfield.PsfModel.read(tmp_path / "roman_psf.fits")
     # Part of the light of a star of Roman falls beyond 32 x 32 pixels.
     assert 0.9 < model.evaluate(2000.0, 2000.0, pixels="frame").sum() < 0.99
-
-
-def test_interpolators(tmp_path):
-    text = run("interpolators", tmp_path)
-    with open(tmp_path / "errors.csv", newline="") as file:
-        rows = {(row["samples"], row["interpolation"]): row for row in csv.DictReader(file)}
-    assert len(rows) == 16 and text.count("\n") == 18
-    median = {key: float(row["median"]) for key, row in rows.items()}
-    assert all(0 < float(row["median"]) <= float(row["largest"]) < 0.5 for row in rows.values())
-    for samples in ("scattered", "grid"):
-        assert median[samples, "natural-neighbour"] < median[samples, "nearest"] / 2
-        assert median[samples, "delaunay"] < median[samples, "nearest"] / 2
-    assert median["grid", "bicubic"] < median["grid", "bilinear"] / 2
-    # A sample that is left out is farther from the others than the test positions are from them.
-    # The prediction is therefore an upper estimate.
-    assert all(float(row["leave_one_out"]) > 0.5 * median[key] for key, row in rows.items())

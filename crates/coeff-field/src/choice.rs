@@ -1,6 +1,6 @@
 //! The methods by name, and the choice of a method for samples.
 
-use ndarray::{Array2, Axis, concatenate};
+use ndarray::{Array2, ArrayView2, Axis, concatenate, s};
 use psf_types::{Interpolation, OutsidePolicy, Position, SampleCoefficients, SamplePositions};
 
 use crate::bilinear::{Bicubic, Bilinear};
@@ -8,9 +8,10 @@ use crate::delaunay::{Delaunay, NaturalNeighbour};
 use crate::error::CoeffFieldError;
 use crate::grid::RegularGrid;
 use crate::interpolation::{FieldInterpolation, Interpolated, LeaveOneOut, LeftOut, Outcomes};
-use crate::kriging::Kriging;
+use crate::kriging::{Kriging, NoisyKrigingFit};
 use crate::neighbours::{InverseDistance, Nearest};
 use crate::polynomial::Polynomial;
+use crate::table::Table;
 
 /// The local method that suits samples at these positions.
 ///
@@ -59,13 +60,29 @@ pub fn local_method(positions: &SamplePositions) -> Interpolation {
 }
 
 /// An interpolation that was chosen for samples, and the reason in words.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug)]
 #[non_exhaustive]
 pub struct Choice {
     /// The interpolation, with all parameters.
     pub interpolation: Interpolation,
     /// The reason. Empty if the caller named the interpolation.
     pub reason: String,
+    /// The samples without noise, and their errors, if they had noise and the interpolation is kriging. The
+    /// interpolation is that of these samples.
+    pub smoothed: Option<Smoothed>,
+    /// The error that kriging expects between the samples: L2 over the components, r.m.s. over the field.
+    /// None for other methods.
+    pub expected_error: Option<f64>,
+}
+
+/// Samples whose noise was removed by kriging ([`NoisyKrigingFit`]).
+#[derive(Debug)]
+#[non_exhaustive]
+pub struct Smoothed {
+    /// The coefficients of the samples without noise, as predicted from all samples.
+    pub samples: SampleCoefficients,
+    /// The errors of predicting each sample, with its noise, from the others.
+    pub left_out: LeaveOneOut,
 }
 
 impl Choice {
@@ -74,6 +91,8 @@ impl Choice {
         Self {
             interpolation,
             reason: String::new(),
+            smoothed: None,
+            expected_error: None,
         }
     }
 }
@@ -94,66 +113,85 @@ const MOST: usize = 2000;
 ///
 /// If all states of the samples have the same positions, their coefficients count together.
 ///
+/// `noise` is the standard deviation of each sample's coefficients, if samples have noise. Kriging without
+/// given parameters then removes the noise ([`Choice::smoothed`]).
+///
 /// # Errors
 /// [`CoeffFieldError`] when the method does not suit the samples.
 pub fn choose(
     wanted: Interpolation,
     samples: &SampleCoefficients,
+    noise: Option<&[f64]>,
     outside: OutsidePolicy,
 ) -> Result<Choice, CoeffFieldError> {
     match wanted {
         Interpolation::Kriging(None) => {
-            let parameters = Kriging::default().parameters(&joined(samples)?)?;
-            Ok(Choice::named(Interpolation::Kriging(Some(parameters))))
+            let joined = Joined::new(samples)?;
+            Ok(joined.kriging(samples, noise, outside)?.choice)
         }
-        Interpolation::Auto => best(samples, outside),
+        Interpolation::Auto => best(samples, noise, outside),
         other => Ok(Choice::named(other)),
     }
 }
 
-fn best(samples: &SampleCoefficients, outside: OutsidePolicy) -> Result<Choice, CoeffFieldError> {
+/// Kriging of joined samples.
+struct Fitted {
+    choice: Choice,
+    left_out: LeaveOneOut,
+    expected_error: f64,
+}
+
+fn best(
+    samples: &SampleCoefficients,
+    noise: Option<&[f64]>,
+    outside: OutsidePolicy,
+) -> Result<Choice, CoeffFieldError> {
     let local = local_method(samples.positions());
     let take_local = |reason: &str| {
         Ok(Choice {
-            interpolation: local,
             reason: reason.to_owned(),
+            ..Choice::named(local)
         })
     };
-    let Ok(joined) = joined(samples) else {
+    let Ok(joined) = Joined::new(samples) else {
         return take_local("the states have samples at different positions");
     };
-    let count = joined.positions().len();
+    let count = joined.samples.positions().len();
     if !(FEWEST..=MOST).contains(&count) {
         return take_local(&format!(
             "kriging is considered for {FEWEST} to {MOST} samples, and there are {count}"
         ));
     }
-    let Ok(parameters) = Kriging::default().parameters(&joined) else {
+    let Ok(kriging) = joined.kriging(samples, noise, outside) else {
         return take_local("the samples do not determine the parameters of kriging");
     };
-    let kriging = Kriging::new(parameters).fit(&joined, outside)?;
-    let left_out = kriging.leave_one_out(&joined, outside)?;
-    let of_local = interpolation(local)?.leave_one_out(&joined, outside)?;
-    let Some([left_out, of_local]) = compared(&left_out, &of_local, joined.positions()) else {
+    let of_local = interpolation(local)?.leave_one_out(&joined.samples, outside)?;
+    let compared = compared(&kriging.left_out, &of_local, joined.samples.positions());
+    let Some([left_out, of_local]) = compared else {
         return take_local("no sample can be predicted from the others");
     };
     // Samples that are close to others say little about wide gaps.
-    let of_kriging = left_out.max(kriging.expected_rms_error());
-    let kriging = (Interpolation::Kriging(Some(parameters)), "kriging", of_kriging);
-    let name = local.to_string();
-    let local = (local, name.as_str(), of_local);
-    let (better, worse) = if of_kriging < of_local {
-        (kriging, local)
-    } else {
-        (local, kriging)
-    };
-    Ok(Choice {
-        interpolation: better.0,
-        reason: format!(
+    let of_kriging = left_out.max(kriging.expected_error);
+    let reason = |better: (&str, f64), worse: (&str, f64)| {
+        format!(
             "{} predicts samples from the others with an error of {:.1e} (r.m.s., in the units of the PSF), {} with {:.1e}",
-            better.1, better.2, worse.1, worse.2
-        ),
-    })
+            better.0, better.1, worse.0, worse.1
+        )
+    };
+    let name = if kriging.choice.smoothed.is_some() {
+        "kriging, which removes noise,"
+    } else {
+        "kriging"
+    };
+    if of_kriging < of_local {
+        let reason = reason((name, of_kriging), (&local.to_string(), of_local));
+        Ok(Choice {
+            reason,
+            ..kriging.choice
+        })
+    } else {
+        take_local(&reason((&local.to_string(), of_local), (name, of_kriging)))
+    }
 }
 
 /// The root mean square of two methods' errors at the samples that both interpolate. A sample counts as
@@ -179,28 +217,104 @@ fn compared(a: &LeaveOneOut, b: &LeaveOneOut, positions: &SamplePositions) -> Op
 }
 
 /// The coefficients of all states side by side, at the positions that they share.
-fn joined(samples: &SampleCoefficients) -> Result<SampleCoefficients, CoeffFieldError> {
-    let positions = samples.positions();
-    if positions.states().is_none() {
-        return Ok(samples.clone());
-    }
-    let of_states: Vec<SampleCoefficients> = (0..positions.state_count())
-        .map(|state| samples.of_state(state))
-        .collect();
-    let first = &of_states[0];
-    let mut columns: Vec<Array2<f64>> = Vec::with_capacity(of_states.len());
-    for of_state in &of_states {
-        let at = of_state.positions().as_slice();
-        let place = |wanted: &Position| at.iter().position(|p| p.bits() == wanted.bits());
-        let order: Option<Vec<usize>> = first.positions().as_slice().iter().map(place).collect();
-        match order {
-            Some(order) if order.len() == at.len() => columns.push(of_state.values().select(Axis(0), &order)),
-            _ => CoeffFieldError::unless_one_state(positions)?,
+struct Joined {
+    samples: SampleCoefficients,
+    /// For each state, the sample at each position.
+    of_states: Vec<Vec<usize>>,
+}
+
+impl Joined {
+    /// # Errors
+    /// [`CoeffFieldError::SeveralStates`] for states with samples at different positions.
+    fn new(samples: &SampleCoefficients) -> Result<Self, CoeffFieldError> {
+        let positions = samples.positions();
+        if positions.states().is_none() {
+            return Ok(Self {
+                samples: samples.clone(),
+                of_states: vec![(0..positions.len()).collect()],
+            });
         }
+        let all = positions.as_slice();
+        let shared = positions.of_state(0);
+        let mut of_states = Vec::with_capacity(positions.state_count());
+        for state in 0..positions.state_count() {
+            let own = positions.samples_of_state(state);
+            let place = |wanted: &Position| own.iter().copied().find(|&j| all[j].bits() == wanted.bits());
+            let order: Option<Vec<usize>> = shared.as_slice().iter().map(place).collect();
+            match order {
+                Some(order) if order.len() == own.len() => of_states.push(order),
+                _ => CoeffFieldError::unless_one_state(positions)?,
+            }
+        }
+        let columns: Vec<Array2<f64>> = of_states
+            .iter()
+            .map(|order| samples.values().select(Axis(0), order))
+            .collect();
+        let views: Vec<_> = columns.iter().map(|of_state| of_state.view()).collect();
+        let values = concatenate(Axis(1), &views).expect("one row for each position");
+        Ok(Self {
+            samples: SampleCoefficients::new(values, shared)?,
+            of_states,
+        })
     }
-    let views: Vec<_> = columns.iter().map(|of_state| of_state.view()).collect();
-    let values = concatenate(Axis(1), &views).expect("one row for each position");
-    Ok(SampleCoefficients::new(values, first.positions().clone())?)
+
+    /// Values of the joined samples, for each of the samples.
+    fn apart(&self, values: ArrayView2<'_, f64>, samples: &SampleCoefficients) -> Array2<f64> {
+        let width = samples.component_count();
+        let mut apart = Array2::zeros(samples.values().dim());
+        for (state, order) in self.of_states.iter().enumerate() {
+            let columns = values.slice(s![.., state * width..(state + 1) * width]);
+            for (row, &sample) in columns.outer_iter().zip(order) {
+                apart.row_mut(sample).assign(&row);
+            }
+        }
+        apart
+    }
+
+    /// Kriging with the parameters that suit the samples best.
+    fn kriging(
+        &self,
+        samples: &SampleCoefficients,
+        noise: Option<&[f64]>,
+        outside: OutsidePolicy,
+    ) -> Result<Fitted, CoeffFieldError> {
+        let Some(noise) = noise else {
+            let kriging = Kriging::default().fit(&self.samples, outside)?;
+            let expected_error = kriging.expected_rms_error();
+            let interpolation = Interpolation::Kriging(Some(kriging.parameters()));
+            return Ok(Fitted {
+                left_out: kriging.leave_one_out(&self.samples, outside)?,
+                choice: Choice {
+                    expected_error: Some(expected_error / (self.of_states.len() as f64).sqrt()),
+                    ..Choice::named(interpolation)
+                },
+                expected_error,
+            });
+        };
+        // The noise of a position is the r.m.s. over its states.
+        let at = |row: usize| {
+            let squares = self.of_states.iter().map(|order| noise[order[row]].powi(2));
+            (squares.sum::<f64>() / self.of_states.len() as f64).sqrt()
+        };
+        let noise: Vec<f64> = (0..self.samples.positions().len()).map(at).collect();
+        let kriging = NoisyKrigingFit::new(&self.samples, &noise)?;
+        let values = self.apart(kriging.samples().values(), samples);
+        let predictions = self.apart(kriging.predictions(), samples);
+        let expected_error = kriging.expected_rms_error();
+        let interpolation = Interpolation::Kriging(Some(kriging.parameters()));
+        Ok(Fitted {
+            left_out: kriging.leave_one_out(&self.samples)?,
+            choice: Choice {
+                smoothed: Some(Smoothed {
+                    samples: SampleCoefficients::new(values, samples.positions().clone())?,
+                    left_out: LeaveOneOut::of_predictions(samples, predictions.view())?,
+                }),
+                expected_error: Some(expected_error / (self.of_states.len() as f64).sqrt()),
+                ..Choice::named(interpolation)
+            },
+            expected_error,
+        })
+    }
 }
 
 /// Returns the interpolation method that `choice` names. [`Auto`] chooses a method when it receives
@@ -231,6 +345,7 @@ pub fn interpolation(choice: Interpolation) -> Result<Box<dyn FieldInterpolation
         Interpolation::Bicubic => Box::new(Bicubic),
         Interpolation::Polynomial { degree } => Box::new(Polynomial::new(degree)?),
         Interpolation::Nearest => Box::new(Nearest),
+        Interpolation::Table { columns, rows } => Box::new(Table::new(columns, rows)?),
         other => return Err(CoeffFieldError::UnknownInterpolation(other)),
     })
 }
@@ -241,14 +356,14 @@ pub struct Auto;
 
 impl FieldInterpolation for Auto {
     fn interpolate(&self, samples: &SampleCoefficients, outside: OutsidePolicy) -> Interpolated {
-        let chosen = choose(Interpolation::Auto, samples, outside)?;
+        let chosen = choose(Interpolation::Auto, samples, None, outside)?;
         interpolation(chosen.interpolation)?.interpolate(samples, outside)
     }
 
     /// Selects the method once, for all samples. This method then predicts each sample from the
     /// others.
     fn leave_one_out(&self, samples: &SampleCoefficients, outside: OutsidePolicy) -> Outcomes {
-        let chosen = choose(Interpolation::Auto, samples, outside)?;
+        let chosen = choose(Interpolation::Auto, samples, None, outside)?;
         interpolation(chosen.interpolation)?.leave_one_out(samples, outside)
     }
 }
@@ -284,6 +399,7 @@ mod tests {
             ("bicubic", "Bicubic"),
             ("polynomial=4", "Polynomial { degree: 4 }"),
             ("nearest", "Nearest"),
+            ("table=8,4", "Table { columns: 8, rows: 4 }"),
         ] {
             assert_eq!(
                 format!("{:?}", interpolation(text.parse().unwrap()).unwrap()),

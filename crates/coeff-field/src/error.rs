@@ -148,6 +148,32 @@ pub enum CoeffFieldError {
         /// The largest number.
         most: usize,
     },
+    /// Nodes that are not those of a table.
+    #[error(
+        "the {nodes} positions are not the nodes of a table of {columns} x {rows} patches: the interpolation table is only \
+         for models that psfield tabulated"
+    )]
+    NotATable {
+        /// Number of positions.
+        nodes: usize,
+        /// Number of undivided patches in a row.
+        columns: usize,
+        /// Number of undivided patches in a column.
+        rows: usize,
+    },
+    /// A field that is too rough for a table.
+    #[error(
+        "the interpolation cannot be tabulated with an error of {limit:e} in {nodes} nodes: it is too rough near {position}, \
+         or jumps there. Allow a larger error of the table (table_error), or use a smoother method"
+    )]
+    TooRough {
+        /// The allowed error.
+        limit: f64,
+        /// Number of nodes of the table.
+        nodes: usize,
+        /// A place where the error is larger.
+        position: Position,
+    },
     /// A parameter out of range.
     #[error("{name} must be {allowed}, got {got}")]
     Parameter {

@@ -361,8 +361,8 @@ pub enum Unpredictable {
     /// There are no other samples.
     #[error("there is no other sample")]
     NoOthers,
-    /// The others do not determine the polynomial.
-    #[error("the other samples do not determine the polynomial")]
+    /// The others do not determine the interpolation.
+    #[error("the other samples do not determine the interpolation")]
     Undetermined,
     /// The interpolator cannot be prepared without the sample.
     #[error("the interpolator cannot be prepared without this sample")]
@@ -376,6 +376,50 @@ impl LeaveOneOut {
     /// Stores the outcomes, one for each sample.
     pub fn new(outcomes: Vec<LeftOut>) -> Self {
         Self { outcomes }
+    }
+
+    /// Stores predictions of coefficients `[sample, component]`, each made without its sample. A
+    /// prediction with a value that is not finite counts as none. Samples at the corners of the convex
+    /// hull of their state are extrapolated.
+    ///
+    /// # Errors
+    /// [`CoeffFieldError::CountMismatch`] when there is not one prediction for each coefficient, and the
+    /// errors of sample positions.
+    pub fn of_predictions(
+        samples: &SampleCoefficients,
+        predictions: ArrayView2<'_, f64>,
+    ) -> Result<Self, CoeffFieldError> {
+        let (positions, values) = (samples.positions(), samples.values());
+        check_rows(positions.len(), predictions)?;
+        if predictions.dim() != values.dim() {
+            return Err(CoeffFieldError::CountMismatch {
+                what: "predicted coefficients of each sample",
+                expected: values.ncols(),
+                got: predictions.ncols(),
+            });
+        }
+        let mut is_corner = vec![false; positions.len()];
+        for state in 0..positions.state_count() {
+            let of_state = match positions.states() {
+                Some(_) => positions.of_state(state),
+                None => positions.clone(),
+            };
+            let hull = Hull::new(&Points::new(&of_state)?, OutsidePolicy::Nearest)?;
+            for (index, sample) in positions.samples_of_state(state).into_iter().enumerate() {
+                is_corner[sample] = hull.is_corner(index);
+            }
+        }
+        let outcomes = is_corner.into_iter().enumerate().map(|(sample, is_corner)| {
+            let error = &predictions.row(sample) - &values.row(sample);
+            match error.dot(&error).sqrt() {
+                error if !error.is_finite() => LeftOut::Unpredictable {
+                    reason: Unpredictable::Undetermined,
+                },
+                error if is_corner => LeftOut::Extrapolated { error },
+                error => LeftOut::Predicted { error },
+            }
+        });
+        Ok(Self::new(outcomes.collect()))
     }
 
     /// The outcomes, one for each sample, in sample order.

@@ -22,6 +22,7 @@
 //! | [`InverseDistance`] | 4 | exact | 1 | continuous |
 //! | [`Polynomial`] | (d+1)(d+2)/2 | least squares | polynomials of degree d | smooth |
 //! | [`Nearest`] | 1 | exact | 1 | jumps |
+//! | [`Table`] | 25 | exact | x^i y^j (i, j <= 4) | up to the error of the table |
 //! | [`Kriging`] | all | exact up to the nugget | the trend | smooth |
 //!
 //! A [`FieldInterpolation`] is a method with its parameters. It makes a
@@ -29,6 +30,11 @@
 //! [`InterpolatedField`], which combines [`FieldWeights`] with the samples' values. Other crates can
 //! implement these traits. [`interpolation`] returns the method for a [`psf_types::Interpolation`], and
 //! [`choose`] finds the method that predicts the samples best from each other.
+//!
+//! # Fields of your own
+//! A field may be anything, and need not be linear in the samples' values. [`tabulate`] and
+//! [`tabulate_field`] store any smooth field as the nodes of a [`Table`], up to an error that is checked at
+//! points. Files can hold the table.
 //!
 //! # Outside the samples
 //! The caller chooses a [`psf_types::OutsidePolicy`]. Each method documents its effect. Positions
@@ -116,11 +122,14 @@ mod neighbours;
 mod polynomial;
 mod search_tree;
 mod states;
+mod table;
 mod triangles;
+
+pub use {ndarray, psf_types};
 
 pub use axis_weights::state_weights;
 pub use bilinear::{Bicubic, Bilinear};
-pub use choice::{Auto, Choice, choose, interpolation, local_method};
+pub use choice::{Auto, Choice, Smoothed, choose, interpolation, local_method};
 pub use delaunay::{Delaunay, NaturalNeighbour};
 pub use error::CoeffFieldError;
 pub use field::InterpolatedField;
@@ -128,7 +137,8 @@ pub use grid::RegularGrid;
 pub use interpolation::{
     FieldInterpolation, FieldWeights, LeaveOneOut, LeftOut, Unpredictable, WeightList, leave_one_out,
 };
-pub use kriging::{Kriging, KrigingFit};
+pub use kriging::{Kriging, KrigingFit, NoisyKrigingFit};
 pub use neighbours::{InverseDistance, Nearest};
 pub use polynomial::Polynomial;
 pub use states::mix_states;
+pub use table::{Table, TableOptions, tabulate, tabulate_field};

@@ -113,7 +113,7 @@ fn left_out_samples_are_predicted_as_by_a_refit() {
 fn smooth_fields_get_small_errors_and_equal_states_count_together() {
     let positions = scattered(80, 5, 0.0, 100.0);
     let samples = samples_of(&positions, 3, waves);
-    let chosen = choose(Interpolation::Auto, &samples, OutsidePolicy::Nearest).unwrap();
+    let chosen = choose(Interpolation::Auto, &samples, None, OutsidePolicy::Nearest).unwrap();
     let Interpolation::Kriging(Some(parameters)) = chosen.interpolation else {
         panic!("{chosen:?}");
     };
@@ -132,10 +132,10 @@ fn smooth_fields_get_small_errors_and_equal_states_count_together() {
 fn steps_are_left_to_the_local_method() {
     let step = |p: Position, _: usize| if p.x() + 0.3 * p.y() > 60.0 { 1.0 } else { 0.2 };
     let samples = samples_of(&scattered(150, 6, 0.0, 100.0), 1, step);
-    let chosen = choose(Interpolation::Auto, &samples, OutsidePolicy::Nearest).unwrap();
+    let chosen = choose(Interpolation::Auto, &samples, None, OutsidePolicy::Nearest).unwrap();
     assert!(!chosen.reason.is_empty());
     let few = samples_of(&grid(3, 3, 10.0, 0.0, 0.0), 1, step);
-    let chosen = choose(Interpolation::Auto, &few, OutsidePolicy::Nearest).unwrap();
+    let chosen = choose(Interpolation::Auto, &few, None, OutsidePolicy::Nearest).unwrap();
     assert_eq!(chosen.interpolation, Interpolation::Bicubic);
 }
 
@@ -240,7 +240,7 @@ fn samples_that_do_not_suit_are_refused() {
     // No component at all.
     let positions = SamplePositions::new(scattered(20, 1, 0.0, 10.0), None).unwrap();
     let empty = SampleCoefficients::new(Array2::zeros((20, 0)), positions).unwrap();
-    let chosen = choose(Interpolation::Auto, &empty, OutsidePolicy::Nearest).unwrap();
+    let chosen = choose(Interpolation::Auto, &empty, None, OutsidePolicy::Nearest).unwrap();
     common::field(
         &empty,
         coeff_field::interpolation(chosen.interpolation).unwrap().as_ref(),

@@ -93,6 +93,8 @@ pub mod internals {
     pub use crate::transform::TileTransform;
 }
 
+pub use {ndarray, psf_types};
+
 pub use engine::{Engine, LowRank, Operation, RowStream, TileCounts};
 pub use error::ConvError;
 pub use galaxies::{GalaxyErrors, GalaxyPlan};

@@ -72,6 +72,8 @@ mod exposure;
 mod levels;
 mod noise;
 
+pub use {ndarray, psf_types};
+
 pub use bad_pixels::{BadPixelMask, PixelFlags};
 pub use detector::{BadPixelParams, CountUnit, Detector, DetectorParams, SkyGradient};
 pub use error::DetectorError;

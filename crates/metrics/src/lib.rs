@@ -52,6 +52,8 @@ mod levenberg_marquardt;
 mod moments;
 mod window;
 
+pub use {ndarray, psf_types};
+
 pub use comparison::{Comparison, Summary};
 pub use ellipse::{Covariance, Distortion, ReducedShear};
 pub use error::MetricsError;

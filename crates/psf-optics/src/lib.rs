@@ -76,6 +76,8 @@ mod seeing;
 mod telescope;
 mod wavefront;
 
+pub use {ndarray, psf_types};
+
 pub use analytic::{GaussianField, MoffatField, ProfileShape};
 pub use error::OpticsError;
 pub use field_polynomial::{FieldCoordinates, FieldPolynomial, FieldTerm};

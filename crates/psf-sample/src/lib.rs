@@ -66,6 +66,8 @@ mod takeover;
 mod verification;
 mod verifier;
 
+pub use {ndarray, psf_types};
+
 pub use adaptive::AdaptiveSampling;
 pub use criteria::{
     CellProbes, CellStamps, CellVariation, DifferenceMeasure, InterpolationError, NeighbourDifference,

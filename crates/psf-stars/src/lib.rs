@@ -33,6 +33,8 @@ mod source;
 mod star_sampling;
 mod surface;
 
+pub use {ndarray, psf_types};
+
 pub use background::{Background, BackgroundMesh};
 pub use camera::{Camera, Saturation, SaturationOrigin};
 pub use coverage::{CoverageMap, CoverageReport};

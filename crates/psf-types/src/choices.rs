@@ -11,7 +11,8 @@ use crate::kriging::{KrigingKernel, KrigingParameters};
 /// The interpolator that computes coefficients between the samples.
 ///
 /// Text forms: `auto`, `kriging`, `kriging=PARAMETERS` ([`KrigingParameters`]), `delaunay`,
-/// `natural-neighbour`, `idw`, `idw=POWER`, `bilinear`, `bicubic`, `polynomial=DEGREE` or `nearest`.
+/// `natural-neighbour`, `idw`, `idw=POWER`, `bilinear`, `bicubic`, `polynomial=DEGREE`, `nearest` or
+/// `table=COLUMNS,ROWS`.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 #[non_exhaustive]
@@ -47,6 +48,14 @@ pub enum Interpolation {
     },
     /// The value of the nearest sample.
     Nearest,
+    /// Polynomials on the patches of a table ([`FieldTable`](crate::FieldTable)). Coefficients are those of
+    /// the table's nodes, in place of samples. So a file can hold any smooth field.
+    Table {
+        /// The number of undivided patches in a row.
+        columns: usize,
+        /// The number of undivided patches in a column.
+        rows: usize,
+    },
 }
 
 impl Interpolation {
@@ -71,6 +80,7 @@ impl std::fmt::Display for Interpolation {
             Self::Bicubic => f.write_str("bicubic"),
             Self::Polynomial { degree } => write!(f, "polynomial={degree}"),
             Self::Nearest => f.write_str("nearest"),
+            Self::Table { columns, rows } => write!(f, "table={columns},{rows}"),
         }
     }
 }
@@ -96,6 +106,13 @@ impl FromStr for Interpolation {
                 _ => Err(refused()),
             },
             Some(("kriging", parameters)) => Ok(Self::Kriging(Some(parameters.parse()?))),
+            Some(("table", counts)) => {
+                let counts = counts.split_once(',').ok_or_else(refused)?;
+                match (counts.0.parse(), counts.1.parse()) {
+                    (Ok(columns), Ok(rows)) => Ok(Self::Table { columns, rows }),
+                    _ => Err(refused()),
+                }
+            }
             Some(("idw", power)) => match power.parse::<f64>() {
                 Ok(power) if power.is_finite() && power > 0.0 => Ok(Self::InverseDistance { power }),
                 _ => Err(refused()),
@@ -110,7 +127,8 @@ impl FromStr for Interpolation {
 }
 
 /// The policy for positions outside the area that the samples cover. This area is the convex hull
-/// of the samples. For the methods bilinear and bicubic, it is the samples' grid.
+/// of the samples. For the methods bilinear and bicubic, it is the samples' grid, and for a table the
+/// rectangle that the table covers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 #[non_exhaustive]
@@ -118,9 +136,9 @@ pub enum OutsidePolicy {
     /// Use the value at the nearest point of the covered area.
     #[default]
     Nearest,
-    /// Continue the interpolation outside. The methods delaunay, natural-neighbour, bilinear and
-    /// bicubic continue linearly. The methods kriging, idw, polynomial and nearest apply their own formula
-    /// (idw up to half the width of the samples beyond them, then linear).
+    /// Continue the interpolation outside. The methods delaunay, natural-neighbour, bilinear,
+    /// bicubic and table continue linearly. The methods kriging, idw, polynomial and nearest apply their own
+    /// formula (idw up to half the width of the samples beyond them, then linear).
     Extend,
     /// Return an error.
     Error,

@@ -110,11 +110,14 @@ pub trait CoefficientField: std::fmt::Debug + Send + Sync {
     /// The division of a region into cells in which the coefficients are bilinear, up to an error.
     ///
     /// Convolution is fast for a field with large cells. The default implementation returns
-    /// [`BilinearCells::Unknown`] with a scale of 64 pixels: convolution finds the cells by checks at
-    /// points. A field with smaller details should return a smaller scale, or
+    /// [`BilinearCells::Unknown`] with a scale of 64 pixels, and slow: convolution finds the cells by checks
+    /// at points. A field with smaller details should return a smaller scale, or
     /// [`BilinearCells::every_row`].
     fn bilinear_cells(&self, _region: PixelRegion, _error: ErrorLimit<'_>) -> BilinearCells {
-        BilinearCells::Unknown { scale: 64.0 }
+        BilinearCells::Unknown {
+            scale: 64.0,
+            slow: true,
+        }
     }
 }
 
@@ -209,6 +212,9 @@ pub enum BilinearCells {
         /// The distance in pixels over which coefficients may bend and bend back. Checks that are farther
         /// apart could miss that.
         scale: f64,
+        /// Coefficients take long to evaluate, so that convolution makes a table of them first
+        /// ([`FieldTable`](crate::FieldTable)).
+        slow: bool,
     },
 }
 

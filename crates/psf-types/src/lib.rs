@@ -19,6 +19,7 @@
 mod basis;
 mod choices;
 mod coefficient_field;
+mod field_table;
 mod frame;
 mod image;
 mod kriging;
@@ -36,6 +37,7 @@ mod text_file;
 pub use basis::{PsfBasis, SampleCoefficients};
 pub use choices::{Anchor, Interpolation, Normalisation, OutsidePolicy, StampInterpolation, ToleranceOn};
 pub use coefficient_field::{BilinearCells, CoefficientField, ErrorLimit, FieldError, RowRun, WeightedNodes};
+pub use field_table::{EvaluateField, FieldTable, TableLimits};
 pub use frame::{DataError, FrameShape, PixelRegion, Position, Quantity};
 pub use image::{Image, ImageView, Real};
 pub use kriging::{KrigingKernel, KrigingParameters};

@@ -333,6 +333,8 @@ pub struct PsfModelRecord {
     outside: OutsidePolicy,
     normalisation: Normalisation,
     circle_error: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    table_of: Option<String>,
 }
 
 #[derive(Deserialize)]
@@ -344,6 +346,8 @@ struct RawPsfModelRecord {
     normalisation: Normalisation,
     #[serde(default)]
     circle_error: Option<f64>,
+    #[serde(default)]
+    table_of: Option<String>,
 }
 
 impl TryFrom<RawPsfModelRecord> for PsfModelRecord {
@@ -357,7 +361,9 @@ impl TryFrom<RawPsfModelRecord> for PsfModelRecord {
             raw.outside,
             raw.normalisation,
         )?;
-        Ok(record.with_circle_error(raw.circle_error))
+        Ok(record
+            .with_circle_error(raw.circle_error)
+            .with_table_of(raw.table_of))
     }
 }
 
@@ -381,7 +387,34 @@ impl PsfModelRecord {
             outside,
             normalisation,
             circle_error: None,
+            table_of: None,
         })
+    }
+
+    /// A record with the choices of this one, but another basis and other coefficients. The error of the
+    /// flux in circles is then not known.
+    ///
+    /// # Errors
+    /// As for [`new`](Self::new).
+    pub fn with_parts(&self, basis: PsfBasis, coefficients: SampleCoefficients) -> Result<Self, DataError> {
+        let (outside, normalisation) = (self.outside, self.normalisation);
+        let record = Self::new(basis, coefficients, self.interpolation, outside, normalisation)?;
+        Ok(record.with_table_of(self.table_of.clone()))
+    }
+
+    /// States the method whose values the table holds ([`table_of`](Self::table_of)). Characters other
+    /// than printable ASCII become question marks, and 60 of them are kept.
+    #[must_use]
+    pub fn with_table_of(self, method: Option<String>) -> Self {
+        let printable = |c: char| if c == ' ' || c.is_ascii_graphic() { c } else { '?' };
+        let table_of = method.map(|name| name.chars().map(printable).take(60).collect());
+        Self { table_of, ..self }
+    }
+
+    /// The name of the method whose values are in the table, if the interpolation is
+    /// [`Interpolation::Table`] and the name is known.
+    pub fn table_of(&self) -> Option<&str> {
+        self.table_of.as_deref()
     }
 
     /// States the error of the flux in circles ([`circle_error`](Self::circle_error)). A number that is
@@ -440,13 +473,7 @@ impl PsfModelRecord {
         )?;
         let values = self.coefficients.values().slice(s![.., ..rank]).to_owned();
         let coefficients = SampleCoefficients::new(values, self.coefficients.positions().clone())?;
-        Self::new(
-            basis,
-            coefficients,
-            self.interpolation,
-            self.outside,
-            self.normalisation,
-        )
+        self.with_parts(basis, coefficients)
     }
 
     /// Combines the record with `field`, the caller's interpolation of [`Self::coefficients`], into

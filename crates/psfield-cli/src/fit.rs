@@ -1,10 +1,11 @@
 //! `psfield fit`.
 
+use std::fmt::Write as _;
 use std::path::PathBuf;
 
 use anyhow::Context as _;
 use psf_io::FileKind;
-use psfield::{FitOptions, FitReport, Psf};
+use psfield::{FitOptions, FitReport, InterpolationErrors, Psf};
 
 use super::context::{Context, signature};
 use crate::files::OutputFile;
@@ -30,6 +31,11 @@ pub(crate) struct FitCommandArgs {
     /// Replace the output if it exists
     #[arg(long)]
     overwrite: bool,
+    /// Also compare all interpolations: predict every sample from the others with each of them
+    ///
+    /// A table of the errors is printed, the best first. The model does not depend on it.
+    #[arg(long, conflicts_with = "basis")]
+    compare: bool,
     #[command(flatten)]
     fit: PsfArgs,
     /// Noise per pixel of the samples (standard deviation) [default: estimated]
@@ -95,6 +101,11 @@ impl FitCommandArgs {
         };
         let report = fitted.report().with_context(in_file)?;
         fitted.write(&self.output, &signature(), self.overwrite)?;
+        let compared = if self.compare {
+            psfield::compare_interpolations(samples.clone(), options).with_context(in_file)?
+        } else {
+            Vec::new()
+        };
         drop(spinner);
         if report.rank == 0 && report.max_error > WORTH_A_COMPONENT {
             context.warn(&format!(
@@ -104,7 +115,10 @@ impl FitCommandArgs {
             ));
         }
         report.warnings.iter().for_each(|warning| context.warn(warning));
-        context.report(&report, || text(&report, &self.output.display().to_string()))
+        let report = Compared { report, compared };
+        context.report(&report, || {
+            text(&report.report, &self.output.display().to_string()) + &table(&report.compared)
+        })
     }
 
     /// Opens the samples of all files.
@@ -140,6 +154,31 @@ impl FitCommandArgs {
     }
 }
 
+/// The report of a fit with that of --compare.
+#[derive(serde::Serialize)]
+struct Compared {
+    #[serde(flatten)]
+    report: FitReport,
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    compared: Vec<InterpolationErrors>,
+}
+
+/// The table of --compare. Empty if nothing was compared.
+fn table(compared: &[InterpolationErrors]) -> String {
+    let mut table = String::new();
+    if !compared.is_empty() {
+        table.push_str("\nerrors of predicting samples from the others (relative L2):\n    median   largest  interpolation\n");
+    }
+    for errors in compared {
+        let number = |value: Option<f64>| value.map_or_else(|| "-".to_owned(), |v| format!("{v:.2e}"));
+        let left_out = &errors.leave_one_out;
+        let (median, max) = (number(left_out.median), number(left_out.max));
+        // Writing to a string does not fail.
+        let _ = writeln!(table, "    {median:<8} {max:<8} {}", errors.interpolation);
+    }
+    table
+}
+
 fn text(report: &FitReport, output: &str) -> String {
     let left_out = &report.leave_one_out;
     let noise = match report.noise_sigma {
@@ -167,12 +206,16 @@ fn text(report: &FitReport, output: &str) -> String {
         "" => String::new(),
         reason => format!("interpolation:  {reason}\n"),
     };
+    let expected = report.expected_error.map_or_else(String::new, |error| {
+        format!("expected:       {error:.2e} (relative L2, r.m.s. over the field, as kriging predicts)\n")
+    });
     format!(
         "{output}: {} samples{of_states}, {} components (elbow at {}), {} interpolation\n\
          {reason}\
          noise:          {noise}\n\
          fit error:      largest {:.2e}, r.m.s. {:.2e} (relative L2 of a sample), in circles {} of the flux\n\
-         leave-one-out:  {interpolation_error} (relative L2; each sample is predicted from the others, over about twice the spacing)\n",
+         leave-one-out:  {interpolation_error} (relative L2; each sample is predicted from the others, over about twice the spacing)\n\
+         {expected}",
         report.samples,
         report.rank,
         report.elbow.map_or_else(|| "-".to_owned(), |e| e.to_string()),

@@ -490,7 +490,7 @@ fn option_of(name: &str) -> &'static str {
 /// A line of text about random tests.
 fn verified(random: &Verification) -> String {
     format!(
-        "\nverified at random: {} of {} PSFs above the threshold, largest error {:.2e}: with 95 % confidence at most {:.2} % of the field",
+        "\nverified at random: {} of {} PSFs above the threshold, largest error {:.2e}: with 95 % confidence at most {:.1} % of the field",
         random.above,
         random.tests,
         random.worst,

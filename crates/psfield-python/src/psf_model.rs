@@ -2,20 +2,22 @@
 
 use std::path::{Path, PathBuf};
 
+use ndarray::ArrayViewMut2;
 use numpy::{
     IntoPyArray, PyArray1, PyArray2, PyArray3, PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3,
 };
+use psfield::coeff_field::CoeffFieldError;
 use psfield::convert::{PsfFormat, SamplesAt, to_gridded};
-use psfield::psf_basis::PixelNoise;
+use psfield::psf_basis::{GivenStamps, PixelNoise};
 use psfield::psf_io::Precision;
 use psfield::psf_types::{
-    FrameShape, PsfBasis, PsfModelRecord, PsfSamples, SampleCoefficients, SamplePositions, SampleStates,
-    StateKind,
+    FrameShape, Position, PsfBasis, PsfModelRecord, PsfSamples, SampleCoefficients, SamplePositions,
+    SampleStates, StateKind,
 };
 use psfield::spectra::{Bandpass, Curve, FluxDensity, Spectrum};
 use psfield::{
-    EvaluateOptions, Fit, FitOptions, MAX_STACK_BYTES, OutputGrid, Psf, PsfieldError, evaluate_stamps,
-    fit_in_basis, open_bandpass, open_spectrum, provenance_cards,
+    EvaluateOptions, Fit, FitOptions, MAX_STACK_BYTES, OutputGrid, OwnInterpolation, Psf, PsfieldError,
+    evaluate_stamps, fit_by, fit_in_basis, fit_weighted, open_bandpass, open_spectrum, provenance_cards,
 };
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -35,8 +37,16 @@ type Plane<'py> = Bound<'py, PyArray2<f64>>;
 type Cube<'py> = Bound<'py, PyArray3<f64>>;
 /// A mean stamp, if there is one, components and coefficients.
 type Basis<'py> = (Option<Plane<'py>>, Cube<'py>, Plane<'py>);
-/// The names of the interpolation, the outside policy and the normalisation.
-type Choices = (String, String, String);
+/// The names of the interpolation, the outside policy and the normalisation, and of the method whose values
+/// are in a table.
+type Choices = (String, String, String, Option<String>);
+/// A basis that the caller gave: that of a model, or a mean stamp and components.
+#[derive(FromPyObject)]
+enum GivenBasis<'py> {
+    Model(PyRef<'py, PsfModel>),
+    Stamps((Option<PyReadonlyArray2<'py, f64>>, PyReadonlyArray3<'py, f64>)),
+}
+
 /// The name of the quantity on which the PSF depends besides the position, and its values.
 type States = Option<(String, Vec<f64>)>;
 /// A bandpass or a spectrum: its name, or wavelengths in micrometres and values.
@@ -88,7 +98,8 @@ impl PsfModel {
         grid: GridSettings,
         fit: FitSettings,
         gridded_library: bool,
-        basis: Option<&PsfModel>,
+        basis: Option<GivenBasis<'_>>,
+        weights: Option<PyReadonlyArray3<'_, f64>>,
     ) -> PyResult<Self> {
         let (count, ny, nx) = stamps.as_array().dim();
         let grid = grid.grid((ny, nx))?;
@@ -104,13 +115,28 @@ impl PsfModel {
         let samples = py
             .detach(|| PsfSamples::new(stamps.to_owned(), positions, grid))
             .map_err(Failure::from)?;
-        let Some(basis) = basis else {
-            return Ok(Self(Psf::new(samples, options)));
+        let fitted = match basis {
+            None => match weights {
+                None => return Ok(Self(Psf::new(samples, options))),
+                Some(weights) => {
+                    let weights = weights.as_array().to_owned();
+                    let fit = || fit_weighted(samples, weights, &options);
+                    py.detach(fit).map_err(Failure::of("weights"))?
+                }
+            },
+            Some(GivenBasis::Model(basis)) => basis.apart(py, move |psf| {
+                fit_in_basis(samples, psf.record()?.basis(), &options)
+            })?,
+            Some(GivenBasis::Stamps((mean, stamps))) => {
+                let mean = mean.map(|mean| mean.as_array().to_owned());
+                let stamps = stamps.as_array().to_owned();
+                let fit = || -> Result<Fit, PsfieldError> {
+                    fit_by(samples, &GivenStamps::new(stamps, mean)?, &options)
+                };
+                py.detach(fit).map_err(Failure::of("basis"))?
+            }
         };
-        let fitted = basis.apart(py, move |psf| {
-            fit_in_basis(samples, psf.record()?.basis(), &options)
-        })?;
-        Ok(Self(Psf::from(fitted.into_record())))
+        Ok(Self(Psf::from(fitted)))
     }
 
     /// Makes a model from a mean stamp, components `[component, y, x]` and their coefficients
@@ -132,12 +158,45 @@ impl PsfModel {
         let positions = sample_positions(&x, &y, states, field)?;
         let (interpolation, outside, normalise) =
             (parsed(&choices.0)?, parsed(&choices.1)?, parsed(&choices.2)?);
+        let table_of = choices.3;
         let mean = mean.map(|mean| mean.as_array().to_owned());
         let basis = PsfBasis::new(mean, components.as_array().to_owned(), grid).map_err(Failure::from)?;
         let coefficients = SampleCoefficients::new(coefficients.as_array().to_owned(), positions);
         let coefficients = coefficients.map_err(Failure::from)?;
         let record = PsfModelRecord::new(basis, coefficients, interpolation, outside, normalise);
-        Ok(Self(Psf::from(record.map_err(Failure::from)?)))
+        let record = record.map_err(Failure::from)?.with_table_of(table_of);
+        Ok(Self(Psf::from(record)))
+    }
+
+    /// Returns this PSF with an interpolation of the caller's own: a function of columns x and y that returns
+    /// coefficients `[position, component]`. It is called with this thread's hold of the interpreter.
+    fn interpolated_by(
+        &self,
+        py: Python<'_>,
+        name: &str,
+        evaluate: &Bound<'_, PyAny>,
+        predictions: (PyReadonlyArray2<'_, f64>, usize),
+        table_error: f64,
+    ) -> PyResult<Self> {
+        self.record(py)?;
+        let mut called = |at: &[Position], mut values: ArrayViewMut2<'_, f64>| {
+            let (x, y): (Vec<f64>, Vec<f64>) = at.iter().map(|p| (p.x(), p.y())).unzip();
+            let failed = |error: PyErr| CoeffFieldError::External(error.into());
+            let found = evaluate.call1((x.into_pyarray(py), y.into_pyarray(py)));
+            let found: PyReadonlyArray2<'_, f64> = found
+                .map_err(failed)?
+                .extract()
+                .map_err(|error: PyErr| failed(error))?;
+            values.assign(&found.as_array());
+            Ok(())
+        };
+        let own = OwnInterpolation {
+            name,
+            evaluate: &mut called,
+            table_error,
+            predictions: Some((predictions.0.as_array(), predictions.1)),
+        };
+        Ok(Self(self.0.interpolated_by(own).map_err(Failure::from)?))
     }
 
     /// Reads any PSF file.
@@ -165,7 +224,18 @@ impl PsfModel {
         if let Some((samples, options)) = self.0.samples() {
             let stamps = samples.stamps().to_owned().into_pyarray(py);
             let fit = fit_settings(py, options)?;
-            let state = (stamps, x, y, self.states(), field, grid, fit, false, None::<Self>);
+            let state = (
+                stamps,
+                x,
+                y,
+                self.states(),
+                field,
+                grid,
+                fit,
+                false,
+                None::<Self>,
+                None::<Self>,
+            );
             return Ok(("from_samples", state.into_pyobject(py)?.into_any()));
         }
         let record = self.record(py)?;
@@ -374,6 +444,7 @@ fn choices_of(record: &PsfModelRecord) -> Choices {
         record.interpolation().to_string(),
         record.outside().to_string(),
         record.normalisation().to_string(),
+        record.table_of().map(str::to_owned),
     )
 }
 

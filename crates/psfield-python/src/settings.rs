@@ -5,7 +5,7 @@ use std::str::FromStr;
 use psfield::psf_basis::PixelNoise;
 use psfield::psf_sample::SamplingOptions;
 use psfield::psf_types::{FrameShape, PixelRegion, Position, Real, StampGrid};
-use psfield::{FitChoices, FitOptions, PsfFileOptions, PsfieldError, SimulateOptions};
+use psfield::{FitChoices, FitOptions, OwnInterpolation, PsfFileOptions, PsfieldError, SimulateOptions};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
@@ -168,6 +168,7 @@ pub(crate) fn defaults(py: Python<'_>) -> PyResult<Bound<'_, PyDict>> {
     values.set_item("oversample", simulation.oversample)?;
     values.set_item("scene_pixels", simulation.scene_pixels.to_string())?;
     values.set_item("interpolation", fit.interpolation.to_string())?;
+    values.set_item("table_error", OwnInterpolation::TABLE_ERROR)?;
     values.set_item("outside", fit.outside.to_string())?;
     values.set_item("normalise", fit.normalisation.to_string())?;
     values.set_item("oversampling", grid.oversampling())?;

@@ -1,14 +1,16 @@
 //! Fits a model to PSF samples. The model gives the PSF at every position.
 
+mod comparison;
 mod models;
 mod report;
+mod tables;
 
 use std::path::Path;
 
 use coeff_field::{Choice, FieldInterpolation};
 use conv_core::StampInterpolator;
 use ndarray::{Array3, ArrayView2, Axis, s};
-use psf_basis::{BasisFit, BasisMethod, Centring, PixelNoise, RankSelection, Spectrum, Svd};
+use psf_basis::{BasisFit, BasisMethod, Centring, PixelNoise, RankSelection, Spectrum, Svd, WeightedPca};
 use psf_io::Card;
 use psf_sample::ShiftAugmentation;
 use psf_types::{
@@ -20,9 +22,12 @@ use rayon::prelude::*;
 use crate::stack_size::check_stack;
 use crate::{ErrorKind, PsfieldError};
 
+pub use comparison::{InterpolationErrors, compare_interpolations};
 pub use models::model_of;
 pub(crate) use models::{models_of, models_on};
 pub use report::{FitReport, LeaveOneOutReport};
+pub use tables::OwnInterpolation;
+pub(crate) use tables::{table_of, tabulated};
 
 /// Options for fitting a model to samples. The command line has the same defaults: rank `auto`,
 /// mean-centred, interpolation `auto`, nearest outside, unit flux.
@@ -86,6 +91,11 @@ pub struct Fit {
     noise_is_guessed: bool,
     /// The reason for the interpolation.
     reason: String,
+    /// Leave-one-out errors that the model's coefficients do not tell: those of samples whose noise was
+    /// removed, or of an interpolation of the caller's own.
+    left_out: Option<LeaveOneOutReport>,
+    /// The error that kriging expects between the samples: L2 of the PSF, r.m.s. over the field.
+    expected_error: Option<f64>,
 }
 
 /// Fits a model to samples. Computes the basis by SVD, and interpolates the coefficients by a
@@ -188,9 +198,19 @@ fn norms_of(samples: &PsfSamples) -> Vec<f64> {
 /// differ in shape from the samples.
 pub fn fit_trained(
     samples: PsfSamples,
-    mut training: Array3<f64>,
+    training: Array3<f64>,
     options: &FitOptions,
 ) -> Result<Fit, PsfieldError> {
+    let (fit, norms) = fit_basis(samples, training, options)?;
+    Fit::of_parts(fit, norms, options)
+}
+
+/// Computes the basis of samples, and the norms of the samples.
+fn fit_basis(
+    samples: PsfSamples,
+    mut training: Array3<f64>,
+    options: &FitOptions,
+) -> Result<(BasisFit, Vec<f64>), PsfieldError> {
     let method = Svd::new()
         .with_rank(options.rank)
         .with_centring(options.centring)
@@ -209,7 +229,7 @@ pub fn fit_trained(
         error.max(SMALLEST_AUTO_ERROR)
     };
     let fit = method.fit_for_field(samples, training.view(), &smaller_error)?;
-    Fit::of_parts(fit, norms, options)
+    Ok((fit, norms))
 }
 
 /// With the rank `auto`, the truncation error is at most this fraction of the interpolation error.
@@ -224,14 +244,61 @@ fn interpolation_error(
     norms: &[f64],
     options: &FitOptions,
 ) -> Option<f64> {
-    let choice = coeff_field::choose(options.interpolation, coefficients, options.outside).ok()?;
+    let choice = coeff_field::choose(options.interpolation, coefficients, None, options.outside).ok()?;
     let method = coeff_field::interpolation(choice.interpolation).ok()?;
     let left_out = coeff_field::leave_one_out(coefficients, method.as_ref(), options.outside).ok()?;
     let errors = left_out.predicted().map(|(sample, error)| error / norms[sample]);
     metrics::Summary::of(errors).ok().map(|summary| summary.median())
 }
 
+/// Fits a model with any basis method, which the caller may implement. The rank, the centring, the noise and
+/// the shifted copies of `options` do not apply.
+///
+/// # Errors
+/// [`PsfieldError`] when the basis method fails.
+pub fn fit_by(
+    samples: PsfSamples,
+    method: &dyn BasisMethod,
+    options: &FitOptions,
+) -> Result<Fit, PsfieldError> {
+    let samples = normalised(samples, options.normalisation);
+    let norms = norms_of(&samples);
+    Fit::of_parts(method.fit(&samples)?, norms, options)
+}
+
+/// Fits a model to samples with bad pixels, or of very different noise. `weights` `[sample, y, x]` are
+/// inverse variances of the samples' pixels, as the samples are given, and 0 for bad pixels. The basis is
+/// that of [`WeightedPca`]. Kriging uses the noise that the weights state. The shifted copies of `options` do
+/// not apply.
+///
+/// If PSFs are scaled to unit flux, bad pixels count with the value that the mean of the samples has there.
+///
+/// # Errors
+/// The errors of [`WeightedPca`] and of [`fit()`].
+pub fn fit_weighted(
+    samples: PsfSamples,
+    weights: Array3<f64>,
+    options: &FitOptions,
+) -> Result<Fit, PsfieldError> {
+    let svd = Svd::new()
+        .with_rank(options.rank)
+        .with_centring(options.centring)
+        .with_noise(options.noise);
+    let filled = WeightedPca::new(weights.clone())?.filled(&samples)?;
+    let mut weights = weights;
+    if options.normalisation != Normalisation::Keep {
+        for (mut weights, stamp) in weights.outer_iter_mut().zip(filled.stamps().outer_iter()) {
+            let flux = filled.grid().flux_of_sum(stamp.sum());
+            weights.mapv_inplace(|w| w * flux * flux);
+        }
+    }
+    fit_by(filled, &WeightedPca::new(weights)?.with_svd(svd), options)
+}
+
 /// Fits a model with any basis method and any interpolation. The caller may implement both.
+///
+/// [`Psf::from`](crate::Psf) takes the model. If its field is the caller's own, a table of the field is made
+/// where one is needed: for files, and for other stamps or pixels ([`Psf::record`](crate::Psf::record)).
 ///
 /// # Errors
 /// [`PsfieldError`] when the basis method or the interpolation fails.
@@ -261,10 +328,23 @@ impl Fit {
     fn of_parts(fit: BasisFit, norms: Vec<f64>, options: &FitOptions) -> Result<Self, PsfieldError> {
         let (spectrum, errors) = (fit.spectrum().cloned(), fit.errors().to_vec());
         let circle_error = fit.circle_errors().iter().copied().fold(0.0, f64::max);
+        let noise = fit.noise().map(<[f64]>::to_vec);
         let (basis, coefficients) = fit.into_parts();
         // An interpolation that does not suit the positions is an error of the model, not of the fit.
-        let choice = coeff_field::choose(options.interpolation, &coefficients, options.outside);
+        let choice = coeff_field::choose(
+            options.interpolation,
+            &coefficients,
+            noise.as_deref(),
+            options.outside,
+        );
         let choice = choice.unwrap_or_else(|_| Choice::named(options.interpolation));
+        let (coefficients, left_out) = match choice.smoothed {
+            Some(smoothed) => {
+                let report = LeaveOneOutReport::new(smoothed.left_out.outcomes(), &norms, &errors);
+                (smoothed.samples, Some(report))
+            }
+            None => (coefficients, None),
+        };
         let record = PsfModelRecord::new(
             basis,
             coefficients,
@@ -280,6 +360,8 @@ impl Fit {
             norms,
             noise_is_guessed: options.rank == RankSelection::Auto && options.noise == PixelNoise::Estimate,
             reason: choice.reason,
+            left_out,
+            expected_error: choice.expected_error,
         })
     }
 
@@ -329,6 +411,8 @@ impl Fit {
             norms: self.norms.clone(),
             noise_is_guessed: false,
             reason: self.reason.clone(),
+            left_out: self.left_out.clone(),
+            expected_error: self.expected_error,
         })
     }
 

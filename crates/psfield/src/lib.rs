@@ -90,7 +90,8 @@ pub use evaluate::{
 };
 pub use exposure_files::{ExposureFiles, exposure_cards, read_bad_pixel_mask};
 pub use fit::{
-    Fit, FitOptions, FitReport, LeaveOneOutReport, fit, fit_in_basis, fit_trained, fit_with, model_of,
+    Fit, FitOptions, FitReport, InterpolationErrors, LeaveOneOutReport, OwnInterpolation,
+    compare_interpolations, fit, fit_by, fit_in_basis, fit_trained, fit_weighted, fit_with, model_of,
 };
 pub use image_cards::{
     JOB_KEYWORD, PSF_FILE_KEYWORD, exposure_time_cards, parse_utc, provenance_cards, utc_now,

@@ -19,8 +19,8 @@ use psf_types::{
     StampGrid,
 };
 
-use crate::fit::{Fit, fit, models_of};
-use crate::{ErrorKind, FitOptions, PsfieldError};
+use crate::fit::{Fit, OwnInterpolation, fit, models_of, table_of, tabulated};
+use crate::{FitOptions, PsfieldError};
 
 pub use extrapolation::Extrapolation;
 pub use format_records::record_of_psfex;
@@ -58,6 +58,8 @@ struct Inner {
     fit: OnceLock<Fit>,
     fit_warnings: OnceLock<Vec<String>>,
     models: OnceLock<Vec<PsfModel>>,
+    /// A table of a coefficient field of the caller's own.
+    table: OnceLock<PsfModelRecord>,
 }
 
 /// A note for the user on how a PSF file was read.
@@ -119,8 +121,18 @@ impl From<PsfModelRecord> for Psf {
     }
 }
 
+impl From<Fit> for Psf {
+    /// Takes a fitted model and its report.
+    fn from(fit: Fit) -> Self {
+        let psf = Self::from(fit.record().clone());
+        psf.0.fit.get_or_init(|| fit);
+        psf
+    }
+}
+
 impl From<PsfModel> for Psf {
-    /// Takes a model unchanged. Its stamps are neither resampled nor refitted.
+    /// Takes a model, whose coefficient field may be the caller's own. It is used as it is. Files, and
+    /// stamps of another size or sampling, hold a table of the field ([`record`](Self::record)).
     fn from(model: PsfModel) -> Self {
         let first = SamplePositions::new(vec![Position::of_pixel(0, 0)], model.field_shape());
         Origin::Model(model, first.expect("one position on the field")).into()
@@ -138,7 +150,7 @@ impl Psf {
     /// stamps have the frame's own pixels and are centred at index `n / 2`.
     ///
     /// # Errors
-    /// [`ErrorKind::Data`] for stamps or positions that are not valid [`PsfSamples`].
+    /// [`ErrorKind::Data`](crate::ErrorKind::Data) for stamps or positions that are not valid [`PsfSamples`].
     pub fn from_samples(stamps: ArrayView3<'_, f64>, positions: &[(f64, f64)]) -> Result<Self, PsfieldError> {
         let (_, ny, nx) = stamps.dim();
         let positions = positions.iter().map(|&(x, y)| Position::new(x, y));
@@ -150,7 +162,8 @@ impl Psf {
     /// Samples the PSF of a source over the field. A source can draw the PSF at any position.
     ///
     /// # Errors
-    /// [`ErrorKind::Sampling`] when the source cannot draw a valid PSF, or the method fails.
+    /// [`ErrorKind::Sampling`](crate::ErrorKind::Sampling) when the source cannot draw a valid PSF, or the
+    /// method fails.
     pub fn from_source(
         source: &dyn PsfSource,
         method: &dyn SamplingMethod,
@@ -168,6 +181,7 @@ impl Psf {
             fit: OnceLock::new(),
             fit_warnings: OnceLock::new(),
             models: OnceLock::new(),
+            table: OnceLock::new(),
         }))
     }
 
@@ -243,32 +257,47 @@ impl Psf {
         }
     }
 
-    /// The fit of the samples, made when it is first needed. None where there are no samples.
+    /// The fit of the samples, made when it is first needed, or the fit from which the PSF was made. None
+    /// for other PSFs.
     ///
     /// # Errors
     /// The errors of [`fit()`].
     pub fn fit(&self) -> Result<Option<&Fit>, PsfieldError> {
         let Some((samples, options)) = self.samples() else {
-            return Ok(None);
+            return Ok(self.0.fit.get());
         };
         get_or_make(&self.0.fit, || fit(samples.clone(), options)).map(Some)
     }
 
-    /// The model in the form that a file stores: the fit of the samples, or the stored model.
+    /// The model in the form that a file stores: the fit of the samples, or the stored model. For a PSF
+    /// made from a [`PsfModel`], whose coefficient field may be the caller's own, it is a table of the field,
+    /// with an error of at most [`OwnInterpolation::TABLE_ERROR`].
     ///
     /// # Errors
-    /// The errors of [`fit()`], and [`ErrorKind::Format`] for a PSF made from a [`PsfModel`], whose
-    /// coefficient field may be the caller's own. No file can hold such a field.
+    /// The errors of [`fit()`], and [`ErrorKind::Format`](crate::ErrorKind::Format) for a PSF made from a
+    /// [`PsfModel`] whose frame is not known. The errors of [`coeff_field::tabulate_field`].
     pub fn record(&self) -> Result<&PsfModelRecord, PsfieldError> {
         match &self.0.origin {
             Origin::Record(record) => Ok(record),
             Origin::Samples(..) => Ok(self.fit()?.expect("samples have a fit").record()),
-            Origin::Model(..) => {
-                const OWN_FIELD: &str =
-                    "a PSF model file cannot hold a coefficient field of your own: sample the PSF first";
-                Err(PsfieldError::new(ErrorKind::Format, OWN_FIELD))
-            }
+            Origin::Model(model, _) => get_or_make(&self.0.table, || table_of(model)),
         }
+    }
+
+    /// Returns this PSF with an interpolation of the caller's own. The basis stays the same. The caller makes
+    /// the interpolation from the coefficients of [`record`](Self::record).
+    ///
+    /// # Errors
+    /// [`ErrorKind::Fit`](crate::ErrorKind::Fit) for an interpolation that is not smooth enough for a table
+    /// ([`coeff_field::tabulate`]), and for errors of its function.
+    /// [`ErrorKind::Setting`](crate::ErrorKind::Setting) for a limit of the table's error that is not above
+    /// 0.
+    pub fn interpolated_by(&self, own: OwnInterpolation<'_>) -> Result<Self, PsfieldError> {
+        let record = self.record()?;
+        Ok(match self.fit()? {
+            Some(fit) => Self::from(fit.interpolated_by(own)?),
+            None => Self::from(tabulated(record, own)?),
+        })
     }
 
     /// Sentences on samples that do not determine the model ([`FitReport`](crate::FitReport)). None for a
@@ -300,8 +329,9 @@ impl Psf {
     /// The model on the stamps' own grid, made when it is first needed.
     ///
     /// # Errors
-    /// [`PsfieldError`] when the fit or the interpolator fails. [`ErrorKind::Setting`] for a PSF
-    /// with several states ([`states`](Self::states)).
+    /// [`PsfieldError`] when the fit or the interpolator fails.
+    /// [`ErrorKind::Setting`](crate::ErrorKind::Setting) for a PSF with several states
+    /// ([`states`](Self::states)).
     pub fn model(&self) -> Result<&PsfModel, PsfieldError> {
         match self.models()? {
             [model] => Ok(model),

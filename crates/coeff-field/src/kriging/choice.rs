@@ -8,7 +8,7 @@ use super::system::{Covariances, Equations, LEAST_NUGGET, compressed};
 use crate::geometry::Point;
 
 /// The lengths that are tried first, the same along x and y.
-const LENGTHS: [f64; 10] = [0.15, 0.25, 0.4, 0.6, 0.85, 1.2, 1.7, 2.5, 4.0, 7.0];
+pub(super) const LENGTHS: [f64; 10] = [0.15, 0.25, 0.4, 0.6, 0.85, 1.2, 1.7, 2.5, 4.0, 7.0];
 /// The nuggets that are tried first. The least one depends on the number of samples.
 const NUGGETS: [f64; 6] = [0.0, 1e-8, 1e-5, 1e-3, 1e-1, 3.0];
 /// Each step of the refinement changes lengths by this factor.
@@ -29,10 +29,9 @@ struct Scored {
 }
 
 /// Samples at scaled points, and their values `[sample, column]`.
-#[derive(Clone)]
-struct Samples {
-    points: Vec<Point>,
-    values: Array2<f64>,
+pub(super) struct Samples {
+    pub(super) points: Vec<Point>,
+    pub(super) values: Array2<f64>,
 }
 
 /// The parameters with which the samples predict each other best.
@@ -46,7 +45,7 @@ pub(super) fn chosen(points: &[Point], values: ArrayView2<'_, f64>) -> Option<Kr
         points: points.to_vec(),
         values: compressed(values),
     };
-    let few = all.spread(FIRST_SAMPLES);
+    let few = all.select(&all.spread(FIRST_SAMPLES));
     let first: Vec<(KrigingKernel, usize, f64)> = KrigingKernel::ALL
         .into_iter()
         .flat_map(|kernel| match kernel.lowest_trend() {
@@ -60,7 +59,7 @@ pub(super) fn chosen(points: &[Point], values: ArrayView2<'_, f64>) -> Option<Kr
         .map(|(kernel, trend, length)| few.best_nugget(kernel, [length; 2], trend))
         .collect();
     let best = best_of(scored.into_iter().flatten())?;
-    let many = all.spread(MOST_SAMPLES);
+    let many = all.select(&all.spread(MOST_SAMPLES));
     Some(many.refined(best.parameters)?.parameters)
 }
 
@@ -69,10 +68,11 @@ fn best_of(scored: impl Iterator<Item = Scored>) -> Option<Scored> {
 }
 
 impl Samples {
-    /// At most `count` of the samples. Each of them is the one farthest from those before it.
-    fn spread(&self, count: usize) -> Self {
+    /// At most `count` of the samples, ascending. Each of them was the one farthest from those chosen before
+    /// it.
+    pub(super) fn spread(&self, count: usize) -> Vec<usize> {
         if self.points.len() <= count {
-            return self.clone();
+            return (0..self.points.len()).collect();
         }
         let square = |a: Point, b: Point| (a[0] - b[0]).powi(2) + (a[1] - b[1]).powi(2);
         let mut nearest: Vec<f64> = self.points.iter().map(|&p| square(p, [-1.0, -1.0])).collect();
@@ -92,9 +92,13 @@ impl Samples {
             next = farthest.unwrap_or(0);
         }
         chosen.sort_unstable();
+        chosen
+    }
+
+    pub(super) fn select(&self, chosen: &[usize]) -> Self {
         Self {
             points: chosen.iter().map(|&i| self.points[i]).collect(),
-            values: self.values.select(ndarray::Axis(0), &chosen),
+            values: self.values.select(ndarray::Axis(0), chosen),
         }
     }
 
@@ -144,7 +148,7 @@ impl Samples {
 }
 
 /// Parameters of which one differs.
-fn neighbours_of(parameters: KrigingParameters, least_nugget: f64) -> Vec<KrigingParameters> {
+pub(super) fn neighbours_of(parameters: KrigingParameters, least_nugget: f64) -> Vec<KrigingParameters> {
     let (kernel, lengths) = (parameters.kernel(), parameters.lengths());
     let (trend, nugget) = (parameters.trend(), parameters.nugget());
     let mut found = Vec::new();

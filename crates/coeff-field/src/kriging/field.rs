@@ -134,7 +134,10 @@ impl CoefficientField for KrigingField {
 
     /// The scale is the shorter length of the kernel or, for a radial spline, the distance of samples.
     fn bilinear_cells(&self, _: PixelRegion, _: ErrorLimit<'_>) -> BilinearCells {
-        BilinearCells::Unknown { scale: self.scale }
+        BilinearCells::Unknown {
+            scale: self.scale,
+            slow: true,
+        }
     }
 
     fn some_coefficients(&self, _: Option<FrameShape>) -> Array2<f64> {

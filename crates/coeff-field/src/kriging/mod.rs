@@ -3,6 +3,7 @@
 mod choice;
 mod field;
 mod kernel;
+mod noisy;
 mod system;
 
 use std::sync::Arc;
@@ -13,6 +14,8 @@ use psf_types::{CoefficientField, KrigingParameters, OutsidePolicy, Position, Sa
 use self::field::{Functions, KrigingField};
 use self::kernel::Scaled;
 use self::system::{Covariances, Equations};
+
+pub use self::noisy::NoisyKrigingFit;
 use crate::error::CoeffFieldError;
 use crate::geometry::{Hull, Point, Points, query, range};
 use crate::interpolation::{FieldInterpolation, Interpolated, Outcomes, Unpredictable, hull_leave_one_out};
@@ -93,6 +96,7 @@ impl Kriging {
 }
 
 /// Samples at scaled points.
+#[derive(Debug)]
 struct Prepared {
     points: Points,
     scaled: Scaled,
@@ -279,19 +283,10 @@ impl KrigingFit {
 
     /// The root mean square of the expected errors over the convex hull of the samples.
     pub(crate) fn expected_rms_error(&self) -> f64 {
-        let ranges = [0, 1].map(|axis| range(&self.points.points, axis));
-        let place = |i: usize, axis: usize| {
-            let (low, high) = ranges[axis];
-            low + (i as f64 + 0.5) / ALONG_AXIS as f64 * (high - low)
-        };
-        let grid = (0..ALONG_AXIS * ALONG_AXIS).map(|i| [place(i % ALONG_AXIS, 0), place(i / ALONG_AXIS, 1)]);
-        let inside = grid.filter(|&p| self.field.hull.contains(p));
-        let (mut sum, mut count) = (0.0, 0.0_f64);
-        for p in inside {
-            sum += self.expected_error(p).powi(2);
-            count += 1.0;
-        }
-        (sum / count.max(1.0)).sqrt()
+        let inside = inside(&self.points, &self.field.hull);
+        let errors = self.expected_errors(&inside).unwrap_or_default();
+        let squares = errors.iter().map(|error| error * error);
+        (squares.sum::<f64>() / errors.len().max(1) as f64).sqrt()
     }
 
     /// Predicts every sample from all others, in closed form, with the parameters of all samples.
@@ -326,6 +321,18 @@ impl KrigingFit {
 
 /// The number of positions along each axis at which expected errors are averaged.
 const ALONG_AXIS: usize = 16;
+
+/// The positions of a grid over the samples that lie in their convex hull.
+fn inside(points: &Points, hull: &Hull) -> Vec<Position> {
+    let ranges = [0, 1].map(|axis| range(&points.points, axis));
+    let place = |i: usize, axis: usize| {
+        let (low, high) = ranges[axis];
+        low + (i as f64 + 0.5) / ALONG_AXIS as f64 * (high - low)
+    };
+    let grid = (0..ALONG_AXIS * ALONG_AXIS).map(|i| [place(i % ALONG_AXIS, 0), place(i / ALONG_AXIS, 1)]);
+    let inside = grid.filter(|&p| hull.contains(p));
+    inside.filter_map(|[x, y]| Position::new(x, y).ok()).collect()
+}
 
 impl FieldInterpolation for Kriging {
     fn interpolate(&self, samples: &SampleCoefficients, outside: OutsidePolicy) -> Interpolated {

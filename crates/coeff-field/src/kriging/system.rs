@@ -41,6 +41,9 @@ pub(super) struct Covariances {
     upper: Vec<Vec<f64>>,
     /// `H K H^T`.
     reflected: Mat<f64>,
+    /// `H D H^T` for samples of uneven noise, with its relative variances on the diagonal of `D`. None if all
+    /// samples have the same noise.
+    noise: Option<Mat<f64>>,
     /// The mean of the diagonal of `C`.
     variance: f64,
 }
@@ -80,9 +83,38 @@ impl Covariances {
             functions,
             reflections,
             upper,
+            noise: None,
             variance: if variance > 0.0 { variance } else { 1.0 },
             reflected,
         })
+    }
+
+    /// The covariances of samples whose noise has these relative variances. `None` if there is not one for
+    /// each sample.
+    pub(super) fn with_noise(self, relative: &[f64]) -> Option<Self> {
+        let count = self.functions.points.len();
+        if relative.len() != count {
+            return None;
+        }
+        let mut noise = Mat::from_fn(count, count, |i, j| if i == j { relative[i] } else { 0.0 });
+        for _ in 0..2 {
+            for j in 0..count {
+                reflect_by(&self.reflections, column_of(noise.as_mut(), j));
+            }
+            noise = noise.transpose().to_owned();
+        }
+        Some(Self {
+            noise: Some(noise),
+            ..self
+        })
+    }
+
+    /// An element of `H D H^T`.
+    fn noise(&self, i: usize, j: usize) -> f64 {
+        match &self.noise {
+            Some(noise) => noise[(i, j)],
+            None => f64::from(u8::from(i == j)),
+        }
     }
 
     /// The number of values that are free of the trend.
@@ -120,8 +152,9 @@ impl<C: Borrow<Covariances>> Equations<C> {
         for _ in 0..MOST_TRIES {
             let nugget = nugget.max(least) * all.variance;
             let mut lower = all.reflected.submatrix(first, first, count, count).to_owned();
-            for i in 0..count {
-                lower[(i, i)] += nugget;
+            match &all.noise {
+                None => (0..count).for_each(|i| lower[(i, i)] += nugget),
+                Some(noise) => lower += noise.submatrix(first, first, count, count) * faer::Scale(nugget),
             }
             let mut memory =
                 MemBuffer::new(cholesky_in_place_scratch::<f64>(count, Par::Seq, Spec::default()));
@@ -150,6 +183,12 @@ impl<C: Borrow<Covariances>> Equations<C> {
         self.nugget
     }
 
+    /// An element of the covariances with noise, `H (K + l D) H^T`.
+    fn element(&self, i: usize, j: usize) -> f64 {
+        let all = self.covariances.borrow();
+        all.reflected[(i, j)] + self.nugget * all.noise(i, j)
+    }
+
     /// The field through values `[sample, column]`.
     pub(super) fn solve(&self, values: ArrayView2<'_, f64>) -> Solution {
         let all = self.covariances.borrow();
@@ -159,13 +198,13 @@ impl<C: Borrow<Covariances>> Equations<C> {
         let mut free = known.submatrix(terms, 0, all.free(), columns).to_owned();
         solve_lower_triangular_in_place(self.lower.as_ref(), free.as_mut(), Par::Seq);
         solve_upper_triangular_in_place(self.lower.transpose(), free.as_mut(), Par::Seq);
-        // R b = first rows of H (y - K dual).
+        // R b = first rows of H (y - (K + l D) dual).
         let mut along = Mat::zeros(terms, columns);
-        let first_rows = all.reflected.submatrix(0, terms, terms, all.free());
+        let first_rows = Mat::from_fn(terms, all.free(), |i, j| self.element(i, terms + j));
         matmul(
             along.as_mut(),
             Accum::Replace,
-            first_rows,
+            first_rows.as_ref(),
             free.as_ref(),
             1.0,
             Par::Seq,
@@ -245,20 +284,11 @@ impl<C: Borrow<Covariances>> Equations<C> {
                 *to = *value;
             }
         }
-        let across = all.reflected.submatrix(terms, 0, free, terms);
+        let across = Mat::from_fn(free, terms, |i, j| self.element(terms + i, j));
         let to = explained.as_mut();
-        matmul(to, Accum::Add, across, weights.as_ref(), -1.0, Par::Seq);
+        matmul(to, Accum::Add, across.as_ref(), weights.as_ref(), -1.0, Par::Seq);
         solve_lower_triangular_in_place(self.lower.as_ref(), explained.as_mut(), Par::Seq);
-        let mut of_trend = weights.clone() * faer::Scale(self.nugget);
-        let first = all.reflected.submatrix(0, 0, terms, terms);
-        matmul(
-            of_trend.as_mut(),
-            Accum::Add,
-            first,
-            weights.as_ref(),
-            1.0,
-            Par::Seq,
-        );
+        let of_trend = Mat::from_fn(terms, terms, |i, j| self.element(i, j)) * &weights;
         Predictions {
             functions: &all.functions,
             points,

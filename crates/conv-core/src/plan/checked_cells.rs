@@ -53,7 +53,7 @@ const UNEVEN: [f64; 2] = [0.283, 0.381];
 /// largest error.
 const BENDS: f64 = 0.25;
 /// The number of positions that a thread evaluates together.
-const TOGETHER: usize = 64;
+pub(crate) const TOGETHER: usize = 64;
 
 impl CheckedCells {
     /// Finds the cells of a field in a region. `scale` is that of

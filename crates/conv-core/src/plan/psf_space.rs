@@ -100,14 +100,14 @@ impl PsfSpace {
         }
     }
 
-    /// This space with tables of the fields that do not know their cells. `region` is where plans need
-    /// them.
+    /// This space with tables of the fields that do not know their cells and are slow. `region` is where
+    /// plans need them.
     pub(crate) fn with_tables(mut self, region: PixelRegion, tolerance: f64) -> Self {
         // All cells of a large tree take long to list. A single pixel tells whether cells are known.
         let pixel = FrameShape::new(1, 1).expect("a pixel");
         let pixel = PixelRegion::new(region.x0(), region.y0(), pixel);
         let scale_of = |model: &PsfModel| match model.field().bilinear_cells(pixel, ErrorLimit::ZERO) {
-            BilinearCells::Unknown { scale } => Some(scale),
+            BilinearCells::Unknown { scale, slow: true } => Some(scale),
             _ => None,
         };
         let scales: Vec<Option<f64>> = self.models.iter().map(scale_of).collect();

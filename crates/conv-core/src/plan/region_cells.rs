@@ -226,7 +226,7 @@ impl RegionCells {
                 (lines.len() + 1) * runs.len()
             }
             BilinearCells::Divide => 1,
-            BilinearCells::Unknown { scale } => {
+            BilinearCells::Unknown { scale, .. } => {
                 CheckedCells::expected(field, region, (scale, limits.measure))
             }
         }
@@ -264,7 +264,7 @@ impl RegionCells {
                     self.add_rectangles(field, region, rectangles, rows);
                     return;
                 }
-                BilinearCells::Unknown { scale } if columns.len() == region.shape().nx() => {
+                BilinearCells::Unknown { scale, .. } if columns.len() == region.shape().nx() => {
                     let part = PixelRegion::new(x, y, shape);
                     let cells = CheckedCells::new(field, part, (scale, limits.measure));
                     let limit = limits.measure.limit.times(cells.error);

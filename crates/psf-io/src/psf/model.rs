@@ -13,7 +13,8 @@
 //! | `PSFMODEL` | version of the layout: 1, or 2 if the PSF depends on more than the position |
 //! | `NCOMP` | number of components `K` |
 //! | `CENTRED` | `T` if plane 0 is the mean stamp, `F` (default) if there is none |
-//! | `INTERPOL` | `auto`, `delaunay`, `natural-neighbour`, `idw`, `idw=POWER` (the last three on a tree of cells, see the crate `coeff-field`), `bilinear`, `bicubic`, `polynomial=DEGREE` or `nearest` |
+//! | `INTERPOL` | `auto`, `delaunay`, `natural-neighbour`, `idw`, `idw=POWER` (the last three on a tree of cells, see the crate `coeff-field`), `bilinear`, `bicubic`, `kriging=KERNEL,LENGTH_X,LENGTH_Y,TREND,NUGGET`, `polynomial=DEGREE`, `nearest` or `table=COLUMNS,ROWS` (the rows of `COEFFS` are the nodes of a table) |
+//! | `TABLEOF` | optional: the method whose values are in the table |
 //! | `OUTSIDE` | policy outside the area that the samples cover: `nearest`, `extend` or `error` |
 //! | `NORMALIS` | `unit` (every PSF is scaled to unit flux) or `keep` |
 //! | `CIRCERR` | optional: largest error of the flux in circles about the source at the samples, relative to the total flux, that the components left out cause |
@@ -57,6 +58,7 @@ const VERSION_KEYWORD: &str = "PSFMODEL";
 /// The newest version of the layout that this crate can read.
 pub const MODEL_VERSION: i64 = 2;
 const CIRCLE_ERROR: &str = "CIRCERR";
+const TABLE_OF: &str = "TABLEOF";
 const COEFFICIENTS: &str = "COEFFS";
 const SINGULAR_VALUES: &str = "SINGULAR";
 
@@ -136,6 +138,7 @@ pub fn read_model_file(path: impl AsRef<Path>) -> Result<ModelFile, IoError> {
     let outside = hdu.required_choice("OUTSIDE", "nearest, extend or error")?;
     let normalisation = hdu.required_choice("NORMALIS", "unit or keep")?;
     let circle_error = hdu.optional::<f64>(CIRCLE_ERROR, "a number of at least 0")?;
+    let table_of = hdu.optional::<String>(TABLE_OF, "the name of a method")?;
     let grid = stamp_grid(hdu, shape.2, shape.1)?;
     let field = field(hdu)?;
 
@@ -158,7 +161,8 @@ pub fn read_model_file(path: impl AsRef<Path>) -> Result<ModelFile, IoError> {
     let basis = PsfBasis::new(mean, components, grid).map_err(invalid(path))?;
     let record = PsfModelRecord::new(basis, coefficients, interpolation, outside, normalisation)
         .map_err(invalid(path))?
-        .with_circle_error(circle_error);
+        .with_circle_error(circle_error)
+        .with_table_of(table_of);
     let singular_values = match structure.table(SINGULAR_VALUES) {
         Some(table) => Table::new(table)?.read("S", 1)?,
         None => Vec::new(),
@@ -222,7 +226,8 @@ pub fn write_model(
             "error of the flux in circles, relative",
         )
     });
-    let own = cards(path, own.into_iter().chain(circle_error))?;
+    let table_of = record.table_of().map(|name| (TABLE_OF, name.into(), ""));
+    let own = cards(path, own.into_iter().chain(circle_error).chain(table_of))?;
     let header = HeaderCards::new()
         .with(added)
         .with(&own)

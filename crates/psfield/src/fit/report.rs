@@ -48,6 +48,9 @@ pub struct FitReport {
     pub circle_error: Option<f64>,
     /// Errors of predicting each sample from all others.
     pub leave_one_out: LeaveOneOutReport,
+    /// The error that kriging expects between the samples: relative L2, r.m.s. over the field, without the
+    /// truncation error. None for other interpolations.
+    pub expected_error: Option<f64>,
     /// The singular values that were computed, in descending order ([`psf_basis::Spectrum`]).
     pub singular_values: Vec<f64>,
     /// The cumulative weights of the singular values.
@@ -73,9 +76,12 @@ const MANY_SAMPLES: usize = 64;
 /// These errors show how well the model interpolates a sample from the other samples. If all
 /// samples come from one smooth PSF, such as an oversampled PSF of a frame, the errors do not test
 /// that PSF. The round trip of `psfield-lab` tests it, because it leaves out the stars themselves.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize)]
 #[non_exhaustive]
 pub struct LeaveOneOutReport {
+    /// The number of parts into which the samples were divided, if each part was predicted from the others.
+    /// None if every sample was predicted from all others.
+    pub folds: Option<usize>,
     /// Number of samples that lie in the area which the other samples cover. Each is predicted by
     /// interpolation.
     pub predicted: usize,
@@ -103,7 +109,7 @@ impl Fit {
         let spectrum = self.spectrum.as_ref();
         let states = record.coefficients().positions().states();
         Ok(FitReport {
-            samples: record.coefficients().positions().len(),
+            samples: self.norms.len(),
             depends_on: states.map(|states| states.kind().to_string()),
             states: states.map_or_else(Vec::new, |states| states.values().to_vec()),
             rank: record.basis().rank(),
@@ -119,6 +125,7 @@ impl Fit {
             circle_error: record.circle_error(),
             warnings: self.warnings_of(&left_out),
             leave_one_out: left_out,
+            expected_error: self.expected_error.map(|error| error / self.mean_norm()),
             singular_values: self.singular_values().to_vec(),
             cumulative_weights: spectrum.map(|s| s.cumulative_weights.clone()).unwrap_or_default(),
         })
@@ -167,7 +174,10 @@ impl Fit {
     }
 
     /// Predicts every sample from all others.
-    fn leave_one_out(&self) -> Result<LeaveOneOutReport, PsfieldError> {
+    pub(super) fn leave_one_out(&self) -> Result<LeaveOneOutReport, PsfieldError> {
+        if let Some(left_out) = &self.left_out {
+            return Ok(left_out.clone());
+        }
         let record = &self.record;
         let interpolation = coeff_field::interpolation(record.interpolation())?;
         let left_out =
@@ -177,6 +187,11 @@ impl Fit {
             &self.norms,
             &self.errors,
         ))
+    }
+
+    /// The root mean square of the samples' norms.
+    fn mean_norm(&self) -> f64 {
+        (self.norms.iter().map(|n| n * n).sum::<f64>() / self.norms.len() as f64).sqrt()
     }
 
     /// The root mean square of the truncation errors.
@@ -190,7 +205,7 @@ impl LeaveOneOutReport {
     ///
     /// The part of a sample that the basis leaves out is orthogonal to the basis. The relative
     /// truncation error and the error of the predicted coefficients therefore add in quadrature.
-    fn new(outcomes: &[LeftOut], norms: &[f64], truncation: &[f64]) -> Self {
+    pub(super) fn new(outcomes: &[LeftOut], norms: &[f64], truncation: &[f64]) -> Self {
         let (mut predicted, mut errors) = (Vec::new(), Vec::with_capacity(outcomes.len()));
         let (mut extrapolated, mut unpredictable) = (0, 0);
         for ((outcome, norm), truncation) in outcomes.iter().zip(norms).zip(truncation) {
@@ -212,6 +227,7 @@ impl LeaveOneOutReport {
         }
         let summary = Summary::of(predicted.iter().copied()).ok();
         Self {
+            folds: None,
             predicted: predicted.len(),
             median: summary.as_ref().map(Summary::median),
             max: summary.as_ref().map(Summary::max),
@@ -219,6 +235,11 @@ impl LeaveOneOutReport {
             unpredictable,
             errors,
         }
+    }
+
+    pub(super) fn in_folds(self, folds: usize) -> Self {
+        let folds = Some(folds);
+        Self { folds, ..self }
     }
 }
 
@@ -260,16 +281,22 @@ mod tests {
             .map(|j| Position::of_pixel(j % 9 * 10, j / 9 * 10))
             .collect();
         let stamps = Array3::from_shape_fn((81, 9, 9), |(j, y, x)| {
-            f64::from(u8::from(9 * y + x == j)) * 1.05f64.powi(j as i32)
+            f64::from(u8::from(9 * y + x == j)) * 1.3f64.powi(j as i32)
         });
         let positions = SamplePositions::new(positions, None).unwrap();
         let samples = PsfSamples::new(stamps, positions, StampGrid::new(9, 9).unwrap()).unwrap();
-        let options = FitOptions {
-            normalisation: Normalisation::Keep,
-            noise: PixelNoise::Known(0.0),
-            ..FitOptions::default()
+        let warnings = |noise| {
+            let options = FitOptions {
+                normalisation: Normalisation::Keep,
+                noise,
+                ..FitOptions::default()
+            };
+            let fitted = fit(samples.clone(), &options).unwrap();
+            fitted.report().unwrap().warnings
         };
-        let warnings = fit(samples, &options).unwrap().report().unwrap().warnings;
+        // A noise that is stated is known.
+        assert_eq!(warnings(PixelNoise::Known(0.0)).len(), 1);
+        let warnings = warnings(PixelNoise::Estimate);
         assert!(
             warnings.len() == 2 && warnings[0].contains("do not determine"),
             "{warnings:?}"

@@ -286,7 +286,12 @@ impl Psf {
                     choices.outside.unwrap_or(record.outside()),
                     choices.normalisation.unwrap_or(record.normalisation()),
                 )?;
-                Origin::Record(chosen.with_circle_error(record.circle_error()))
+                let table_of = record.table_of().map(str::to_owned);
+                Origin::Record(
+                    chosen
+                        .with_circle_error(record.circle_error())
+                        .with_table_of(table_of),
+                )
             }
             model @ Origin::Model(..) => model,
         };
@@ -490,13 +495,8 @@ impl Origin {
                 let basis = record.basis();
                 let grid = basis.grid().with_pixel_response_included(included);
                 let mean = basis.mean().map(|mean| mean.to_owned());
-                let changed = PsfModelRecord::new(
-                    PsfBasis::new(mean, basis.components().to_owned(), grid)?,
-                    record.coefficients().clone(),
-                    record.interpolation(),
-                    record.outside(),
-                    record.normalisation(),
-                )?;
+                let basis = PsfBasis::new(mean, basis.components().to_owned(), grid)?;
+                let changed = record.with_parts(basis, record.coefficients().clone())?;
                 Self::Record(changed.with_circle_error(record.circle_error()))
             }
             model @ Self::Model(..) => model,

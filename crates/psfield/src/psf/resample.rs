@@ -9,8 +9,8 @@ use psf_types::{
 use rayon::prelude::*;
 
 use super::{Origin, Psf, SourceFile};
+use crate::PsfieldError;
 use crate::stack_size::check_stack;
-use crate::{ErrorKind, PsfieldError};
 
 impl Psf {
     /// Returns this PSF with native stamps, which the convolution of images needs: at the frame's
@@ -19,9 +19,8 @@ impl Psf {
     /// PSF that already has such stamps is returned unchanged.
     ///
     /// # Errors
-    /// [`ErrorKind::Setting`] for a model whose coefficient field the caller implements, unless the
-    /// model already has such stamps. [`PsfieldError`] when `size` is 0, resampled samples hold no
-    /// flux, or the stamps would fill more memory than [`check_stack`](crate::check_stack) allows.
+    /// [`PsfieldError`] when `size` is 0, resampled samples hold no flux, or the stamps would fill more
+    /// memory than [`check_stack`](crate::check_stack) allows. The errors of [`record`](Self::record).
     pub fn native(&self, size: Option<usize>) -> Result<Self, PsfieldError> {
         let target = self.native_target(size)?;
         if target == self.grid() {
@@ -34,7 +33,7 @@ impl Psf {
     /// interpolation.
     ///
     /// # Errors
-    /// [`ErrorKind::Data`] when `size` is 0. If the stamps' pixels can be picked, `size` is not
+    /// [`ErrorKind::Data`](crate::ErrorKind::Data) when `size` is 0. If the stamps' pixels can be picked, `size` is not
     /// checked.
     pub fn native_is_exact(&self, size: Option<usize>) -> Result<bool, PsfieldError> {
         let grid = self.grid();
@@ -46,11 +45,10 @@ impl Psf {
     fn edge_reach(&self) -> usize {
         match &self.0.origin {
             Origin::Samples(samples, _) => edge_reach(None, samples.stamps(), None, samples.grid()),
-            Origin::Record(record) => {
+            _ => self.record().map_or(0, |record| {
                 let (basis, weights) = (record.basis(), record.coefficients().values());
                 edge_reach(basis.mean(), basis.components(), Some(weights), basis.grid())
-            }
-            Origin::Model(..) => 0,
+            }),
         }
     }
 
@@ -134,20 +132,20 @@ impl Psf {
         self.changed(&SceneFilter { filter, target })
     }
 
-    /// PSFs at samples or nodes that are evenly spread over the list of them. Empty for a model
-    /// whose coefficient field the caller implements.
+    /// PSFs at samples or nodes that are evenly spread over the list of them.
     fn some_psfs(&self) -> Vec<Array2<f64>> {
         /// PSFs vary smoothly over the field, so that these show how wide they are.
         const MOST: usize = 16;
-        let step = self.positions().len().div_ceil(MOST).max(1);
         match &self.0.origin {
             Origin::Samples(samples, _) => {
+                let step = samples.len().div_ceil(MOST);
                 let stamps = samples.stamps();
                 let some = (0..samples.len()).step_by(step);
                 some.map(|j| stamps.index_axis(Axis(0), j).to_owned()).collect()
             }
-            Origin::Record(record) => {
+            _ => self.record().map_or(Vec::new(), |record| {
                 let (basis, weights) = (record.basis(), record.coefficients().values());
+                let step = weights.nrows().div_ceil(MOST);
                 let some = (0..weights.nrows()).step_by(step);
                 some.map(|j| {
                     let mut psf = match basis.mean() {
@@ -160,8 +158,7 @@ impl Psf {
                     psf
                 })
                 .collect()
-            }
-            Origin::Model(..) => Vec::new(),
+            }),
         }
     }
 
@@ -197,7 +194,8 @@ impl Psf {
                     self.named_source(),
                 ))
             }
-            Origin::Record(record) => {
+            Origin::Record(_) | Origin::Model(..) => {
+                let record = self.record()?;
                 let (basis, nodes) = (record.basis(), record.coefficients());
                 check_stack(basis.rank() + 1, target)?;
                 let made = psf_basis::orthonormal(
@@ -209,13 +207,6 @@ impl Psf {
                 let positions = change.positions(nodes.positions())?;
                 Ok(self.with_record(on_basis(record, made, positions)?))
             }
-            Origin::Model(..) => {
-                const OWN_FIELD: &str = "the stamps of a model with a coefficient field of your own cannot be resampled. Either \
-                                         convert the model to samples first. Or build the model from stamps with oversampling 1 \
-                                         that include the pixel response, and then leave oversample, stamp_size and scene_pixels \
-                                         unset";
-                Err(PsfieldError::new(ErrorKind::Setting, OWN_FIELD))
-            }
         }
     }
 }
@@ -226,13 +217,7 @@ pub(super) fn on_basis(
     (basis, values): (PsfBasis, Array2<f64>),
     positions: SamplePositions,
 ) -> Result<PsfModelRecord, PsfieldError> {
-    Ok(PsfModelRecord::new(
-        basis,
-        SampleCoefficients::new(values, positions)?,
-        record.interpolation(),
-        record.outside(),
-        record.normalisation(),
-    )?)
+    Ok(record.with_parts(basis, SampleCoefficients::new(values, positions)?)?)
 }
 
 /// A linear operation on stamps.

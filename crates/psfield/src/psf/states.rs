@@ -1,7 +1,7 @@
 //! PSFs that also depend on a wavelength, a time or a frame.
 
 use ndarray::{Array2, ArrayView2, Axis, concatenate};
-use psf_types::{DataError, PsfModelRecord, PsfSamples, SamplePositions, SampleStates, StateKind};
+use psf_types::{DataError, PsfSamples, SamplePositions, SampleStates, StateKind};
 
 use super::Psf;
 use crate::fit::models_on;
@@ -107,13 +107,7 @@ impl Psf {
         let record = self.record()?;
         let method = (record.interpolation(), record.outside());
         let coefficients = coeff_field::mix_states(record.coefficients(), method, mixtures, labels)?;
-        let mixture = PsfModelRecord::new(
-            record.basis().clone(),
-            coefficients,
-            record.interpolation(),
-            record.outside(),
-            record.normalisation(),
-        )?;
+        let mixture = record.with_parts(record.basis().clone(), coefficients)?;
         // The error of a mixture is at most the largest error of its parts.
         let mixture = mixture.with_circle_error(record.circle_error());
         let mixed = self.derived(mixture, self.0.source.clone());

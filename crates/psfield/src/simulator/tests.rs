@@ -466,7 +466,7 @@ fn settings_that_a_method_or_a_model_cannot_follow_are_refused() {
     let refused = psf(1).simulator((10, 10)).options(on_gpu).build::<f32>();
     assert_eq!(refused.unwrap_err().setting(), Some("device"));
 
-    // A model with the caller's own coefficient field cannot be resampled to another grid.
+    // Without a frame, there is no table of a model's field, which may be the caller's own.
     let own = Psf::from(psf(1).model().unwrap().clone());
     let scene = Scene::new(Array2::from_elem((12, 12), 1.0)).unwrap();
     let image = own.simulator((12, 12)).build::<f64>().unwrap().simulate(&scene);
@@ -484,8 +484,8 @@ fn settings_that_a_method_or_a_model_cannot_follow_are_refused() {
     ] {
         let simulator = own.simulator((12, 12)).options(options).build::<f64>().unwrap();
         let refused = simulator.simulate(&scene).unwrap_err();
-        assert_eq!(refused.kind(), ErrorKind::Setting);
-        assert!(refused.to_string().contains("cannot be resampled"), "{refused}");
+        assert_eq!(refused.kind(), ErrorKind::Format);
+        assert!(refused.to_string().contains("state the frame"), "{refused}");
     }
 }
 
