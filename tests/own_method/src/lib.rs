@@ -81,15 +81,23 @@ mod tests {
             let square = (x as f64 - 3.0).powi(2) + (y as f64 - 3.0).powi(2);
             (-square / (2.0 + 0.3 * j as f64)).exp()
         });
-        let at = (0..9).map(|j| Position::of_pixel(40 * (j % 3), 30 * (j / 3))).collect();
+        let at = (0..9)
+            .map(|j| Position::of_pixel(40 * (j % 3), 30 * (j / 3)))
+            .collect();
         let frame = FrameShape::new(81, 61).unwrap();
         let positions = SamplePositions::new(at, Some(frame)).unwrap();
         let samples = PsfSamples::new(stamps, positions.clone(), StampGrid::new(7, 7).unwrap()).unwrap();
         let fit = OwnSamples.fit(&samples).unwrap();
         assert!(fit.max_error() < 1e-12);
-        let field = Smooth { scale: 30.0 }.interpolate(fit.coefficients(), OutsidePolicy::Nearest).unwrap();
+        let field = Smooth { scale: 30.0 }
+            .interpolate(fit.coefficients(), OutsidePolicy::Nearest)
+            .unwrap();
         let size = |error: &[f64]| error.iter().map(|d| d * d).sum::<f64>().sqrt();
-        let options = TableOptions { size: &size, limit: 1e-6, samples: &positions };
+        let options = TableOptions {
+            size: &size,
+            limit: 1e-6,
+            samples: &positions,
+        };
         let (nodes, method) = tabulate_field(field.as_ref(), options).unwrap();
         let table = coeff_field::interpolation(method).unwrap();
         let table = table.interpolate(&nodes, OutsidePolicy::Nearest).unwrap();

@@ -1,5 +1,6 @@
 //! `psfield bench`.
 
+mod model;
 mod real;
 mod report;
 mod settings;
@@ -41,9 +42,13 @@ use crate::values::{Precision, number, tolerance};
 /// convolves the scene with one PSF: the PSF at the middle of the frame. It is the fastest
 /// convolution with one PSF in psfield.
 ///
+/// --model measures the whole PSF model instead: PSFs drawn and seconds against the error of PSFs
+/// that are not samples.
+///
 /// --real measures real work instead: how time and memory grow with pixels, light, stars, galaxies,
 /// frames and spectra, for PSFs of several kinds.
 #[derive(Debug, clap::Args)]
+#[allow(clippy::struct_excessive_bools, reason = "each is an option")]
 pub(crate) struct BenchArgs {
     /// Measure how time and memory grow with real work, in groups [default: all groups]
     ///
@@ -78,6 +83,19 @@ pub(crate) struct BenchArgs {
         verbatim_doc_comment
     )]
     real: Option<Vec<RealGroup>>,
+    /// Measure PSFs drawn and seconds against the error of the whole model (samples, basis, interpolation)
+    ///
+    /// The telescope of --preset is sampled where kriging expects the largest error, on a mesh, and on
+    /// grids. Each model is fitted with the default options. Errors are those of 300 PSFs at random
+    /// positions (--seed). Takes about five minutes on two cores.
+    #[arg(
+        long,
+        conflicts_with_all = [
+            "real", "sizes", "grids", "psf", "scene", "stretch", "rank", "methods", "tolerances", "tolerance_on",
+            "patches", "ranks", "anchor", "precision", "repeat", "pixels", "device", "gpu_adapter"
+        ]
+    )]
+    model: bool,
     /// Sides of the square frames (pixels) [default: 512,1024,2048; with --real: 1024,4096,9216]
     #[arg(long, value_name = "N,...", value_delimiter = ',', conflicts_with = "scene", value_parser = side, help_heading = CASES)]
     sizes: Option<Vec<NonZeroUsize>>,
@@ -178,13 +196,13 @@ pub(crate) struct BenchArgs {
     )]
     seed: u64,
     /// Use smaller defaults: --sizes 256, --grids 5, --patches 64, --ranks 10, --tolerances
-    /// 1e-2,1e-4, --repeat 1, --pixels 100. With --real: a small version of every case
+    /// 1e-2,1e-4, --repeat 1, --pixels 100. With --real or --model: a small version of every case
     #[arg(long, help_heading = MEASUREMENT)]
     quick: bool,
     /// Write all numbers as JSON to FILE. Without FILE: print them instead of the table
     #[arg(long, value_name = "FILE", num_args = 0..=1, default_missing_value = "-", value_parser = OsStringValueParser::new().map(JsonTo::of_argument))]
     json: Option<JsonTo>,
-    /// Plot run time against error (SVG)
+    /// Plot run time against error (SVG). With --model: PSFs drawn and seconds against error
     #[arg(long, value_name = "FILE.svg", value_parser = OsStringValueParser::new().try_map(svg_path))]
     plot: Option<OutputFile>,
     /// Replace the files of --json and --plot if they exist
@@ -230,6 +248,9 @@ impl BenchArgs {
     pub(crate) fn run(self, context: &Context) -> anyhow::Result<()> {
         if let Some(what) = self.device.misused(self.precision == Precision::F32) {
             return Err(UsageError(what.to_owned()).into());
+        }
+        if self.model {
+            return self.run_model(context);
         }
         if let Some(groups) = &self.real {
             return self.run_real(groups, context);

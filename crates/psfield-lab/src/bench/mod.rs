@@ -11,6 +11,9 @@
 //! [`run_real_cases`] measures real work instead of methods: how the cost of [`Contender::Auto`]
 //! grows with pixels, light, stars, galaxies, frames, PSF fields and spectra ([`RealGroup`]).
 //!
+//! [`measure_model`] measures the whole model: PSFs drawn and seconds against the error of PSFs that are
+//! not samples.
+//!
 //! ```
 //! use psfield_lab::bench::{BenchCase, BenchOptions, Contender, lit_scene, run, stretched};
 //! # use ndarray::Array3;
@@ -37,6 +40,7 @@ mod real_colours;
 mod real_scenes;
 mod real_series;
 mod run;
+mod whole_model;
 
 pub(crate) use case::random_position;
 pub use case::{BenchCase, lit_scene, stretched};
@@ -46,3 +50,4 @@ pub use real_case::{RealCase, RealGroup, RealPsf};
 pub use real_colours::of_black_bodies;
 pub(crate) use real_colours::{bandpass, psf_of_wavelengths};
 pub use run::{BenchOptions, BenchOutcome, BenchRow, Skipped, run};
+pub use whole_model::{ModelRow, ModelSampling, measure_model};
