@@ -278,42 +278,47 @@ impl Joined {
         noise: Option<&[f64]>,
         outside: OutsidePolicy,
     ) -> Result<Fitted, CoeffFieldError> {
-        let Some(noise) = noise else {
-            let kriging = Kriging::default().fit(&self.samples, outside)?;
-            let expected_error = kriging.expected_rms_error();
-            let interpolation = Interpolation::Kriging(Some(kriging.parameters()));
-            return Ok(Fitted {
-                left_out: kriging.leave_one_out(&self.samples, outside)?,
-                choice: Choice {
-                    expected_error: Some(expected_error / (self.of_states.len() as f64).sqrt()),
-                    ..Choice::named(interpolation)
-                },
-                expected_error,
-            });
-        };
-        // The noise of a position is the r.m.s. over its states.
-        let at = |row: usize| {
-            let squares = self.of_states.iter().map(|order| noise[order[row]].powi(2));
-            (squares.sum::<f64>() / self.of_states.len() as f64).sqrt()
-        };
-        let noise: Vec<f64> = (0..self.samples.positions().len()).map(at).collect();
-        let kriging = NoisyKrigingFit::new(&self.samples, &noise)?;
-        let values = self.apart(kriging.samples().values(), samples);
-        let predictions = self.apart(kriging.predictions(), samples);
-        let expected_error = kriging.expected_rms_error();
-        let interpolation = Interpolation::Kriging(Some(kriging.parameters()));
-        Ok(Fitted {
-            left_out: kriging.leave_one_out(&self.samples)?,
-            choice: Choice {
-                smoothed: Some(Smoothed {
+        let (parameters, left_out, smoothed, expected_error) = match noise {
+            None => {
+                let kriging = Kriging::default().fit(&self.samples, outside)?;
+                let left_out = kriging.leave_one_out(&self.samples, outside)?;
+                (kriging.parameters(), left_out, None, kriging.expected_rms_error())
+            }
+            Some(noise) => {
+                let kriging = NoisyKrigingFit::new(&self.samples, &self.noise(noise))?;
+                let values = self.apart(kriging.samples().values(), samples);
+                let predictions = self.apart(kriging.predictions(), samples);
+                let smoothed = Smoothed {
                     samples: SampleCoefficients::new(values, samples.positions().clone())?,
                     left_out: LeaveOneOut::of_predictions(samples, predictions.view())?,
-                }),
+                };
+                let left_out = kriging.leave_one_out(&self.samples)?;
+                (
+                    kriging.parameters(),
+                    left_out,
+                    Some(smoothed),
+                    kriging.expected_rms_error(),
+                )
+            }
+        };
+        Ok(Fitted {
+            choice: Choice {
+                smoothed,
                 expected_error: Some(expected_error / (self.of_states.len() as f64).sqrt()),
-                ..Choice::named(interpolation)
+                ..Choice::named(Interpolation::Kriging(Some(parameters)))
             },
+            left_out,
             expected_error,
         })
+    }
+
+    /// The noise of each position: the r.m.s. over its states.
+    fn noise(&self, of_samples: &[f64]) -> Vec<f64> {
+        let at = |row: usize| {
+            let squares = self.of_states.iter().map(|order| of_samples[order[row]].powi(2));
+            (squares.sum::<f64>() / self.of_states.len() as f64).sqrt()
+        };
+        (0..self.samples.positions().len()).map(at).collect()
     }
 }
 

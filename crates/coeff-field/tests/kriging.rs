@@ -192,7 +192,7 @@ fn least_known_positions_are_those_of_refits() {
         }
         let first = fit.expected_errors(&candidates[chosen[0].0..][..1]).unwrap()[0];
         assert!((chosen[0].1 / first - 1.0).abs() < ROUNDING, "{kernel}");
-        // What is left at two other candidates after the first, here made sure to be taken.
+        // The errors that are left at two other candidates after the first, which is sure to be taken.
         let (a, b) = (candidates[chosen[1].0], candidates[chosen[2].0]);
         let left = |other| {
             let both = [candidates[chosen[0].0], other];

@@ -8,7 +8,7 @@ use rayon::prelude::*;
 use crate::circles::{Circles, SampleFlux};
 use crate::components::{Components, Krylov, is_large};
 use crate::decomposition::{BasisError, ROUNDING_UNITS, fix_signs, orthonormal_in_order};
-use crate::noise::{NoiseSearch, PixelNoise, leverages};
+use crate::noise::{NoiseSearch, PixelNoise, degrees_of_freedom, leverages};
 use crate::rank::{RankSelection, Spectrum};
 
 /// A method that makes a basis and the samples' coefficients from PSF samples.
@@ -92,16 +92,19 @@ impl BasisFit {
         let squares = |row: ArrayView1<'_, f64>| row.dot(&row);
         let sizes: Vec<f64> = values.columns().into_iter().map(|a| squares(a).sqrt()).collect();
         let of_mean = usize::from(self.basis.mean().is_some());
-        let free = self.basis.grid().pixel_count() as f64 - (self.rank() + of_mean) as f64;
+        let (pixels, components) = (self.basis.grid().pixel_count(), self.rank() + of_mean);
+        if pixels <= components {
+            return None;
+        }
+        let of_mean = of_mean as f64 / norms.len() as f64;
         let leverages = leverages(values, &sizes, self.rank());
         let noise = self.errors.iter().zip(norms).zip(leverages);
         let noise: Vec<f64> = noise
             .map(|((error, norm), leverage)| {
-                let left = (1.0 - leverage - of_mean as f64 / norms.len() as f64).max(0.05);
-                error * norm / (free * left).sqrt()
+                error * norm / degrees_of_freedom(pixels, components, leverage + of_mean).sqrt()
             })
             .collect();
-        (free > 0.0 && noise.iter().all(|n| *n > 0.0 && n.is_finite())).then_some(noise)
+        noise.iter().all(|n| *n > 0.0 && n.is_finite()).then_some(noise)
     }
 
     /// The basis.

@@ -312,12 +312,12 @@ fn by_sample(found: &Components, pixels: usize, first: NoiseFloor) -> NoiseFloor
 }
 
 /// The degrees of freedom of the noise in a sample of this leverage after `signal` components are removed.
-fn degrees_of_freedom(pixels: usize, signal: usize, leverage: f64) -> f64 {
+pub(crate) fn degrees_of_freedom(pixels: usize, signal: usize, leverage: f64) -> f64 {
     (pixels - signal) as f64 * (1.0 - leverage).max(LEAST_LEFT)
 }
 
-/// The leverage of each sample on the first `signal` components: the part of its noise that they follow. It is
-/// near 1 for a sample that has a component for itself. `coefficients` `[sample, k]` are those of all
+/// The leverage of each sample on the first `signal` components: the part of its noise that they follow. It
+/// is near 1 for a sample that has a component for itself. `coefficients` `[sample, k]` are those of all
 /// components, with these singular values.
 pub(crate) fn leverages(coefficients: ArrayView2<'_, f64>, values: &[f64], signal: usize) -> Vec<f64> {
     let of_sample = |row: ArrayView1<'_, f64>| -> f64 {

@@ -18,7 +18,8 @@ use crate::noise::NoiseFloor;
 pub enum RankSelection {
     /// At least the elbow. More components are kept until the largest truncation error over the
     /// samples is at most [`RankSelection::AUTO_ERROR`] or a smaller one that suits the interpolation, and
-    /// the error of their flux in every circle about the source too ([`BasisFit::circle_errors`](crate::BasisFit::circle_errors)). Components
+    /// the error of their flux in every circle about the source too
+    /// ([`BasisFit::circle_errors`](crate::BasisFit::circle_errors)). Components
     /// below the noise are never kept.
     #[default]
     Auto,

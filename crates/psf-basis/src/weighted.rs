@@ -27,7 +27,8 @@ use crate::rank::{RankSelection, Spectrum};
 /// (stamps[[3, 1, 1]], weights[[3, 1, 1]]) = (999.0, 0.0);
 /// let positions = (0..5).map(|j| Position::of_pixel(j, 0)).collect();
 /// let samples = PsfSamples::new(stamps, SamplePositions::new(positions, None)?, StampGrid::new(3, 3)?)?;
-/// let fit = WeightedPca::new(weights)?.with_svd(psf_basis::Svd::new().with_rank("1".parse()?)).fit(&samples)?;
+/// let svd = psf_basis::Svd::new().with_rank("1".parse()?);
+/// let fit = WeightedPca::new(weights)?.with_svd(svd).fit(&samples)?;
 /// assert!(fit.max_error() < 1e-6);
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```

@@ -23,7 +23,7 @@ pub(crate) struct AdaptiveRun<'a> {
     outcome: SamplingOutcome,
 }
 
-/// What was measured in a cell.
+/// Measurements in a cell.
 #[derive(Debug, Clone, Copy)]
 struct Assessed {
     variation: CellVariation,

@@ -175,7 +175,7 @@ impl SamplingMethod for KrigingSampling {
     }
 }
 
-/// How the rounds of kriging end.
+/// The end of kriging's rounds.
 enum End {
     Met,
     /// More draws are needed than allowed.

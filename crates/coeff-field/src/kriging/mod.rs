@@ -284,9 +284,7 @@ impl KrigingFit {
     /// The root mean square of the expected errors over the convex hull of the samples.
     pub(crate) fn expected_rms_error(&self) -> f64 {
         let inside = inside(&self.points, &self.field.hull);
-        let errors = self.expected_errors(&inside).unwrap_or_default();
-        let squares = errors.iter().map(|error| error * error);
-        (squares.sum::<f64>() / errors.len().max(1) as f64).sqrt()
+        rms(&self.expected_errors(&inside).unwrap_or_default())
     }
 
     /// Predicts every sample from all others, in closed form, with the parameters of all samples.
@@ -321,6 +319,12 @@ impl KrigingFit {
 
 /// The number of positions along each axis at which expected errors are averaged.
 const ALONG_AXIS: usize = 16;
+
+/// The root mean square. 0 for an empty list.
+fn rms(values: &[f64]) -> f64 {
+    let squares = values.iter().map(|value| value * value);
+    (squares.sum::<f64>() / values.len().max(1) as f64).sqrt()
+}
 
 /// The positions of a grid over the samples that lie in their convex hull.
 fn inside(points: &Points, hull: &Hull) -> Vec<Position> {

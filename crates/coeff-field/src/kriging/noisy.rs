@@ -6,7 +6,7 @@ use rayon::prelude::*;
 
 use super::choice::{LENGTHS, Samples, neighbours_of};
 use super::system::{Covariances, Equations};
-use super::{Prepared, few};
+use super::{Prepared, few, inside, rms};
 use crate::error::CoeffFieldError;
 use crate::geometry::{Hull, Point, query};
 use crate::interpolation::LeaveOneOut;
@@ -37,7 +37,6 @@ pub struct NoisyKrigingFit {
 #[derive(Debug)]
 struct Group {
     nugget: f64,
-    components: Vec<usize>,
     /// The sum of the variances `v_k`.
     variance: f64,
 }
@@ -110,7 +109,7 @@ impl NoisyKrigingFit {
             if components.is_empty() {
                 continue;
             }
-            let group = fit.group(&noisy, nugget, components, &mut values);
+            let group = fit.group(&noisy, nugget, &components, &mut values);
             fit.groups.push(group.ok_or_else(undetermined)?);
         }
         fit.samples = SampleCoefficients::new(values, samples.positions().clone())?;
@@ -123,14 +122,14 @@ impl NoisyKrigingFit {
         &mut self,
         noisy: &Noisy,
         nugget: f64,
-        components: Vec<usize>,
+        components: &[usize],
         values: &mut Array2<f64>,
     ) -> Option<Group> {
         let equations = Equations::new(&self.covariances, nugget)?;
         let nugget_of_kernel = equations.nugget_in_kernel();
         let precisions = equations.precisions();
         let relative = noisy.relative();
-        let columns = noisy.samples.values.select(Axis(1), &components);
+        let columns = noisy.samples.values.select(Axis(1), components);
         let duals = equations.solve(columns.view()).duals;
         let mut variance = 0.0;
         for (&component, dual) in components.iter().zip(duals.columns()) {
@@ -142,11 +141,7 @@ impl NoisyKrigingFit {
             let ratio = nugget_of_kernel / noisy.mean_variance();
             variance += best_variance(dual, &precisions, ratio).0;
         }
-        Some(Group {
-            nugget,
-            components,
-            variance,
-        })
+        Some(Group { nugget, variance })
     }
 
     /// The parameters of the kernel, without a nugget.
@@ -194,27 +189,9 @@ impl NoisyKrigingFit {
 
     /// The root mean square of the expected errors over the convex hull of the samples.
     pub(crate) fn expected_rms_error(&self) -> f64 {
-        let inside = super::inside(&self.prepared.points, &self.hull());
-        let errors = self.expected_errors(&inside).unwrap_or_default();
-        let squares = errors.iter().map(|error| error * error);
-        (squares.sum::<f64>() / errors.len().max(1) as f64).sqrt()
-    }
-
-    fn hull(&self) -> Hull {
-        Hull::new(&self.prepared.points, OutsidePolicy::Nearest).expect("a known policy")
-    }
-
-    /// For each component, the ratio of the noise's variance to the signal's, relative to the mean variance
-    /// about the trend.
-    pub fn noise_to_signal(&self) -> Vec<f64> {
-        let count = self.groups.iter().map(|group| group.components.len()).sum();
-        let mut ratios = vec![0.0; count];
-        for group in &self.groups {
-            for &component in &group.components {
-                ratios[component] = group.nugget;
-            }
-        }
-        ratios
+        let hull = Hull::new(&self.prepared.points, OutsidePolicy::Nearest).expect("a known policy");
+        let inside = inside(&self.prepared.points, &hull);
+        rms(&self.expected_errors(&inside).unwrap_or_default())
     }
 }
 

@@ -1,6 +1,6 @@
 //! Cells of a field that does not know them, found by checks at points.
 
-use ndarray::{Array2, Axis};
+use ndarray::{Array2, ArrayViewMut2, Axis};
 use psf_types::{CoefficientField, PixelRegion, Position};
 use rayon::prelude::*;
 use rustc_hash::FxHashMap;
@@ -53,7 +53,19 @@ const UNEVEN: [f64; 2] = [0.283, 0.381];
 /// largest error.
 const BENDS: f64 = 0.25;
 /// The number of positions that a thread evaluates together.
-pub(crate) const TOGETHER: usize = 64;
+const TOGETHER: usize = 64;
+
+/// Writes a field's coefficients at several positions, in parallel. Where there is no value, they are NaN.
+pub(crate) fn evaluate_each(
+    field: &dyn CoefficientField,
+    at: &[Position],
+    mut values: ArrayViewMut2<'_, f64>,
+) {
+    let chunks = values.axis_chunks_iter_mut(Axis(0), TOGETHER).into_par_iter();
+    chunks
+        .zip(at.par_chunks(TOGETHER))
+        .for_each(|(values, at)| field.evaluate_each_into(at, values));
+}
 
 impl CheckedCells {
     /// Finds the cells of a field in a region. `scale` is that of
@@ -167,13 +179,8 @@ impl KnownValues {
             }
         }
         let mut values = Array2::zeros((missing.len(), self.width));
-        let chunks = values.axis_chunks_iter_mut(Axis(0), TOGETHER).into_par_iter();
-        chunks
-            .zip(missing.par_chunks(TOGETHER))
-            .for_each(|(values, pixels)| {
-                let at: Vec<Position> = pixels.iter().map(|&[x, y]| region.position(x, y)).collect();
-                field.evaluate_each_into(&at, values);
-            });
+        let at: Vec<Position> = missing.iter().map(|&[x, y]| region.position(x, y)).collect();
+        evaluate_each(field, &at, values.view_mut());
         for (values, at) in values.outer_iter().zip(missing) {
             let place = self.values.len() / self.width.max(1);
             let is_known = values.iter().all(|v| v.is_finite());

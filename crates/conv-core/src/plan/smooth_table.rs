@@ -10,7 +10,7 @@ use psf_types::{
 use rayon::prelude::*;
 
 use super::allowed_errors::CellError;
-use super::checked_cells::{Measure, TOGETHER};
+use super::checked_cells::{Measure, evaluate_each};
 
 /// A table of a field in a region, and the limit of its errors.
 ///
@@ -54,11 +54,8 @@ impl SmoothTable {
             region.position(0, 0),
             region.position(shape.nx() - 1, shape.ny() - 1),
         ];
-        let mut evaluate = |at: &[Position], mut values: ArrayViewMut2<'_, f64>| {
-            let chunks = values.axis_chunks_iter_mut(Axis(0), TOGETHER).into_par_iter();
-            chunks
-                .zip(at.par_chunks(TOGETHER))
-                .for_each(|(values, at)| field.evaluate_each_into(at, values));
+        let mut evaluate = |at: &[Position], values: ArrayViewMut2<'_, f64>| {
+            evaluate_each(field, at, values);
             Ok::<(), Infallible>(())
         };
         let fits_at = |difference: ArrayView1<'_, f64>| {

@@ -6,12 +6,13 @@ mod sky;
 use std::time::Instant;
 
 use anyhow::Context as _;
-use metrics::{Comparison, Summary};
+use metrics::Comparison;
 use psf_optics::Telescope;
 use psf_sample::{SamplingOptions, hold_out};
-use psf_types::{FrameShape, NoProgress, Progress, PsfModel, PsfModelRecord, PsfSamples, PsfSource};
+use psf_types::{FrameShape, NoProgress, Progress, PsfModelRecord, PsfSamples, PsfSource};
 use psfield::convert::PsfFormat;
 use psfield::{Device, FitOptions, Method, Psf, Scene, SpotCheck};
+use psfield_lab::bench::model_errors;
 
 use crate::context::{Context, object, signature, write_samples};
 use crate::demo::output::{FILES, Output};
@@ -78,7 +79,7 @@ impl DemoArgs {
             self.overwrite,
         )?;
         let model = psf.model()?;
-        let model_errors = measure_model(&held_out.into_unit_flux(), model)?;
+        let model_errors = model_errors(&held_out.into_unit_flux(), model)?;
         let [fwhm, ellipticity, eccentricity] = out.psf_map(model, frame)?;
         drop(spinner);
 
@@ -201,13 +202,4 @@ fn image(
     let patch_error = Comparison::of(by_patches.pixels(), image.pixels())?.relative_l2()?;
     out.pictures(&sky, &image, &by_patches)?;
     Ok((spot_check, patch_error, simulate_seconds))
-}
-
-/// Relative L2 errors of the model's PSFs against PSFs of unit flux that are not its samples.
-fn measure_model(held_out: &PsfSamples, model: &PsfModel) -> anyhow::Result<Summary> {
-    let positions = held_out.positions().as_slice().iter();
-    let errors = positions.enumerate().map(|(k, &position)| {
-        Ok(Comparison::of(model.psf_at(position)?.values(), held_out.stamp(k))?.relative_l2()?)
-    });
-    Ok(Summary::of(errors.collect::<anyhow::Result<Vec<f64>>>()?)?)
 }

@@ -50,4 +50,4 @@ pub use real_case::{RealCase, RealGroup, RealPsf};
 pub use real_colours::of_black_bodies;
 pub(crate) use real_colours::{bandpass, psf_of_wavelengths};
 pub use run::{BenchOptions, BenchOutcome, BenchRow, Skipped, run};
-pub use whole_model::{ModelRow, ModelSampling, measure_model};
+pub use whole_model::{ModelRow, ModelSampling, measure_model, model_errors};

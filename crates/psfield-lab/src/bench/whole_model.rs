@@ -2,9 +2,9 @@
 
 use std::time::Instant;
 
-use metrics::Summary;
+use metrics::{Comparison, Summary};
 use psf_sample::{Refinement, SampleError, SamplingMethod, SamplingOptions};
-use psf_types::{Progress, PsfSamples, PsfSource};
+use psf_types::{Progress, PsfModel, PsfSamples, PsfSource};
 use psfield::{FitOptions, PsfieldError, fit};
 use serde::Serialize;
 
@@ -100,15 +100,7 @@ pub fn measure_model(
     let interpolation = fitted.record().interpolation().to_string();
     let model = fitted.into_model()?;
     let seconds_fit = begun.elapsed().as_secs_f64();
-    let truth = held_out.clone().into_unit_flux();
-    let mut errors = Vec::with_capacity(truth.len());
-    for (sample, &position) in truth.positions().as_slice().iter().enumerate() {
-        let (found, exact) = (model.psf_at(position)?, truth.stamp(sample));
-        let off = &found.values() - &exact;
-        let square = |values: &mut dyn Iterator<Item = &f64>| values.map(|v| v * v).sum::<f64>();
-        errors.push((square(&mut off.iter()) / square(&mut exact.iter())).sqrt());
-    }
-    let summary = Summary::of(errors)?;
+    let summary = model_errors(&held_out.clone().into_unit_flux(), &model)?;
     Ok(Some(ModelRow {
         sampling: sampling.name(),
         setting: sampling.setting(),
@@ -121,4 +113,16 @@ pub fn measure_model(
         error_99: summary.quantile(0.99)?,
         max_error: summary.max(),
     }))
+}
+
+/// Relative L2 errors of a model's PSFs against PSFs of unit flux that are not its samples.
+///
+/// # Errors
+/// [`PsfieldError`] when the model has no PSF at a position.
+pub fn model_errors(held_out: &PsfSamples, model: &PsfModel) -> Result<Summary, PsfieldError> {
+    let positions = held_out.positions().as_slice().iter();
+    let errors = positions.enumerate().map(|(k, &position)| {
+        Ok(Comparison::of(model.psf_at(position)?.values(), held_out.stamp(k))?.relative_l2()?)
+    });
+    Ok(Summary::of(errors.collect::<Result<Vec<f64>, PsfieldError>>()?)?)
 }

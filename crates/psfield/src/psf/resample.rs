@@ -33,8 +33,8 @@ impl Psf {
     /// interpolation.
     ///
     /// # Errors
-    /// [`ErrorKind::Data`](crate::ErrorKind::Data) when `size` is 0. If the stamps' pixels can be picked, `size` is not
-    /// checked.
+    /// [`ErrorKind::Data`](crate::ErrorKind::Data) when `size` is 0. If the stamps' pixels can be picked,
+    /// `size` is not checked.
     pub fn native_is_exact(&self, size: Option<usize>) -> Result<bool, PsfieldError> {
         let grid = self.grid();
         Ok(native_picks(grid) || self.native_target(size)? == grid)
