@@ -445,7 +445,7 @@ mod tests {
 
     #[test]
     fn patches_are_small_where_the_field_is_rough() {
-        let f = |x: f64, y: f64| 1.0 / (1.0 + 0.1 * ((x - 20.0).powi(2) + (y - 30.0).powi(2)));
+        let f = |x: f64, y: f64| 1.0 / (1.0 + 0.02 * ((x - 20.0).powi(2) + (y - 30.0).powi(2)));
         let table = table_of(&f);
         assert!(table.missing().is_none());
         let (rough, smooth) = ([(19.0, 21.0), (29.0, 31.0)], [(90.0, 95.0), (5.0, 7.0)]);
