@@ -8,8 +8,9 @@ use rayon::prelude::*;
 use crate::circles::{Circles, SampleFlux};
 use crate::components::{Components, Krylov, is_large};
 use crate::decomposition::{BasisError, ROUNDING_UNITS, fix_signs, orthonormal_in_order};
-use crate::noise::{NoiseSearch, PixelNoise, degrees_of_freedom, leverages};
+use crate::noise::{NoiseSearch, PixelNoise, degrees_of_freedom, leverages, variances_after};
 use crate::rank::{RankSelection, Spectrum};
+use crate::smooth::smooth_components;
 
 /// A method that makes a basis and the samples' coefficients from PSF samples.
 ///
@@ -435,21 +436,32 @@ impl Svd {
             let coefficients = SampleCoefficients::new(coefficients.to_owned(), positions.clone())?;
             Ok(smaller_error(&coefficients))
         };
-        let (found, spectrum, rank) = self.decide(
+        let (found, mut spectrum, rank) = self.decide(
             rows.view(),
             (&sizes, &circles),
             (freedom, rounding),
             &smaller_error,
         )?;
-        if rank == 0 && mean.is_none() {
-            return Err(BasisError::RankZero);
-        }
         // The samples come first in the stack.
         let count = sizes.norms.len();
+        let of_samples = rows.slice(ndarray::s![..count, ..]);
         let coefficients = found.coefficients.slice(ndarray::s![..count, ..rank]);
         let mut coefficients = coefficients.to_owned();
         let mut components = Array2::from_shape_fn((rank, pixels), |(k, u)| found.vectors[(u, k)]);
+        let is_limited_by_noise = self.rank == RankSelection::Auto && rank == spectrum.significant;
+        if is_limited_by_noise && spectrum.noise_sigma.is_some() && rank < pixels {
+            let mut variances = variances_after(&found, pixels, rank);
+            variances.truncate(count);
+            let more = smooth_components(of_samples, &positions, components.view(), &variances)?;
+            spectrum.smooth = more.nrows();
+            coefficients = concatenate![Axis(1), coefficients, of_samples.dot(&more.t())];
+            components = concatenate![Axis(0), components, more];
+        }
         drop(found);
+        let rank = components.nrows();
+        if rank == 0 && mean.is_none() {
+            return Err(BasisError::RankZero);
+        }
         fix_signs(&mut components, &mut coefficients);
 
         let components = components
@@ -457,10 +469,9 @@ impl Svd {
             .expect("row-major");
         let mean = mean.map(|m| m.into_shape_with_order((ny, nx)).expect("row-major"));
         let basis = PsfBasis::new(mean, components, grid)?;
-        // The mean is already subtracted from the rows.
-        let rows = rows.slice(ndarray::s![..count, ..]);
+        // The mean is already subtracted.
         let (errors, circle_errors) = truncation_errors(
-            (rows, None),
+            (of_samples, None),
             (&sizes, &circles, is_noisy(Some(&spectrum))),
             &basis,
             coefficients.view(),

@@ -21,6 +21,9 @@
 //!   the elbow nor `auto` keeps components below the threshold. If the noise level differs from
 //!   sample to sample, as between bright and faint stars, the edge is computed for this uneven
 //!   noise. The threshold is then 2 % above the edge.
+//! * **Smoothness**: where noise limits the rank, `auto` also keeps components below the threshold that
+//!   vary smoothly over the field. It finds them in the samples' sums weighted by polynomials in x and y,
+//!   where the noise is much smaller ([`Spectrum::smooth`]).
 //!
 //! # Normalisation
 //! Stamps are used as they are. If the samples have unit flux and are mean-centred, every component
@@ -33,6 +36,7 @@ mod decomposition;
 mod fit;
 mod noise;
 mod rank;
+mod smooth;
 mod weighted;
 
 pub use {ndarray, psf_types};

@@ -39,7 +39,7 @@ pub(crate) struct NoiseFloor {
 const TRACY_WIDOM_99: f64 = 2.0234;
 
 impl NoiseFloor {
-    fn new(sigma: f64, rows: usize, columns: usize) -> Self {
+    pub(crate) fn new(sigma: f64, rows: usize, columns: usize) -> Self {
         let (l, p) = ((rows as f64).sqrt(), (columns as f64).sqrt());
         let width = (l + p) * (1.0 / l + 1.0 / p).cbrt();
         let threshold = sigma * ((l + p).powi(2) + TRACY_WIDOM_99 * width).sqrt();
@@ -101,13 +101,12 @@ impl NoiseSearch {
                 let is_sound = |even: &NoiseFloor| {
                     3 * count_above(&found.values, even.threshold) <= found.coefficients.nrows().min(pixels)
                 };
-                match even {
-                    Some(even) if is_sound(&even) => Some(by_sample(found, pixels, even)),
-                    even => {
-                        let uneven = uneven_levels(found, pixels, freedom);
-                        uneven.map(|v| floor_of(&v, pixels, 1.0)).or(even)
-                    }
-                }
+                let uneven = || {
+                    let variances = uneven_levels(found, pixels, freedom)?;
+                    Some(floor_of(&variances, pixels, 1.0))
+                };
+                let first = even.filter(is_sound).or_else(uneven);
+                first.map(|first| by_sample(found, pixels, first)).or(even)
             }
         }
     }
@@ -235,13 +234,13 @@ impl MarchenkoPastur {
 /// Numbers of leading components that are tried as the signal.
 const SIGNALS: [usize; 6] = [1, 2, 4, 8, 16, 32];
 /// For each of these numbers, the samples are scaled to equal noise and decomposed again this many
-/// times. [`by_sample`] repeats its estimate at most this many times.
+/// times.
 const ROUNDS: usize = 4;
 /// Allowed noise level of samples scaled by their own noise. It should be 1.
 const SCALED: std::ops::Range<f64> = 0.75..1.33;
 /// Largest ratio of noise levels among samples. For samples scaled to unit flux, this is about the
 /// ratio of the stars' fluxes, which is usually smaller.
-const MAX_NOISE_RATIO: f64 = 1e3;
+pub(crate) const MAX_NOISE_RATIO: f64 = 1e3;
 /// The samples' variances count as uneven if they scatter by more than this multiple of the scatter
 /// expected for even noise.
 const EVEN: f64 = 3.0;
@@ -280,35 +279,40 @@ fn uneven_levels(found: &Components, pixels: usize, freedom: usize) -> Option<Ve
 /// few components lie below the floor to estimate them.
 ///
 /// The noise levels follow from the residuals after the components above the floor are subtracted,
-/// and the floor follows from the levels. Both are computed again until the number of components
-/// above the floor is stable.
+/// and the floor follows from the levels. Both are computed again and again, from no component on, so
+/// that the smallest number of components is found that leaves only noise. (Components that follow
+/// the noise of few samples leave less of it, and so would justify themselves.)
 fn by_sample(found: &Components, pixels: usize, first: NoiseFloor) -> NoiseFloor {
     let count = found.coefficients.nrows();
-    let above = |floor: &NoiseFloor| count_above(&found.values, floor.threshold);
-    let mut floor = first;
-    for _ in 0..ROUNDS {
-        let signal = above(&floor);
-        if 3 * signal > count.min(pixels) {
+    let mut signal = 0;
+    let (variances, floor) = loop {
+        let variances = variances_after(found, pixels, signal);
+        let floor = floor_of(&variances, pixels, 1.0);
+        let above = count_above(&found.values, floor.threshold);
+        if 3 * above > count.min(pixels) {
             return first;
         }
-        let leverages = leverages(found.coefficients.view(), &found.values, signal);
-        let left = found.left_after(signal).zip(&leverages);
-        let variances: Vec<f64> = left
-            .map(|(square, leverage)| square / degrees_of_freedom(pixels, signal, *leverage))
-            .collect();
-        let left = degrees_of_freedom(pixels, signal, signal as f64 / count as f64);
-        let mean = variances.iter().sum::<f64>() / count as f64;
-        let scatter = variances.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / count as f64;
-        // The last factor is the relative scatter of a variance computed from `left` values.
-        if scatter.sqrt() <= EVEN * mean * (2.0 / left).sqrt() {
-            return first;
+        if above <= signal {
+            break (variances, floor);
         }
-        floor = floor_of(&variances, pixels, 1.0);
-        if above(&floor) == signal {
-            break;
-        }
+        signal = above;
+    };
+    let left = degrees_of_freedom(pixels, signal, signal as f64 / count as f64);
+    let mean = variances.iter().sum::<f64>() / count as f64;
+    let scatter = variances.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / count as f64;
+    // The last factor is the relative scatter of a variance computed from `left` values.
+    if scatter.sqrt() <= EVEN * mean * (2.0 / left).sqrt() {
+        return first;
     }
     floor
+}
+
+/// The noise variance of every sample, from what `signal` components leave of it.
+pub(crate) fn variances_after(found: &Components, pixels: usize, signal: usize) -> Vec<f64> {
+    let leverages = leverages(found.coefficients.view(), &found.values, signal);
+    let left = found.left_after(signal).zip(leverages);
+    left.map(|(square, leverage)| square / degrees_of_freedom(pixels, signal, leverage))
+        .collect()
 }
 
 /// The degrees of freedom of the noise in a sample of this leverage after `signal` components are removed.

@@ -19,8 +19,8 @@ pub enum RankSelection {
     /// At least the elbow. More components are kept until the largest truncation error over the
     /// samples is at most [`RankSelection::AUTO_ERROR`] or a smaller one that suits the interpolation, and
     /// the error of their flux in every circle about the source too
-    /// ([`BasisFit::circle_errors`](crate::BasisFit::circle_errors)). Components
-    /// below the noise are never kept.
+    /// ([`BasisFit::circle_errors`](crate::BasisFit::circle_errors)). Of components below the noise, only
+    /// those are kept that vary smoothly over the field ([`Spectrum::smooth`]).
     #[default]
     Auto,
     /// The elbow of the cumulative weights.
@@ -142,6 +142,10 @@ pub struct Spectrum {
     /// one level in all samples, it is `sigma (sqrt L + sqrt P)` for `P` samples of `L` pixels.
     /// (`P` is one less if the mean is subtracted.)
     pub noise_edge: Option<f64>,
+    /// The number of components that the rank `auto` keeps although they lie below the noise, because they
+    /// vary smoothly over the field.
+    #[serde(default)]
+    pub smooth: usize,
 }
 
 impl Spectrum {
@@ -175,6 +179,7 @@ impl Spectrum {
             numerical_rank: count_above(&singular_values, rounding),
             noise_sigma: noise.map(|n| n.sigma),
             noise_edge: noise.map(|n| n.edge),
+            smooth: 0,
             cumulative_weights,
             singular_values,
         })

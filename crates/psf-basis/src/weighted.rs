@@ -2,13 +2,14 @@
 
 use faer::linalg::solvers::Solve as _;
 use faer::{Mat, Side};
-use ndarray::{Array1, Array2, Array3, ArrayView1, ArrayView2, Axis};
+use ndarray::{Array1, Array2, Array3, ArrayView1, ArrayView2, Axis, concatenate, s};
 use psf_types::PsfSamples;
 use rayon::prelude::*;
 
-use crate::decomposition::{BasisError, orthonormal_in_order};
+use crate::decomposition::{BasisError, columns_of, decompose, orthonormal_in_order};
 use crate::fit::{BasisFit, BasisMethod, Svd};
 use crate::rank::{RankSelection, Spectrum};
+use crate::smooth::smooth_components;
 
 /// Weighted principal components: of samples with bad pixels, or of very different noise.
 ///
@@ -125,10 +126,16 @@ impl BasisMethod for WeightedPca {
         if weights.iter().any(|w| *w == 0.0) {
             // Few components fill bad pixels better than the mean does, and do not follow what is filled in.
             let first = self.svd.with_rank(RankSelection::Elbow).fit(&filled)?;
-            filled = Turns::solved(&first, &filled, weights).filled(&filled)?;
+            filled = Turns::solved(&first, first.rank(), &filled, weights).filled(&filled)?;
         }
         let first = self.svd.fit(&filled)?;
-        Turns::solved(&first, &filled, weights).into_fit(&filled, first.spectrum())
+        let spectrum = first.spectrum().expect("that of an SVD");
+        let mut turns = Turns::solved(&first, first.rank() - spectrum.smooth, &filled, weights);
+        let mut spectrum = spectrum.clone();
+        if spectrum.smooth > 0 {
+            spectrum.smooth = turns.add_smooth(&filled)?;
+        }
+        turns.into_fit(&filled, spectrum)
     }
 }
 
@@ -144,13 +151,14 @@ struct Turns<'a> {
 }
 
 impl<'a> Turns<'a> {
-    /// Starts from a fit, and takes turns until they no longer change the sum of squares.
-    fn solved(first: &BasisFit, samples: &'a PsfSamples, weights: ArrayView2<'a, f64>) -> Self {
+    /// Starts from the first `rank` components of a fit, and takes turns until they no longer change the sum
+    /// of squares.
+    fn solved(first: &BasisFit, rank: usize, samples: &'a PsfSamples, weights: ArrayView2<'a, f64>) -> Self {
         let rows = samples
             .stamps()
             .into_shape_with_order(weights.dim())
             .expect("row-major");
-        let mut turns = Self::new(first, rows, weights);
+        let mut turns = Self::new(first, rank, rows, weights);
         let mut before = f64::INFINITY;
         for _ in 0..MOST_TURNS {
             turns.update_coefficients();
@@ -165,7 +173,7 @@ impl<'a> Turns<'a> {
         turns
     }
 
-    fn new(first: &BasisFit, rows: ArrayView2<'a, f64>, weights: ArrayView2<'a, f64>) -> Self {
+    fn new(first: &BasisFit, rank: usize, rows: ArrayView2<'a, f64>, weights: ArrayView2<'a, f64>) -> Self {
         let basis = first.basis();
         let shape = (basis.rank(), rows.ncols());
         let components = basis
@@ -177,8 +185,8 @@ impl<'a> Turns<'a> {
             rows,
             weights,
             mean,
-            components: components.to_owned(),
-            coefficients: first.coefficients().values().to_owned(),
+            components: components.slice(s![..rank, ..]).to_owned(),
+            coefficients: first.coefficients().values().slice(s![.., ..rank]).to_owned(),
         }
     }
 
@@ -237,6 +245,39 @@ impl<'a> Turns<'a> {
         }
     }
 
+    /// Adds the components that vary smoothly over the field, and returns their number. The turns would not
+    /// keep them, because each explains less of the samples than noise does.
+    fn add_smooth(&mut self, samples: &PsfSamples) -> Result<usize, BasisError> {
+        let filled = self.filled(samples)?;
+        let mut rows = filled
+            .stamps()
+            .into_shape_with_order(self.rows.dim())
+            .expect("row-major")
+            .to_owned();
+        if let Some(mean) = &self.mean {
+            rows -= mean;
+        }
+        // Any orthonormal stamps that span the same space.
+        let (_, vectors) = decompose(columns_of(self.components.as_standard_layout().view()))?;
+        self.components = Array2::from_shape_fn(self.components.dim(), |(k, u)| vectors[(u, k)]);
+        self.update_coefficients();
+        let left = &rows - &self.coefficients.dot(&self.components);
+        let variances = left
+            .outer_iter()
+            .zip(self.weights.outer_iter())
+            .map(|(left, weights)| {
+                let good = weights.iter().filter(|w| **w > 0.0).count();
+                left.dot(&left) / good.saturating_sub(self.components.nrows()).max(1) as f64
+            });
+        let variances: Vec<f64> = variances.collect();
+        let known = self.components.view();
+        let more = smooth_components(rows.view(), samples.positions(), known, &variances)?;
+        self.components = concatenate![Axis(0), known, more];
+        self.coefficients = Array2::zeros((self.rows.nrows(), self.components.nrows()));
+        self.update_coefficients();
+        Ok(more.nrows())
+    }
+
     /// The weighted sum of squares.
     fn squares(&self) -> f64 {
         let of_samples = (0..self.rows.nrows()).into_par_iter().map(|sample| {
@@ -267,7 +308,7 @@ impl<'a> Turns<'a> {
         Ok(PsfSamples::new(stamps.expect("row-major"), positions, grid)?)
     }
 
-    fn into_fit(self, samples: &PsfSamples, spectrum: Option<&Spectrum>) -> Result<BasisFit, BasisError> {
+    fn into_fit(self, samples: &PsfSamples, spectrum: Spectrum) -> Result<BasisFit, BasisError> {
         let (grid, rank) = (samples.grid(), self.components.nrows());
         let (ny, nx) = grid.dim();
         // Errors then measure good pixels alone.
@@ -286,13 +327,13 @@ impl<'a> Turns<'a> {
         let (basis, coefficients) = orthonormal_in_order(mean, stamps, self.coefficients.view(), grid)?;
         let components = basis.components().into_shape_with_order((basis.rank(), ny * nx));
         let components = components.expect("row-major");
-        let is_noisy = spectrum.is_some_and(|spectrum| spectrum.noise_sigma.is_some());
+        let is_noisy = spectrum.noise_sigma.is_some();
         let noise = is_noisy.then(|| {
             let rows = self.rows.outer_iter().zip(self.weights.outer_iter());
             rows.map(|(row, weights)| scale * least_squares(components.t(), row, weights).1)
                 .collect()
         });
-        let fit = BasisFit::new(&filled, basis.clone(), coefficients, spectrum.cloned())?;
+        let fit = BasisFit::new(&filled, basis.clone(), coefficients, Some(spectrum))?;
         Ok(fit.with_noise(noise))
     }
 }

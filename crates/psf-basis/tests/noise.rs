@@ -4,8 +4,11 @@ mod common;
 
 use common::{normal, orthonormal_rows, samples};
 use nalgebra::DMatrix;
-use ndarray::{Array1, Array2, Axis};
-use psf_basis::{BasisMethod, Centring, RankSelection, Svd};
+use ndarray::{Array1, Array2, Array3, Axis};
+use psf_basis::{BasisMethod, Centring, PixelNoise, RankSelection, Svd, WeightedPca};
+use psf_types::{Position, PsfSamples, SamplePositions, StampGrid};
+use rand::{RngExt as _, SeedableRng as _};
+use rand_chacha::ChaCha8Rng;
 
 const COUNT: usize = 400;
 const SIDE: usize = 15;
@@ -76,7 +79,7 @@ fn check(rows: &Array2<f64>, what: &str) {
         let fit = Svd::new().with_centring(centring).fit(&samples).unwrap();
         let spectrum = fit.spectrum().unwrap();
         assert!(
-            fit.rank().abs_diff(expected) <= 1,
+            (fit.rank() - spectrum.smooth).abs_diff(expected) <= 1 && spectrum.smooth <= 1,
             "{what}, {centring}: {} components, noise {:?}, edge {:?}, values {:?}",
             fit.rank(),
             spectrum.noise_sigma,
@@ -167,4 +170,108 @@ fn the_noise_of_few_stars_is_found_for_each_of_them() {
     // Signal that is not told from noise counts as noise. 200 pixels tell a standard deviation to 5 %.
     assert!(ratios[0] > 0.8 && ratios[FEW - 1] < 1.6, "{ratios:?}");
     assert!((ratios[FEW / 2] - 1.0).abs() < 0.1, "{ratios:?}");
+}
+
+/// Stars at random positions, with a noise level each, and a stamp whose strength is linear in x.
+struct Stars {
+    rows: Array2<f64>,
+    positions: SamplePositions,
+    weak: Array1<f64>,
+}
+
+impl Stars {
+    /// `strength` is the root of the sum of the squared coefficients of the weak stamp, divided by the
+    /// smallest one that the singular values of all samples show.
+    fn new(count: usize, strength: f64, noise: &Array2<f64>) -> Self {
+        let mut rng = ChaCha8Rng::seed_from_u64(21);
+        let mut along = || rng.random_range(0.0..1000.0);
+        let positions: Vec<Position> = (0..count)
+            .map(|_| Position::new(along(), along()).unwrap())
+            .collect();
+        let weak = orthonormal_rows(1, SIDE * SIDE, 22).row(0).to_owned();
+        let visible = (count as f64).powf(0.25) * (SIDE as f64).sqrt();
+        let mut rows = noise + &(1e3 * mean_stamp()).insert_axis(Axis(0));
+        let slope = strength * visible / (count as f64 / 12.0).sqrt();
+        for (mut row, at) in rows.outer_iter_mut().zip(&positions) {
+            row.scaled_add(slope * (at.x() / 1000.0 - 0.5), &weak);
+        }
+        let positions = SamplePositions::new(positions, None).unwrap();
+        Self {
+            rows,
+            positions,
+            weak,
+        }
+    }
+
+    fn samples(&self) -> PsfSamples {
+        let stack = self
+            .rows
+            .clone()
+            .into_shape_with_order((self.rows.nrows(), SIDE, SIDE));
+        let grid = StampGrid::new(SIDE, SIDE).unwrap();
+        PsfSamples::new(stack.unwrap(), self.positions.clone(), grid).unwrap()
+    }
+}
+
+#[test]
+fn what_varies_smoothly_is_found_below_the_noise() {
+    for (count, spread, strength) in [(60, 1.0, 0.8), (200, 1.0, 0.8), (200, 4.0, 0.8)] {
+        let mut noise = normal(count, SIDE * SIDE, 23);
+        for (j, mut row) in noise.outer_iter_mut().enumerate() {
+            row *= spread_of(spread, j, count);
+        }
+        let stars = Stars::new(count, strength, &noise);
+        let weights = Array3::from_shape_fn((count, SIDE, SIDE), |(j, _, _)| {
+            spread_of(spread, j, count).powi(-2)
+        });
+        let fits = [
+            Svd::new().fit(&stars.samples()).unwrap(),
+            WeightedPca::new(weights).unwrap().fit(&stars.samples()).unwrap(),
+        ];
+        for fit in fits {
+            let spectrum = fit.spectrum().unwrap();
+            let what = format!(
+                "{count} stars, spread {spread}: {} {}",
+                fit.rank(),
+                spectrum.smooth
+            );
+            // A component of noise may come before it, as one among all samples.
+            assert!((1..=2).contains(&fit.rank()) && spectrum.smooth <= 1, "{what}");
+            let components = fit.basis().components();
+            let agreements = components.outer_iter().map(|found| {
+                let found = found.to_shape(SIDE * SIDE).unwrap();
+                found.dot(&stars.weak).abs()
+            });
+            let agreement = agreements.fold(0.0, f64::max);
+            // As well as so weak a stamp can be known from these samples.
+            assert!(agreement > 0.4, "{what}: {agreement}");
+            let median =
+                fit.noise().expect("noise is found")[count / 2] / spread_of(spread, count / 2, count);
+            assert!((0.8..1.25).contains(&median), "{what}: noise {median}");
+        }
+    }
+}
+
+/// The noise of a sample.
+fn spread_of(spread: f64, sample: usize, count: usize) -> f64 {
+    spread.powf(((sample * 149) % count) as f64 / count as f64 - 0.5)
+}
+
+#[test]
+fn noise_alone_is_rarely_taken_for_something_smooth() {
+    let mut found = [0; 2];
+    for seed in 0..30 {
+        let white = normal(150, SIDE * SIDE, 100 + seed);
+        // Each pixel with half of its right neighbour.
+        let correlated = Array2::from_shape_fn(white.dim(), |(j, u)| {
+            white[[j, u]] + 0.5 * white[[j, (u + 1) % (SIDE * SIDE)]]
+        });
+        for (found, noise) in found.iter_mut().zip([white, correlated]) {
+            let svd = Svd::new().with_noise(PixelNoise::Known(1.2));
+            let fit = svd.fit(&Stars::new(150, 0.0, &noise).samples()).unwrap();
+            *found += fit.spectrum().unwrap().smooth;
+        }
+    }
+    // Each of six degrees may be wrong in 1 % of cases.
+    assert!(found[0] <= 4 && found[1] <= 8, "{found:?} in 30");
 }

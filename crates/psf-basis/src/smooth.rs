@@ -1,0 +1,135 @@
+//! Components of noisy samples that only stand out because they vary smoothly over the field.
+//!
+//! A component whose coefficients vary smoothly over the field lies in few of the many dimensions that
+//! samples have: in the values of a polynomial in x and y. There the noise is much smaller than in all of
+//! them. So the samples, divided by their noise, are first averaged with orthonormal polynomials as weights,
+//! `y_i = sum_j q_ij h_j / sigma_j`, and the singular vectors of these few sums are the components. White
+//! noise has singular values up to `sqrt L + sqrt m` there, for `m` polynomials and stamps of `L` pixels, in
+//! place of `sqrt L + sqrt P` for `P` samples.
+//!
+//! Degrees are tried from the lowest on, each for what those before it left, because fewer polynomials have
+//! less noise. Two things could be mistaken for components: white noise, below the threshold in 99 % of
+//! cases, and noise that is not white. The second is measured: with signs drawn at random for the samples,
+//! everything smooth turns into noise, and the largest singular value is that of the noise alone (Hong, Sheng
+//! and Dobriban 2020, arXiv:2012.02985).
+
+use ndarray::{Array1, Array2, ArrayView2, Axis, aview1, concatenate, s};
+use psf_types::{Position, SamplePositions};
+use rand::{RngExt as _, SeedableRng as _};
+use rand_chacha::ChaCha8Rng;
+
+use crate::decomposition::{BasisError, columns_of, count_above, decompose};
+use crate::noise::{MAX_NOISE_RATIO, NoiseFloor};
+
+/// Degrees of the polynomials.
+const DEGREES: [usize; 6] = [1, 2, 3, 4, 6, 8];
+/// Samples for each polynomial. With fewer, much of the noise is smooth, too.
+const SAMPLES_PER_TERM: usize = 3;
+/// A polynomial counts as dependent on others if less than this part of it is left.
+const DEPENDENT: f64 = 1e-8;
+
+/// Returns more components `[k, pixel]` of the samples, orthonormal and orthogonal to the components that
+/// are known. `rows` `[sample, pixel]` are the samples without their mean, and `variances` those of the noise
+/// in each sample.
+pub(crate) fn smooth_components(
+    rows: ArrayView2<'_, f64>,
+    positions: &SamplePositions,
+    known: ArrayView2<'_, f64>,
+    variances: &[f64],
+) -> Result<Array2<f64>, BasisError> {
+    // A sample without noise would outweigh all others.
+    let least = variances.iter().copied().fold(0.0, f64::max) / (MAX_NOISE_RATIO * MAX_NOISE_RATIO);
+    let noise: Vec<f64> = variances.iter().map(|v| v.max(least).sqrt()).collect();
+    let mut random = ChaCha8Rng::seed_from_u64(1);
+    let signs: Array1<f64> = noise
+        .iter()
+        .map(|_| if random.random() { 1.0 } else { -1.0 })
+        .collect();
+    let polynomials = polynomials(positions, &noise) / aview1(&noise);
+    // The samples' sums, and those of the noise alone. Twice, because the known components may be large.
+    let mut sums = [polynomials.dot(&rows), (&polynomials * &signs).dot(&rows)];
+    for sums in &mut sums {
+        subtract(sums, known);
+        subtract(sums, known);
+    }
+
+    let mut components = known.to_owned();
+    for terms in DEGREES.map(|degree| terms_of(degree) * positions.state_count()) {
+        let dimensions = rows.ncols() - components.nrows();
+        if terms > polynomials.nrows() || terms >= dimensions {
+            break;
+        }
+        let (values, vectors) = decompose(columns_of(sums[0].slice(s![..terms, ..])))?;
+        let (of_noise, _) = decompose(columns_of(sums[1].slice(s![..terms, ..])))?;
+        let white = NoiseFloor::new(1.0, dimensions, terms);
+        let found = count_above(&values, white.threshold * (of_noise[0] / white.edge).max(1.0));
+        if found == 0 {
+            continue;
+        }
+        let mut more = Array2::from_shape_fn((found, rows.ncols()), |(k, u)| vectors[(u, k)]);
+        subtract(&mut more, components.view());
+        for sums in &mut sums {
+            subtract(sums, more.view());
+        }
+        components = concatenate![Axis(0), components, more];
+    }
+    Ok(components.slice_move(s![known.nrows().., ..]))
+}
+
+/// Subtracts the part of each row that lies in the space of orthonormal components.
+fn subtract(rows: &mut Array2<f64>, components: ArrayView2<'_, f64>) {
+    *rows -= &rows.dot(&components.t()).dot(&components);
+}
+
+/// The number of polynomials in x and y up to a degree.
+fn terms_of(degree: usize) -> usize {
+    (degree + 1) * (degree + 2) / 2
+}
+
+/// Polynomials at the samples `[polynomial, sample]`, divided by the samples' noise, and made orthonormal. In
+/// ascending order of their degrees, as many as the samples of the smallest state allow. Each state has its
+/// own.
+fn polynomials(positions: &SamplePositions, noise: &[f64]) -> Array2<f64> {
+    let states: Vec<Vec<usize>> = (0..positions.state_count())
+        .map(|state| positions.samples_of_state(state))
+        .collect();
+    let least = states.iter().map(Vec::len).min().unwrap_or(0);
+    let fits = |degree: &usize| SAMPLES_PER_TERM * terms_of(*degree) <= least;
+    let degree = DEGREES.into_iter().rfind(fits);
+    // Within -1 and 1.
+    let [(x0, x1), (y0, y1)] = Position::bounds(positions.as_slice());
+    let scaled = |v: f64, low: f64, high: f64| {
+        if high > low {
+            2.0 * (v - low) / (high - low) - 1.0
+        } else {
+            0.0
+        }
+    };
+    let mut all = Array2::zeros((0, noise.len()));
+    for order in degree.map_or(0..0, |degree| 0..degree + 1) {
+        for of_y in 0..=order {
+            for samples in &states {
+                let mut polynomial = Array1::zeros(noise.len());
+                for &sample in samples {
+                    let at = positions.as_slice()[sample];
+                    let (x, y) = (scaled(at.x(), x0, x1), scaled(at.y(), y0, y1));
+                    let value = x.powi((order - of_y) as i32) * y.powi(of_y as i32);
+                    polynomial[sample] = value / noise[sample];
+                }
+                let before = polynomial.dot(&polynomial).sqrt();
+                // Gram and Schmidt, twice because of rounding.
+                for _ in 0..2 {
+                    let along: Array1<f64> = all.dot(&polynomial);
+                    polynomial -= &along.dot(&all);
+                }
+                let norm = polynomial.dot(&polynomial).sqrt();
+                // All samples may lie in a line.
+                let is_new = norm > DEPENDENT * before;
+                polynomial *= if is_new { 1.0 / norm } else { 0.0 };
+                all.push_row(polynomial.view())
+                    .expect("one value for each sample");
+            }
+        }
+    }
+    all
+}
