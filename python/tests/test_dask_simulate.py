@@ -61,6 +61,18 @@ def test_edges_of_chunks_leave_no_trace(model, scene, chunks) -> None:
     )
 
 
+def test_an_interpolation_of_ones_own(scene) -> None:
+    def linear(positions, values):
+        terms = np.column_stack([np.ones(len(positions)), positions])
+        slopes = np.linalg.lstsq(terms, values, rcond=None)[0]
+        return lambda at: np.column_stack([np.ones(len(at)), at]) @ slopes
+
+    model = model_of(interpolation=linear, field_shape=SHAPE)
+    image = psfield.dask.simulate(da.from_array(scene, chunks=(50, 60)), model, 1e-3)
+    expected = model.plan(SHAPE, 1e-3, device="cpu").simulate(scene)
+    assert relative_l2(image.compute(scheduler="processes"), expected) < ROUNDING["f32"]
+
+
 @pytest.mark.parametrize("precision", ["f32", "f64"])
 @pytest.mark.parametrize("anchor", ["source", "output"])
 @pytest.mark.parametrize("tolerance", [0.1, 1e-4, 0.0])

@@ -450,8 +450,10 @@ impl Svd {
         let mut components = Array2::from_shape_fn((rank, pixels), |(k, u)| found.vectors[(u, k)]);
         let is_limited_by_noise = self.rank == RankSelection::Auto && rank == spectrum.significant;
         if is_limited_by_noise && spectrum.noise_sigma.is_some() && rank < pixels {
-            let mut variances = variances_after(&found, pixels, rank);
-            variances.truncate(count);
+            let variances = match self.noise {
+                PixelNoise::Known(sigma) => vec![sigma * sigma; count],
+                PixelNoise::Estimate => variances_after(&found, pixels, rank)[..count].to_vec(),
+            };
             let more = smooth_components(of_samples, &positions, components.view(), &variances)?;
             spectrum.smooth = more.nrows();
             coefficients = concatenate![Axis(1), coefficients, of_samples.dot(&more.t())];

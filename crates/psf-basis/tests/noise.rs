@@ -267,7 +267,7 @@ fn noise_alone_is_rarely_taken_for_something_smooth() {
             white[[j, u]] + 0.5 * white[[j, (u + 1) % (SIDE * SIDE)]]
         });
         for (found, noise) in found.iter_mut().zip([white, correlated]) {
-            let svd = Svd::new().with_noise(PixelNoise::Known(1.2));
+            let svd = Svd::new().with_noise(PixelNoise::Known(1.0));
             let fit = svd.fit(&Stars::new(150, 0.0, &noise).samples()).unwrap();
             *found += fit.spectrum().unwrap().smooth;
         }

@@ -1,5 +1,7 @@
 //! The exact double sum, with which every other method is compared.
 
+use std::collections::HashMap;
+use std::collections::hash_map::Entry;
 use std::ops::Range;
 
 use ndarray::{Array2, ArrayView2, s};
@@ -25,6 +27,8 @@ pub struct Direct {
 const PSFS_AT_ONCE: usize = 256;
 /// The number of rows of sources per task.
 const BAND: usize = 16;
+/// The largest number of coefficients that a block of compared pixels keeps: 32 MiB.
+const SHARED: usize = 1 << 22;
 
 impl Direct {
     /// The method with the given anchoring.
@@ -64,27 +68,44 @@ impl Direct {
             });
         }
         let reach = Reach::of(model.grid())?;
-        let sums: Vec<Result<f64, ConvError>> = pixels
+        // Pixels that lie close together share the PSFs of the light around them.
+        let side = block_side(model);
+        let block = |pixel: usize| (pixels[pixel].1 / side, pixels[pixel].0 / side);
+        let mut order: Vec<usize> = (0..pixels.len()).collect();
+        order.sort_by_key(|&pixel| block(pixel));
+        let blocks: Vec<&[usize]> = order.chunk_by(|&a, &b| block(a) == block(b)).collect();
+        let of_blocks: Vec<Result<Vec<f64>, ConvError>> = blocks
             .par_iter()
-            .map(|&pixel| {
-                progress.check_cancelled()?;
-                let sum = self.pixel(model, view, light, reach, pixel)?;
-                progress.advance(1);
-                Ok(sum)
+            .map(|block| {
+                let mut psfs = KnownPsfs::new(model, view.field_region());
+                let sums = block.iter().map(|&pixel| {
+                    progress.check_cancelled()?;
+                    let sum = self.pixel(&mut psfs, view.first_pixel(), light, reach, pixels[pixel])?;
+                    progress.advance(1);
+                    Ok(sum)
+                });
+                sums.collect()
             })
             .collect();
-        sums.into_iter().collect()
+        let mut sums = vec![0.0; pixels.len()];
+        for (block, of_block) in blocks.iter().zip(of_blocks) {
+            for (&pixel, sum) in block.iter().zip(of_block?) {
+                sums[pixel] = sum;
+            }
+        }
+        Ok(sums)
     }
 
+    /// A pixel of the frame, whose first pixel in the scene is `first`.
     fn pixel<T: ConvReal>(
         self,
-        model: &PsfModel,
-        view: View,
+        psfs: &mut KnownPsfs<'_>,
+        first: (usize, usize),
         (light, (first_column, first_row)): (ArrayView2<'_, T>, (usize, usize)),
         reach: Reach,
         (column, row): (usize, usize),
     ) -> Result<f64, ConvError> {
-        let (field, first) = (view.field_region(), view.first_pixel());
+        let model = psfs.model;
         let (column, row) = (column + first.0, row + first.1);
         let in_light = (column as i64 - first_column as i64, row as i64 - first_row as i64);
         let Some([(from_columns, columns), (from_rows, rows)]) =
@@ -94,24 +115,58 @@ impl Direct {
         };
         let stamps = model.stamps().slice_move(s![.., ..;-1, ..;-1]);
         let stamps = stamps.slice_move(s![.., from_rows, from_columns]);
-        let mut coefficients = vec![0.0; model.stamp_count()];
-        if self.anchor == Anchor::Output {
-            model.scaled_coefficients_into(field.position(column, row), &mut coefficients)?;
-        }
+        let of_output = match self.anchor {
+            Anchor::Output => Some(psfs.coefficients(column, row)?.to_vec()),
+            _ => None,
+        };
         let mut sum = 0.0;
         let (first_column, first_row) = (first_column + columns.start, first_row + rows.start);
         let light = light.slice(s![rows, columns]);
         for ((j, i), flux) in light.indexed_iter().filter(|(_, flux)| !flux.is_zero()) {
-            if self.anchor != Anchor::Output {
-                let source = field.position(first_column + i, first_row + j);
-                model.scaled_coefficients_into(source, &mut coefficients)?;
-            }
+            let coefficients = match &of_output {
+                Some(coefficients) => coefficients,
+                None => psfs.coefficients(first_column + i, first_row + j)?,
+            };
             let values = stamps.slice(s![.., j, i]);
             let h: f64 = coefficients.iter().zip(values).map(|(a, b)| a * b).sum();
             sum += flux.as_f64() * h;
         }
         Ok(sum)
     }
+}
+
+/// The coefficients of the PSFs at pixels of the scene. Each is computed once.
+struct KnownPsfs<'a> {
+    model: &'a PsfModel,
+    field: PixelRegion,
+    known: HashMap<(usize, usize), Box<[f64]>>,
+}
+
+impl<'a> KnownPsfs<'a> {
+    fn new(model: &'a PsfModel, field: PixelRegion) -> Self {
+        let known = HashMap::new();
+        Self { model, field, known }
+    }
+
+    fn coefficients(&mut self, column: usize, row: usize) -> Result<&[f64], ConvError> {
+        Ok(match self.known.entry((column, row)) {
+            Entry::Occupied(known) => known.into_mut(),
+            Entry::Vacant(new) => {
+                let mut coefficients = vec![0.0; self.model.stamp_count()].into_boxed_slice();
+                let at = self.field.position(column, row);
+                self.model.scaled_coefficients_into(at, &mut coefficients)?;
+                new.insert(coefficients)
+            }
+        })
+    }
+}
+
+/// The side of blocks of pixels that share the PSFs of the light around them, so that their coefficients fit
+/// into [`SHARED`] numbers.
+fn block_side(model: &PsfModel) -> usize {
+    let (ny, nx) = model.grid().dim();
+    let with_margin = (SHARED / model.stamp_count().max(1)).isqrt();
+    with_margin.saturating_sub(ny.max(nx)).max(1)
 }
 
 /// Finds the light under the stamp turned around a pixel, in an array of light with `(ny, nx)`
