@@ -61,6 +61,7 @@ def test_edges_of_chunks_leave_no_trace(model, scene, chunks) -> None:
     )
 
 
+@pytest.mark.filterwarnings("ignore:the samples do not determine")
 def test_an_interpolation_of_ones_own(scene) -> None:
     def linear(positions, values):
         terms = np.column_stack([np.ones(len(positions)), positions])

@@ -227,7 +227,7 @@ def test_bad_pixels_do_not_count():
     settings = {"field_shape": SHAPE, "oversampling": 2}
     clean = psfield.PsfModel.from_samples(noisy, at, **settings)
     masked = psfield.PsfModel.from_samples(spoilt, at, weights=~bad * 1.0, **settings)
-    filled = psfield.PsfModel.from_samples(np.where(bad, 0, noisy), at, **settings)
+    filled = psfield.PsfModel.from_samples(np.where(bad, 0.1, noisy), at, **settings)
     x, y = rng.uniform(0, 1, (2, 50)) * [[299], [199]]
     exact = truth(x, y)
     of_clean, of_masked, of_filled = (
