@@ -17,8 +17,8 @@
 //!   from one to the next within the first half of the curve, the elbow is at that cliff.
 //! * **Noise**: white noise of standard deviation sigma, in `P` samples of `L` pixels, has singular
 //!   values up to `sigma (sqrt L + sqrt P)`, the noise edge. The noise is given or estimated
-//!   ([`PixelNoise`]). Noise alone stays below a threshold near the edge in 99 % of cases. Neither
-//!   the elbow nor `auto` keeps components below the threshold. If the noise level differs from
+//!   ([`PixelNoise`]). Noise alone stays below a threshold near the edge in 99 % of cases. The
+//!   elbow keeps no component below the threshold. If the noise level differs from
 //!   sample to sample, as between bright and faint stars, the edge is computed for this uneven
 //!   noise. The threshold is then 2 % above the edge.
 //! * **Smoothness**: where noise limits the rank, `auto` also keeps components below the threshold that

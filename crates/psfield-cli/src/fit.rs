@@ -41,7 +41,7 @@ pub(crate) struct FitCommandArgs {
     /// Noise per pixel of the samples (standard deviation) [default: estimated]
     ///
     /// SIGMA has the unit of the samples after --normalise has scaled them. --rank auto and elbow
-    /// drop components below this noise. 0: no noise.
+    /// leave out what may be this noise. 0: no noise.
     #[arg(long, value_name = "SIGMA", value_parser = at_least_zero, help_heading = FIT_HEADING)]
     sample_noise: Option<f64>,
     /// Compute the basis also from N copies of each sample, shifted by up to half a pixel [default: 0]

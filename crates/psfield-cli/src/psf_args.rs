@@ -22,8 +22,10 @@ pub(crate) struct FitArgs {
     /// Components to keep: auto, elbow, full, a number, energy=F or error=E [default: auto]
     ///
     /// auto: up to the elbow of the singular values, then more until the fit error of every
-    /// sample is at most 1e-4, and the error of its flux in circles about the source too.
-    /// elbow: up to the elbow. auto and elbow never keep components below the noise.
+    /// sample, and that of its flux in circles about the source, is at most 1e-4 and a quarter
+    /// of the error of interpolation. Of components below the noise, only those that vary
+    /// smoothly over the field.
+    /// elbow: up to the elbow, and none below the noise.
     /// full: all. For thousands of samples this takes much more time and memory than the others.
     /// energy=F: enough for the fraction F of the sum of squared singular values (energy=0.999).
     /// error=E: enough for a fit error (relative L2) of at most E for every sample (error=1e-3).
