@@ -29,15 +29,15 @@ pub struct Table {
 }
 
 impl Table {
-    /// The largest number of undivided patches along an axis.
-    const MOST: usize = 1024;
-
     /// A table with these numbers of undivided patches in a row and in a column.
     ///
     /// # Errors
     /// [`CoeffFieldError::Parameter`] for a number outside 1 to 1024.
     pub fn new(columns: usize, rows: usize) -> Result<Self, CoeffFieldError> {
-        match [columns, rows].iter().find(|n| !(1..=Self::MOST).contains(*n)) {
+        match [columns, rows]
+            .iter()
+            .find(|n| !(1..=FieldTable::MOST_PATCHES).contains(*n))
+        {
             Some(&wrong) => Err(CoeffFieldError::Parameter {
                 name: "the number of patches of a table along an axis",
                 allowed: "1 to 1024",
@@ -197,7 +197,7 @@ pub fn tabulate(
     let (longer, shorter) = (sides[0].max(sides[1]), sides[0].min(sides[1]));
     let step = (longer / FEWEST[0])
         .min(shorter / FEWEST[1])
-        .max(longer / Table::MOST as f64);
+        .max(longer / FieldTable::MOST_PATCHES as f64);
     let counts = sides.map(|side| (side / step).ceil() as usize);
     let limits = TableLimits {
         counts,

@@ -8,7 +8,7 @@ use rand_chacha::rand_core::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
 use rayon::iter::{IndexedParallelIterator as _, IntoParallelIterator as _, ParallelIterator as _};
 
-use crate::decomposition::{BasisError, ROWS, columns_of, decompose, product, project};
+use crate::decomposition::{BasisError, ROWS, columns_of, decompose, product, project, subtract_projection};
 
 /// The leading components of samples `[sample, pixel]`: all, or those that are computed.
 #[derive(Debug)]
@@ -250,11 +250,6 @@ fn multiply_twice(matrix: MatRef<'_, f64>, vectors: MatRef<'_, f64>, images: Mat
         .fold(Mat::zeros(vectors.nrows(), vectors.ncols()), |sum, part| {
             sum + part
         })
-}
-
-/// Subtracts from the columns of a matrix their projection on a space of orthonormal vectors.
-fn subtract_projection(matrix: &mut Mat<f64>, space: MatRef<'_, f64>) {
-    *matrix -= product(space, product(space.transpose(), matrix.as_ref()).as_ref());
 }
 
 /// Orthonormal vectors that are orthogonal to `space` and, with it, span the columns of `matrix`.

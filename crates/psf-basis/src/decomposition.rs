@@ -206,6 +206,16 @@ pub(crate) fn product(left: MatRef<'_, f64>, right: MatRef<'_, f64>) -> Mat<f64>
     product
 }
 
+/// Subtracts from the columns of a matrix their projection on a space of orthonormal vectors.
+pub(crate) fn subtract_projection(matrix: &mut Mat<f64>, space: MatRef<'_, f64>) {
+    *matrix -= product(space, product(space.transpose(), matrix.as_ref()).as_ref());
+}
+
+/// The first `count` columns of a matrix `[pixel, k]`, as `[k, pixel]`.
+pub(crate) fn rows_of_columns(matrix: MatRef<'_, f64>, count: usize) -> Array2<f64> {
+    Array2::from_shape_fn((count, matrix.nrows()), |(k, u)| matrix[(u, k)])
+}
+
 /// The coefficients `[sample, k]` of samples `[sample, pixel]`.
 pub(crate) fn project(rows: ArrayView2<'_, f64>, vectors: MatRef<'_, f64>) -> Array2<f64> {
     let coefficients = product(columns_of(rows).transpose(), vectors);
@@ -283,7 +293,7 @@ pub fn orthonormal(
     let whole = (of_mean + values.iter().map(|s| s * s).sum::<f64>()).sqrt();
     let rounding = ROUNDING_UNITS * f64::EPSILON * whole;
     let rank = count_above(&values, rounding);
-    let mut components = Array2::from_shape_fn((rank, ny * nx), |(k, u)| vectors[(u, k)]);
+    let mut components = rows_of_columns(vectors.as_ref(), rank);
     let mut coefficients = coefficients.dot(&stamps.dot(&components.t()));
     fix_signs(&mut components, &mut coefficients);
     let components = components

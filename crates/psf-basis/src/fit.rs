@@ -7,7 +7,7 @@ use rayon::prelude::*;
 
 use crate::circles::{Circles, SampleFlux};
 use crate::components::{Components, Krylov, is_large};
-use crate::decomposition::{BasisError, ROUNDING_UNITS, fix_signs, orthonormal_in_order};
+use crate::decomposition::{BasisError, ROUNDING_UNITS, fix_signs, orthonormal_in_order, rows_of_columns};
 use crate::noise::{NoiseSearch, PixelNoise, degrees_of_freedom, leverages, variances_after};
 use crate::rank::{RankSelection, Spectrum};
 use crate::smooth::smooth_components;
@@ -447,15 +447,17 @@ impl Svd {
         let of_samples = rows.slice(ndarray::s![..count, ..]);
         let coefficients = found.coefficients.slice(ndarray::s![..count, ..rank]);
         let mut coefficients = coefficients.to_owned();
-        let mut components = Array2::from_shape_fn((rank, pixels), |(k, u)| found.vectors[(u, k)]);
+        let mut components = rows_of_columns(found.vectors.as_ref(), rank);
         let is_limited_by_noise = self.rank == RankSelection::Auto && rank == spectrum.significant;
         if is_limited_by_noise && spectrum.noise_sigma.is_some() && rank < pixels {
             let variances = match self.noise {
                 PixelNoise::Known(sigma) => vec![sigma * sigma; count],
                 PixelNoise::Estimate => variances_after(&found, pixels, rank)[..count].to_vec(),
             };
-            let more = smooth_components(of_samples, &positions, components.view(), &variances)?;
-            spectrum.smooth = more.nrows();
+            let known = found.vectors.subcols(0, rank);
+            let more = smooth_components(of_samples, &positions, known, &variances)?;
+            spectrum.smooth = more.ncols();
+            let more = rows_of_columns(more.as_ref(), spectrum.smooth);
             coefficients = concatenate![Axis(1), coefficients, of_samples.dot(&more.t())];
             components = concatenate![Axis(0), components, more];
         }

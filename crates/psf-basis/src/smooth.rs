@@ -13,12 +13,13 @@
 //! everything smooth turns into noise, and the largest singular value is that of the noise alone (Hong, Sheng
 //! and Dobriban 2020, arXiv:2012.02985).
 
-use ndarray::{Array1, Array2, ArrayView2, Axis, aview1, concatenate, s};
+use faer::{Mat, MatRef, concat};
+use ndarray::{Array1, Array2, ArrayView2, aview1};
 use psf_types::{Position, SamplePositions};
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
-use crate::decomposition::{BasisError, columns_of, count_above, decompose};
+use crate::decomposition::{BasisError, columns_of, count_above, decompose, product, subtract_projection};
 use crate::noise::{MAX_NOISE_RATIO, NoiseFloor};
 
 /// Degrees of the polynomials.
@@ -28,15 +29,15 @@ const SAMPLES_PER_TERM: usize = 3;
 /// A polynomial counts as dependent on others if less than this part of it is left.
 const DEPENDENT: f64 = 1e-8;
 
-/// Returns more components `[k, pixel]` of the samples, orthonormal and orthogonal to the components that
-/// are known. `rows` `[sample, pixel]` are the samples without their mean, and `variances` those of the noise
-/// in each sample.
+/// Returns more components `[pixel, k]` of the samples, orthonormal and orthogonal to the components
+/// `[pixel, k]` that are known. `rows` `[sample, pixel]` are the samples without their mean, and `variances`
+/// those of the noise in each sample.
 pub(crate) fn smooth_components(
     rows: ArrayView2<'_, f64>,
     positions: &SamplePositions,
-    known: ArrayView2<'_, f64>,
+    known: MatRef<'_, f64>,
     variances: &[f64],
-) -> Result<Array2<f64>, BasisError> {
+) -> Result<Mat<f64>, BasisError> {
     // A sample without noise would outweigh all others.
     let least = variances.iter().copied().fold(0.0, f64::max) / (MAX_NOISE_RATIO * MAX_NOISE_RATIO);
     let noise: Vec<f64> = variances.iter().map(|v| v.max(least).sqrt()).collect();
@@ -46,39 +47,38 @@ pub(crate) fn smooth_components(
         .map(|_| if random.random() { 1.0 } else { -1.0 })
         .collect();
     let polynomials = polynomials(positions, &noise) / aview1(&noise);
-    // The samples' sums, and those of the noise alone. Twice, because the known components may be large.
-    let mut sums = [polynomials.dot(&rows), (&polynomials * &signs).dot(&rows)];
-    for sums in &mut sums {
-        subtract(sums, known);
-        subtract(sums, known);
-    }
+    // The samples' sums `[pixel, polynomial]`, and those of the noise alone.
+    let sums = |weights: &Array2<f64>| {
+        let mut sums = product(columns_of(rows), columns_of(weights.view()));
+        // Twice, because the known components may be large.
+        subtract_projection(&mut sums, known);
+        subtract_projection(&mut sums, known);
+        sums
+    };
+    let (mut of_samples, mut of_noise) = (sums(&polynomials), sums(&(&polynomials * &signs)));
 
     let mut components = known.to_owned();
     for terms in DEGREES.map(|degree| terms_of(degree) * positions.state_count()) {
-        let dimensions = rows.ncols() - components.nrows();
+        let dimensions = rows.ncols() - components.ncols();
         if terms > polynomials.nrows() || terms >= dimensions {
             break;
         }
-        let (values, vectors) = decompose(columns_of(sums[0].slice(s![..terms, ..])))?;
-        let (of_noise, _) = decompose(columns_of(sums[1].slice(s![..terms, ..])))?;
+        let (values, vectors) = decompose(of_samples.subcols(0, terms))?;
+        let (noise, _) = decompose(of_noise.subcols(0, terms))?;
         let white = NoiseFloor::new(1.0, dimensions, terms);
-        let found = count_above(&values, white.threshold * (of_noise[0] / white.edge).max(1.0));
+        let found = count_above(&values, white.threshold * (noise[0] / white.edge).max(1.0));
         if found == 0 {
             continue;
         }
-        let mut more = Array2::from_shape_fn((found, rows.ncols()), |(k, u)| vectors[(u, k)]);
-        subtract(&mut more, components.view());
-        for sums in &mut sums {
-            subtract(sums, more.view());
-        }
-        components = concatenate![Axis(0), components, more];
+        let mut more = vectors.subcols(0, found).to_owned();
+        subtract_projection(&mut more, components.as_ref());
+        subtract_projection(&mut of_samples, more.as_ref());
+        subtract_projection(&mut of_noise, more.as_ref());
+        components = concat![[components, more]];
     }
-    Ok(components.slice_move(s![known.nrows().., ..]))
-}
-
-/// Subtracts the part of each row that lies in the space of orthonormal components.
-fn subtract(rows: &mut Array2<f64>, components: ArrayView2<'_, f64>) {
-    *rows -= &rows.dot(&components.t()).dot(&components);
+    Ok(components
+        .subcols(known.ncols(), components.ncols() - known.ncols())
+        .to_owned())
 }
 
 /// The number of polynomials in x and y up to a degree.

@@ -3,10 +3,10 @@
 use faer::linalg::solvers::Solve as _;
 use faer::{Mat, Side};
 use ndarray::{Array1, Array2, Array3, ArrayView1, ArrayView2, Axis, concatenate, s};
-use psf_types::PsfSamples;
+use psf_types::{PsfSamples, SamplePositions};
 use rayon::prelude::*;
 
-use crate::decomposition::{BasisError, columns_of, decompose, orthonormal_in_order};
+use crate::decomposition::{BasisError, columns_of, decompose, orthonormal_in_order, rows_of_columns};
 use crate::fit::{BasisFit, BasisMethod, Svd};
 use crate::rank::{RankSelection, Spectrum};
 use crate::smooth::smooth_components;
@@ -73,6 +73,19 @@ impl WeightedPca {
         Self { svd, ..self }
     }
 
+    /// The weights of the same samples, each divided by its divisor: inverse variances grow by its square.
+    ///
+    /// # Panics
+    /// If there is not one divisor for each sample.
+    #[must_use]
+    pub fn for_divided(mut self, divisors: &[f64]) -> Self {
+        assert_eq!(divisors.len(), self.weights.dim().0, "a divisor for each sample");
+        for (mut weights, divisor) in self.weights.outer_iter_mut().zip(divisors) {
+            weights.mapv_inplace(|w| w * divisor * divisor);
+        }
+        self
+    }
+
     /// The samples with the mean in place of pixels of weight 0, scaled to the sample.
     ///
     /// # Errors
@@ -133,7 +146,7 @@ impl BasisMethod for WeightedPca {
         let mut turns = Turns::solved(&first, first.rank() - spectrum.smooth, &filled, weights);
         let mut spectrum = spectrum.clone();
         if spectrum.smooth > 0 {
-            spectrum.smooth = turns.add_smooth(&filled)?;
+            spectrum.smooth = turns.add_smooth(filled.positions())?;
         }
         turns.into_fit(&filled, spectrum)
     }
@@ -154,11 +167,19 @@ impl<'a> Turns<'a> {
     /// Starts from the first `rank` components of a fit, and takes turns until they no longer change the sum
     /// of squares.
     fn solved(first: &BasisFit, rank: usize, samples: &'a PsfSamples, weights: ArrayView2<'a, f64>) -> Self {
-        let rows = samples
-            .stamps()
-            .into_shape_with_order(weights.dim())
-            .expect("row-major");
-        let mut turns = Self::new(first, rank, rows, weights);
+        let flat = (samples.len(), samples.grid().pixel_count());
+        let basis = first.basis();
+        let components = basis.components().slice_move(s![..rank, .., ..]);
+        let mut turns = Self {
+            rows: samples.stamps().into_shape_with_order(flat).expect("row-major"),
+            weights,
+            mean: basis.mean().map(|mean| mean.iter().copied().collect()),
+            components: components
+                .into_shape_with_order((rank, flat.1))
+                .expect("row-major")
+                .to_owned(),
+            coefficients: Array2::zeros((0, 0)),
+        };
         let mut before = f64::INFINITY;
         for _ in 0..MOST_TURNS {
             turns.update_coefficients();
@@ -171,23 +192,6 @@ impl<'a> Turns<'a> {
         }
         turns.update_coefficients();
         turns
-    }
-
-    fn new(first: &BasisFit, rank: usize, rows: ArrayView2<'a, f64>, weights: ArrayView2<'a, f64>) -> Self {
-        let basis = first.basis();
-        let shape = (basis.rank(), rows.ncols());
-        let components = basis
-            .components()
-            .into_shape_with_order(shape)
-            .expect("row-major");
-        let mean = basis.mean().map(|mean| mean.iter().copied().collect());
-        Self {
-            rows,
-            weights,
-            mean,
-            components: components.slice(s![..rank, ..]).to_owned(),
-            coefficients: first.coefficients().values().slice(s![.., ..rank]).to_owned(),
-        }
     }
 
     /// The part of a sample that the mean leaves.
@@ -210,9 +214,8 @@ impl<'a> Turns<'a> {
                 .0
             })
             .collect();
-        for (mut row, solved) in self.coefficients.outer_iter_mut().zip(solved) {
-            row.assign(&solved);
-        }
+        let shape = (self.rows.nrows(), self.components.nrows());
+        self.coefficients = Array2::from_shape_fn(shape, |(sample, k)| solved[sample][k]);
     }
 
     /// The mean and the components at every pixel: least squares over the samples.
@@ -247,35 +250,28 @@ impl<'a> Turns<'a> {
 
     /// Adds the components that vary smoothly over the field, and returns their number. The turns would not
     /// keep them, because each explains less of the samples than noise does.
-    fn add_smooth(&mut self, samples: &PsfSamples) -> Result<usize, BasisError> {
-        let filled = self.filled(samples)?;
-        let mut rows = filled
-            .stamps()
-            .into_shape_with_order(self.rows.dim())
-            .expect("row-major")
-            .to_owned();
+    fn add_smooth(&mut self, positions: &SamplePositions) -> Result<usize, BasisError> {
+        let mut rows = self.filled_rows();
         if let Some(mean) = &self.mean {
             rows -= mean;
         }
         // Any orthonormal stamps that span the same space.
-        let (_, vectors) = decompose(columns_of(self.components.as_standard_layout().view()))?;
-        self.components = Array2::from_shape_fn(self.components.dim(), |(k, u)| vectors[(u, k)]);
+        let (_, known) = decompose(columns_of(self.components.as_standard_layout().view()))?;
+        self.components = rows_of_columns(known.as_ref(), self.components.nrows());
         self.update_coefficients();
         let left = &rows - &self.coefficients.dot(&self.components);
-        let variances = left
-            .outer_iter()
-            .zip(self.weights.outer_iter())
+        let samples = left.outer_iter().zip(self.weights.outer_iter());
+        let variances: Vec<f64> = samples
             .map(|(left, weights)| {
                 let good = weights.iter().filter(|w| **w > 0.0).count();
                 left.dot(&left) / good.saturating_sub(self.components.nrows()).max(1) as f64
-            });
-        let variances: Vec<f64> = variances.collect();
-        let known = self.components.view();
-        let more = smooth_components(rows.view(), samples.positions(), known, &variances)?;
-        self.components = concatenate![Axis(0), known, more];
-        self.coefficients = Array2::zeros((self.rows.nrows(), self.components.nrows()));
+            })
+            .collect();
+        let more = smooth_components(rows.view(), positions, known.as_ref(), &variances)?;
+        let found = more.ncols();
+        self.components = concatenate![Axis(0), self.components, rows_of_columns(more.as_ref(), found)];
         self.update_coefficients();
-        Ok(more.nrows())
+        Ok(found)
     }
 
     /// The weighted sum of squares.
@@ -289,8 +285,8 @@ impl<'a> Turns<'a> {
         of_samples.collect::<Vec<_>>().into_iter().sum()
     }
 
-    /// The samples with the model in place of bad pixels.
-    fn filled(&self, samples: &PsfSamples) -> Result<PsfSamples, BasisError> {
+    /// The samples `[sample, pixel]` with the model in place of bad pixels.
+    fn filled_rows(&self) -> Array2<f64> {
         let mut rows = self.rows.to_owned();
         for (sample, mut row) in rows.outer_iter_mut().enumerate() {
             let mut model = self.coefficients.row(sample).dot(&self.components);
@@ -303,8 +299,15 @@ impl<'a> Turns<'a> {
                 }
             }
         }
+        rows
+    }
+
+    /// As [`filled_rows`](Self::filled_rows), with the positions and the grid of the samples.
+    fn filled(&self, samples: &PsfSamples) -> Result<PsfSamples, BasisError> {
         let (grid, positions) = (samples.grid(), samples.positions().clone());
-        let stamps = rows.into_shape_with_order((samples.len(), grid.ny(), grid.nx()));
+        let stamps = self
+            .filled_rows()
+            .into_shape_with_order((samples.len(), grid.ny(), grid.nx()));
         Ok(PsfSamples::new(stamps.expect("row-major"), positions, grid)?)
     }
 

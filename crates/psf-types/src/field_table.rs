@@ -35,7 +35,7 @@ pub type EvaluateField<'a, E> = &'a mut dyn FnMut(&[Position], ArrayViewMut2<'_,
 /// The limits of a [`FieldTable`].
 #[derive(Debug, Clone, Copy)]
 pub struct TableLimits {
-    /// The number of undivided patches in a row and in a column, from 1 to 1024.
+    /// The number of undivided patches in a row and in a column, from 1 to [`FieldTable::MOST_PATCHES`].
     pub counts: [usize; 2],
     /// The largest number of divisions of a patch, at most 16.
     pub most_divisions: u32,
@@ -86,6 +86,14 @@ impl FieldTable {
     /// The number of check points of a patch.
     pub const CHECKS: usize = CHECKS.len();
 
+    /// The largest number of undivided patches along an axis.
+    pub const MOST_PATCHES: usize = 1024;
+
+    /// Whether a table may have these numbers of undivided patches in a row and in a column.
+    fn allows(counts: [usize; 2]) -> bool {
+        counts.iter().all(|n| (1..=Self::MOST_PATCHES).contains(n))
+    }
+
     /// Tabulates a field of `width` components over the area from the first to the second corner.
     ///
     /// `evaluate` writes the field at positions, `[position, component]`, and NaN where there is no
@@ -107,7 +115,7 @@ impl FieldTable {
         fits: &mut dyn FnMut(ArrayView2<'_, f64>) -> Vec<bool>,
     ) -> Result<Self, E> {
         assert!(
-            limits.counts.iter().all(|n| (1..=1024).contains(n)) && limits.most_divisions <= 16,
+            Self::allows(limits.counts) && limits.most_divisions <= 16,
             "limits of a table"
         );
         let mut table = Self::empty(corners, limits.counts, width);
@@ -173,7 +181,7 @@ impl FieldTable {
         values: ArrayView2<'_, f64>,
         counts: [usize; 2],
     ) -> Option<Self> {
-        if !counts.iter().all(|n| (1..=1024).contains(n)) || values.nrows() != positions.len() {
+        if !Self::allows(counts) || values.nrows() != positions.len() {
             return None;
         }
         let [(x0, x1), (y0, y1)] = Position::bounds(positions);

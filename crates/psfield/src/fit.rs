@@ -284,15 +284,14 @@ pub fn fit_weighted(
         .with_rank(options.rank)
         .with_centring(options.centring)
         .with_noise(options.noise);
-    let filled = WeightedPca::new(weights.clone())?.filled(&samples)?;
-    let mut weights = weights;
-    if options.normalisation != Normalisation::Keep {
-        for (mut weights, stamp) in weights.outer_iter_mut().zip(filled.stamps().outer_iter()) {
-            let flux = filled.grid().flux_of_sum(stamp.sum());
-            weights.mapv_inplace(|w| w * flux * flux);
-        }
+    let method = WeightedPca::new(weights)?.with_svd(svd);
+    let filled = method.filled(&samples)?;
+    if options.normalisation == Normalisation::Keep {
+        return fit_by(filled, &method, options);
     }
-    fit_by(filled, &WeightedPca::new(weights)?.with_svd(svd), options)
+    let flux = |stamp: ArrayView2<'_, f64>| filled.grid().flux_of_sum(stamp.sum());
+    let fluxes: Vec<f64> = filled.stamps().outer_iter().map(flux).collect();
+    fit_by(filled, &method.for_divided(&fluxes), options)
 }
 
 /// Fits a model with any basis method and any interpolation. The caller may implement both.

@@ -45,7 +45,7 @@ impl SmoothTable {
             wanted.min((side / SMALLEST).ceil()) as usize
         });
         let limits = TableLimits {
-            counts: counts.map(|count| count.min(1024)),
+            counts: counts.map(|count| count.min(FieldTable::MOST_PATCHES)),
             most_divisions: MOST_DIVISIONS,
             smallest: SMALLEST,
             most_values: MOST_BYTES / size_of::<f64>(),
