@@ -80,9 +80,9 @@ fn plans_say_which_errors_the_tolerance_bounds() {
             .anchor(Anchor::Output)
             .build::<f32>()
             .unwrap();
-        let dark = psfield::Scene::dark();
+        let any_image = psfield::Scene::streamed();
         let made = simulator
-            .prepare(&dark, true, &psfield::psf_types::NoProgress)
+            .prepare(&any_image, &psfield::psf_types::NoProgress)
             .unwrap();
         let plan = made.plan.as_ref().unwrap();
         assert_eq!(plan.tolerance_on, on);

@@ -7,12 +7,13 @@ use ndarray::{Array2, Array3, s};
 use psfield::conv_core::{
     BasisConvolution, ConvError, Direct, LowRank, PatchConvolution, Paths, Plan, PlanOptions,
 };
+use psfield::fit::model_of;
 use psfield::psf_basis::{Centring, RankSelection};
 use psfield::psf_types::{
     Anchor, FieldError, FrameShape, Image, Interpolation, NoProgress, OutsidePolicy, Position, PsfModel,
     PsfSamples, PsfSource, SamplePositions,
 };
-use psfield::{FitOptions, Method, Psf, Scene, model_of};
+use psfield::{FitOptions, Method, Psf, Scene};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 

@@ -1,9 +1,10 @@
 //! Interpolators on the coefficients of a telescope.
 
 use integration_tests::{model_errors, small_telescope, uniform_samples};
+use psfield::FitOptions;
+use psfield::fit::fit;
 use psfield::psf_basis::RankSelection;
 use psfield::psf_types::{Interpolation, Normalisation};
-use psfield::{FitOptions, fit};
 
 fn options(interpolation: Interpolation) -> FitOptions {
     FitOptions {

@@ -1,13 +1,12 @@
 //! Scenes finer than the frame, and the pixel response, which must be applied exactly once.
 
 use ndarray::{Array2, Array3};
+use psfield::evaluate::{EvaluateOptions, OutputGrid, evaluate_stamps};
 use psfield::psf_types::{
     Anchor, FrameShape, Image, NoProgress, Normalisation, PixelRegion, PointSource, Position, PsfSamples,
     SamplePositions, StampGrid,
 };
-use psfield::{
-    EvaluateOptions, FitOptions, Method, OutputGrid, Psf, Scene, SimulateOptions, evaluate_stamps,
-};
+use psfield::{FitOptions, Method, Psf, Scene, SimulateOptions};
 
 const FRAME: usize = 40;
 

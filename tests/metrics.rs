@@ -1,9 +1,10 @@
 //! Measurements of simulated stars.
 
 use integration_tests::{small_telescope, uniform_samples};
+use psfield::measure::MeasureOptions;
 use psfield::metrics::{AdaptiveMomentFinder, GaussianFitter, Window};
 use psfield::psf_types::{NoProgress, PointSource, Position};
-use psfield::{MeasureOptions, Psf, Scene};
+use psfield::{Psf, Scene};
 
 /// A star on a pixel is its stamp times its flux. Measurements differ by rounding in f64.
 const ROUNDING: f64 = 1e-9;
@@ -18,7 +19,7 @@ fn stars_on_pixels_measure_as_their_psfs() {
     let scene = Scene::<f64>::dark().with_stars(stars);
     let simulator = psf.simulator((120, 160)).tolerance(0.0).build().unwrap();
     let image = simulator.simulate(&scene).unwrap();
-    let made = simulator.prepare(&scene, false, &NoProgress).unwrap();
+    let made = simulator.prepare(&scene, &NoProgress).unwrap();
 
     let positions = places.map(|(x, y)| Position::of_pixel(x, y));
     let options = MeasureOptions {

@@ -3,11 +3,13 @@
 use std::sync::Arc;
 
 use integration_tests::{relative_l2, small_telescope, small_telescope_params, test_scene, uniform_samples};
+use psfield::evaluate::{EvaluateOptions, OutputGrid, evaluate};
+use psfield::fit::fit;
 use psfield::psf_basis::{Centring, RankSelection};
 use psfield::psf_io::{Precision, read_model, read_samples, write_model, write_samples};
 use psfield::psf_sample::{AdaptiveSampling, DifferenceMeasure, InterpolationError, SamplingMethod};
 use psfield::psf_types::{Image, Interpolation, NoProgress, PointSource, Position};
-use psfield::{EvaluateOptions, FitOptions, OutputGrid, Psf, Scene, evaluate, fit};
+use psfield::{FitOptions, Psf, Scene};
 
 fn simulated(psf: &Psf, scene: &Scene<'_>) -> Image<f64> {
     let simulator = psf.simulator((120, 160)).build().unwrap();

@@ -1,9 +1,10 @@
 //! From a frame with stars of a known PSF to samples and a fit: noise stays out of the model.
 
 use ndarray::Array2;
+use psfield::FitOptions;
+use psfield::fit::fit;
 use psfield::psf_stars::{Registration, RegistrationMethod, StarSampling};
 use psfield::psf_types::Image;
-use psfield::{FitOptions, fit};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 

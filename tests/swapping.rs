@@ -10,6 +10,7 @@ use psfield::coeff_field::{
 };
 use psfield::conv_core::{BasisConvolution, ConvError, ConvolutionMethod};
 use psfield::convert::PsfFormat;
+use psfield::fit::fit_with;
 use psfield::psf_basis::{BasisError, BasisFit, BasisMethod};
 use psfield::psf_sample::{SampleError, Sampling, SamplingMethod, SamplingReport};
 use psfield::psf_types::{
@@ -17,7 +18,7 @@ use psfield::psf_types::{
     OutsidePolicy, PixelRegion, PointSource, Position, Progress, PsfBasis, PsfModel, PsfSamples, PsfSource,
     SampleCoefficients, SamplePositions, SourceError, StampGrid,
 };
-use psfield::{Method, Psf, Scene, fit_with};
+use psfield::{Method, Psf, Scene};
 
 /// A PSF source: two points of light whose ratio changes along x.
 #[derive(Debug)]
@@ -261,7 +262,7 @@ fn custom_parts_run_a_whole_simulation() {
         [Box::new(PlainLoop), Box::new(BasisConvolution::default())];
     for method in methods {
         let name = format!("{method:?}");
-        let simulator = psf.simulator_by(method, (48, 64)).build().unwrap();
+        let simulator = psf.simulator((48, 64)).build_by(method).unwrap();
         let image = simulator.simulate(&scene).unwrap();
         assert!(relative_l2(&image, &expected) < 1e-13, "{name}");
         let check = simulator.spot_check(&scene, &image, (50, 1), &NoProgress);
@@ -279,7 +280,7 @@ fn a_custom_method_decides_the_anchoring() {
     let scene = Scene::from(&light).with_stars(vec![star]);
     for anchor in [Anchor::Source, Anchor::Output] {
         let method = Box::new(BasisConvolution::new(anchor));
-        let own = psf.simulator_by::<f64>(method, (48, 64)).build().unwrap();
+        let own = psf.simulator((48, 64)).build_by::<f64>(method).unwrap();
         assert_eq!(
             (own.options().anchor, own.options().method),
             (anchor, Method::Own)
@@ -373,7 +374,7 @@ fn a_nonlinear_field_has_a_plan_like_kriging() {
         let simulator = psf.simulator((600, 800)).tolerance(1e-3).build::<f32>().unwrap();
         let light = test_scene(800, 600, 1);
         let scene = Scene::new(light.pixels().mapv(|v| v as f32)).unwrap();
-        let prepared = simulator.prepare(&scene, false, &NoProgress).unwrap();
+        let prepared = simulator.prepare(&scene, &NoProgress).unwrap();
         let summary = prepared.plan.unwrap();
         let modes = summary
             .blocks_by_modes

@@ -6,9 +6,10 @@ use std::process::Command;
 use libtest_mimic::{Failed, Trial};
 use ndarray::Array3;
 use psfield::convert::{SamplesAt, to_gridded, to_psfex};
+use psfield::evaluate::{EvaluateOptions, evaluate};
 use psfield::psf_io::{self, FileKind, Precision};
 use psfield::psf_types::{FrameShape, Normalisation, Position, PsfSamples, SamplePositions, StampGrid};
-use psfield::{EvaluateOptions, FitChoices, FitOptions, Psf, PsfFileOptions, evaluate};
+use psfield::{FitChoices, FitOptions, Psf, PsfFileOptions};
 
 use crate::{python, script};
 

@@ -1,10 +1,12 @@
 //! Interpolated PSFs against PSFs that were drawn at the same positions.
 
 use libtest_mimic::{Failed, Trial};
+use psfield::FitOptions;
+use psfield::evaluate::{EvaluateOptions, evaluate};
+use psfield::fit::fit;
 use psfield::metrics::{Comparison, Summary};
 use psfield::psf_basis::RankSelection;
 use psfield::psf_types::Interpolation;
-use psfield::{EvaluateOptions, FitOptions, evaluate, fit};
 
 use crate::data::{Field, ROMAN, STRONG, ensure, trial};
 

@@ -52,7 +52,7 @@ fn total_flux() -> Result<(), Failed> {
             normalisation,
             ..FULL
         };
-        let model = psfield::fit(STRONG.samples()?, &options)?.into_model()?;
+        let model = psfield::fit::fit(STRONG.samples()?, &options)?.into_model()?;
         let expected = match normalisation {
             Normalisation::Unit => light::<f64>()?.sum(),
             _ => exact(&model)?,

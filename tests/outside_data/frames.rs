@@ -4,9 +4,11 @@
 use libtest_mimic::{Failed, Trial};
 use ndarray::{Array2, ArrayView2};
 use psfield::conv_core::StarPainter;
+use psfield::fit::{fit, model_of};
+use psfield::measure::MeasureOptions;
 use psfield::psf_stars::{Rejection, StarSamples, StarSampling};
 use psfield::psf_types::{Anchor, Image, NoProgress, PointSource, Position, PsfSamples};
-use psfield::{FitOptions, MeasureOptions, fit, model_of, psf_io};
+use psfield::{FitOptions, psf_io};
 use psfield_lab::{RoundTrip, RoundTripOptions};
 
 use crate::data::{ensure, file, trial};

@@ -1,6 +1,7 @@
 //! The fast engine on a GPU: against the truth, against the CPU, and pixel by pixel. A driver that
 //! runs shaders on the processor is sufficient. Without any driver, these tests show as ignored.
 
+use std::slice::from_ref;
 use std::sync::OnceLock;
 
 use libtest_mimic::{Failed, Trial};
@@ -65,7 +66,12 @@ fn images(field: Field, anchor: Anchor, truth: &str) -> Result<(), Failed> {
         let plan = || Plan::new(&model, scene.shape(), scene.shape().region(), options);
         let image = |engine: Engine<f32>| -> Result<Array2<f32>, Failed> {
             let mut image = engine.plan().zeros();
-            engine.execute(Operation::Convolve, &scene.view(), image.view_mut(), &NoProgress)?;
+            engine.execute(
+                Operation::Convolve,
+                from_ref(&scene.view()),
+                vec![image.view_mut()],
+                &NoProgress,
+            )?;
             Ok(image)
         };
         let (on_cpu, on_gpu) = (image(Engine::new(plan()?))?, image(on_gpu(plan()?)?)?);

@@ -1,10 +1,12 @@
 //! Shared parts of the tests of gridded PSF libraries: comparison with the PSFs of photutils.
 
 use libtest_mimic::Failed;
+use psfield::evaluate::{EvaluateOptions, OutputGrid, evaluate};
+use psfield::fit::fit;
 use psfield::metrics::Comparison;
 use psfield::psf_basis::RankSelection;
 use psfield::psf_types::{Interpolation, Normalisation, Position, PsfModel, PsfSamples};
-use psfield::{EvaluateOptions, FitOptions, OutputGrid, evaluate, fit, psf_io};
+use psfield::{FitOptions, psf_io};
 
 use crate::data::{ensure, file};
 

@@ -4,6 +4,7 @@ use libtest_mimic::{Failed, Trial};
 use ndarray::Array2;
 use psfield::conv_core::{Engine, Operation, Paths, Plan, PlanOptions};
 use psfield::psf_types::{Anchor, ImageView, NoProgress};
+use std::slice::from_ref;
 
 use crate::data::{Field, ROMAN, STRONG, ensure, trial};
 use crate::responses::{lit_everywhere, norm};
@@ -43,8 +44,8 @@ fn linear(field: Field, anchor: Anchor) -> Result<(), Failed> {
                 let mut image = engine.plan().zeros();
                 engine.execute(
                     Operation::Convolve,
-                    &ImageView::new(light.view())?,
-                    image.view_mut(),
+                    from_ref(&ImageView::new(light.view())?),
+                    vec![image.view_mut()],
                     &NoProgress,
                 )?;
                 Ok(image)
@@ -57,8 +58,8 @@ fn linear(field: Field, anchor: Anchor) -> Result<(), Failed> {
             let mut back = engine.plan().zeros();
             engine.execute(
                 Operation::Adjoint,
-                &ImageView::new(weights.view())?,
-                back.view_mut(),
+                from_ref(&ImageView::new(weights.view())?),
+                vec![back.view_mut()],
                 &NoProgress,
             )?;
             let (left, right) = ((&of_g * &weights).sum(), (&back * &g).sum());

@@ -2,10 +2,11 @@
 
 use libtest_mimic::{Failed, Trial};
 use ndarray::{Array3, s};
+use psfield::evaluate::{EvaluateOptions, OutputGrid, evaluate};
 use psfield::metrics::{Comparison, Summary};
 use psfield::psf_io::FileKind;
 use psfield::psf_types::{Normalisation, Position, PsfSamples};
-use psfield::{EvaluateOptions, FitChoices, OutputGrid, Psf, PsfFileOptions, convert, evaluate, psf_io};
+use psfield::{FitChoices, Psf, PsfFileOptions, convert, psf_io};
 
 use crate::data::{ensure, file, trial};
 

@@ -7,6 +7,7 @@ use psfield::conv_core::{ConvReal, Engine, Operation};
 use psfield::psf_types::{Anchor, ImageView, NoProgress, Position, PsfModel};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use std::slice::from_ref;
 
 /// A pixel and its exact PSF.
 struct Probe {
@@ -125,8 +126,10 @@ impl Probes {
         let mut image = engine.plan().zeros();
         let (light, into) = (ImageView::new(light.view())?, image.view_mut());
         match self.anchor {
-            Anchor::Output => engine.execute(Operation::Adjoint, &light, into, &NoProgress)?,
-            _ => engine.execute(Operation::Convolve, &light, into, &NoProgress)?,
+            Anchor::Output => {
+                engine.execute(Operation::Adjoint, from_ref(&light), vec![into], &NoProgress)?
+            }
+            _ => engine.execute(Operation::Convolve, from_ref(&light), vec![into], &NoProgress)?,
         };
         Ok(image)
     }

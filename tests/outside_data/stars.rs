@@ -88,7 +88,7 @@ fn in_time() -> Result<(), Failed> {
     let between = Scene::<f32>::dark().with_stars(stars);
     let seconds = |samples: &str, size: Option<usize>, scene: &Scene<'_, f32>| -> Result<f64, Failed> {
         let simulator = simulator(&psf(samples)?, Method::Auto, size)?;
-        simulator.prepare(scene, false, &NoProgress)?;
+        simulator.prepare(scene, &NoProgress)?;
         let mut fastest = f64::INFINITY;
         for _ in 0..15 {
             let mut image = Array2::zeros((FRAME, FRAME));

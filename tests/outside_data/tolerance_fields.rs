@@ -59,7 +59,7 @@ pub(crate) fn step() -> Result<(PsfModel, FrameShape), Failed> {
         rank: RankSelection::Fixed(STEP_RANK),
         ..FULL
     };
-    let fitted = psfield::fit(STRONG.samples()?, &options)?;
+    let fitted = psfield::fit::fit(STRONG.samples()?, &options)?;
     let record = fitted.record().clone();
     let field = Arc::new(Step(fitted.into_model()?));
     let model = PsfModel::new(record.basis(), field, Normalisation::Keep, None)?;
@@ -91,7 +91,7 @@ fn of_interpolation(interpolation: Interpolation) -> Result<(), Failed> {
         centring: Centring::None,
         ..FULL
     };
-    let model = psfield::fit(STRONG.samples()?, &options)?.into_model()?;
+    let model = psfield::fit::fit(STRONG.samples()?, &options)?.into_model()?;
     let frame = FrameShape::new(251, 199)?;
     for (anchor, _) in ANCHORS {
         within::<f64>(&interpolation.to_string(), &model, frame, anchor, Paths::Cheapest)?;

@@ -1,12 +1,13 @@
 //! The error of the flux in circles about sources, pixel by pixel and star by star.
 
 use ndarray::{Array2, ArrayView2, ArrayViewMut2, s};
-use psfield::conv_core::{ConvError, Engine, Operation, Paths, Plan, PlanOptions, StarPlan};
+use psfield::conv_core::{ConvError, Engine, Operation, Paths, Plan, PlanOptions, SourcePlan};
 use psfield::psf_types::{
     FrameShape, ImageView, NoProgress, PointSource, Position, PsfModel, PsfSource, SourceError, StampGrid,
 };
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use std::slice::from_ref;
 
 /// The largest errors of some PSFs.
 #[derive(Debug, Clone, Copy, Default)]
@@ -75,7 +76,7 @@ pub fn circle_errors(
     });
     let [cheapest, transforms] = engines;
     let engines = [cheapest?, transforms?];
-    let stars = StarPlan::<f64>::new(model, options, None)?;
+    let stars = SourcePlan::<f64>::new(model, options, None)?;
     let mut rng = ChaCha8Rng::seed_from_u64(5);
     let mut errors = CircleErrors {
         modes: engines[0].plan().summary().mean_modes(),
@@ -105,7 +106,12 @@ pub fn circle_errors(
                 light[[y + cy, x + cx]] = 1.0;
             }
             let light = ImageView::new(light.view()).map_err(ConvError::Result)?;
-            engines[turn / 2 % 2].execute(Operation::Convolve, &light, image.view_mut(), &NoProgress)?;
+            engines[turn / 2 % 2].execute(
+                Operation::Convolve,
+                from_ref(&light),
+                vec![image.view_mut()],
+                &NoProgress,
+            )?;
         } else {
             let at = |&(x, y): &(usize, usize)| {
                 PointSource::new(Position::of_pixel((x + cx) as i64, (y + cy) as i64), 1.0)
@@ -116,7 +122,7 @@ pub fn circle_errors(
                 .collect::<Result<_, _>>()
                 .map_err(ConvError::Result)?;
             let whole = frame.region();
-            stars.draw_into(&catalogue, whole, whole, image.view_mut(), &NoProgress)?;
+            stars.draw_stars_into(&catalogue, whole, whole, image.view_mut(), &NoProgress)?;
         }
         for &(x, y) in corners.iter().take(count - errors.count) {
             let exact = model.psf_at(Position::of_pixel((x + cx) as i64, (y + cy) as i64))?;

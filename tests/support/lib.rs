@@ -5,14 +5,15 @@ pub mod circles;
 pub mod stability;
 
 use ndarray::{Array2, ArrayViewMut2};
+use psfield::FitOptions;
 use psfield::conv_core::{ConvError, ConvReal, ConvolutionMethod, Direct};
+use psfield::fit::fit;
 use psfield::metrics::{Comparison, Summary};
 use psfield::psf_optics::{Telescope, TelescopeParams};
 use psfield::psf_sample::{SamplingMethod, UniformSampling};
 use psfield::psf_types::{
     Anchor, FrameShape, Image, NoProgress, Position, PsfModel, PsfSamples, PsfSource, SourceError, StampGrid,
 };
-use psfield::{FitOptions, fit};
 
 /// A round Gaussian whose width changes in one corner of a 1000 x 1000 field and hardly elsewhere.
 #[derive(Debug, Clone, Copy)]
@@ -92,7 +93,7 @@ pub fn uniform_samples(source: &dyn PsfSource, nx: usize, ny: usize) -> PsfSampl
 /// When the fit fails.
 pub fn fitted(samples: PsfSamples, options: &FitOptions) -> PsfModel {
     fit(samples, options)
-        .and_then(psfield::Fit::into_model)
+        .and_then(psfield::fit::Fit::into_model)
         .expect("a model")
 }
 

@@ -3,8 +3,9 @@
 mod common;
 
 use std::hint::black_box;
+use std::slice::from_ref;
 
-use conv_core::{ConvReal, Engine, Operation, Paths, Plan, PlanOptions, StarPlan};
+use conv_core::{ConvReal, Engine, Operation, Paths, Plan, PlanOptions, SourcePlan};
 use criterion::{BenchmarkId, Criterion, SamplingMode, Throughput, criterion_group, criterion_main};
 use ndarray::Array2;
 use psf_types::{FrameShape, Image, NoProgress, PointSource, Position, PsfModel, Real};
@@ -72,7 +73,12 @@ fn execute<T: ConvReal>(criterion: &mut Criterion) {
             group.bench_function(BenchmarkId::new(name(tolerance), size), |bencher| {
                 bencher.iter(|| {
                     engine
-                        .execute(Operation::Convolve, &light.view(), image.view_mut(), &NoProgress)
+                        .execute(
+                            Operation::Convolve,
+                            from_ref(&light.view()),
+                            vec![image.view_mut()],
+                            &NoProgress,
+                        )
                         .expect("an image")
                 });
             });
@@ -95,7 +101,12 @@ fn draw(criterion: &mut Criterion) {
         group.bench_function(BenchmarkId::new("lit-pixels", size), |bencher| {
             bencher.iter(|| {
                 engine
-                    .execute(Operation::Convolve, &pixels.view(), image.view_mut(), &NoProgress)
+                    .execute(
+                        Operation::Convolve,
+                        from_ref(&pixels.view()),
+                        vec![image.view_mut()],
+                        &NoProgress,
+                    )
                     .expect("an image")
             });
         });
@@ -106,12 +117,12 @@ fn draw(criterion: &mut Criterion) {
             PointSource::new(position, 1.0).expect("a flux")
         });
         let sources: Vec<PointSource> = sources.collect();
-        let stars = StarPlan::new(&model, PlanOptions::default(), None).expect("a plan");
+        let stars = SourcePlan::new(&model, PlanOptions::default(), None).expect("a plan");
         let frame = pixels.shape().region();
         group.bench_function(BenchmarkId::new("point-sources", size), |bencher| {
             bencher.iter(|| {
                 stars
-                    .draw_into(&sources, frame, frame, image.view_mut(), &NoProgress)
+                    .draw_stars_into(&sources, frame, frame, image.view_mut(), &NoProgress)
                     .expect("an image");
             });
         });

@@ -8,8 +8,8 @@
 use std::hint::black_box;
 
 use crate::{
-    BasisConvolution, ConvReal, ConvolutionMethod, Direct, Engine, GalaxyPlan, PatchConvolution, Plan,
-    StarPainter, StarPlan,
+    BasisConvolution, ConvReal, ConvolutionMethod, Direct, Engine, PatchConvolution, Plan, SourcePlan,
+    StarPainter,
 };
 
 /// Uses every function that carries `#[inline(never)]` for this reason, so that it is compiled
@@ -19,10 +19,9 @@ fn of<T: ConvReal>() {
     black_box(Engine::<T>::execute_many as fn(_, _, _, _, _) -> _);
     black_box(Plan::<T>::for_region as fn(_, _, _, _, _, _) -> _);
     black_box(Plan::<T>::of_whole as fn(_, _, _, _) -> _);
-    black_box(StarPlan::<T>::new as fn(_, _, _) -> _);
-    black_box(StarPlan::<T>::draw_into as fn(_, _, _, _, _, _) -> _);
-    black_box(GalaxyPlan::<T>::new as fn(_, _, _) -> _);
-    black_box(GalaxyPlan::<T>::draw_into as fn(_, _, _, _, _, _, _) -> _);
+    black_box(SourcePlan::<T>::of_layers as fn(_, _, _) -> _);
+    black_box(SourcePlan::<T>::draw_stars_into as fn(_, _, _, _, _, _) -> _);
+    black_box(SourcePlan::<T>::draw_extended_into as fn(_, _, _, _, _, _) -> _);
     black_box(StarPainter::draw_into::<T> as fn(_, _, _, _, _) -> _);
     black_box(Direct::at_pixels::<T> as fn(_, _, _, _, _, _, _) -> _);
     black_box(<Direct as ConvolutionMethod<T>>::convolve as fn(_, _, _, _, _) -> _);

@@ -1,6 +1,7 @@
 //! Execution of plans on a device.
 
 use std::ops::Range;
+use std::slice::from_ref;
 
 use ndarray::{Array2, ArrayView2, ArrayViewMut2, s};
 use psf_types::{Anchor, FrameShape, Image, ImageView, PixelRegion, Progress, PsfModel, Uncounted};
@@ -72,7 +73,7 @@ pub enum Operation {
 ///     let light = Array2::from_shape_fn((60, 70), |(y, x)| ((3 * x + 5 * y + seed) % 7) as f64);
 ///     let light = ImageView::new(light.view())?;
 ///     let mut image = engine.plan().zeros();
-///     engine.execute(Operation::Convolve, &light, image.view_mut(), &NoProgress)?;
+///     engine.execute(Operation::Convolve, &[light.view()], vec![image.view_mut()], &NoProgress)?;
 ///     let exact = Direct::default().convolve(&model, &light, shape.region(), &NoProgress)?;
 ///     let largest = (&image - &exact.pixels()).fold(0.0, |m: f64, d| m.max(d.abs()));
 ///     assert!(largest < 1e-3 * 7.0);
@@ -139,63 +140,51 @@ impl<T: ConvReal> Engine<T> {
         self.gpu.as_ref().and_then(GpuEngine::times)
     }
 
-    /// Applies the operation to the array `from` and adds the result to the array `into`. Both are
+    /// Applies the operation to the arrays `from` and adds the results to the arrays `into`. All are
     /// `[y, x]`.
     ///
-    /// - [`Operation::Convolve`]: from light to an image. The image has the shape of the plan's
-    ///   [region](Plan::region): the frame or a part of it.
-    /// - [`Operation::Adjoint`]: from an image to light, `<A f, g> = <f, A^T g>` for every light
-    ///   `f` and image `g`.
+    /// - [`Operation::Convolve`]: from light, one array for each layer of the plan
+    ///   ([`Plan::of_layers`]), to one image, the sum of the images of all layers. The image has the shape
+    ///   of the plan's [region](Plan::region): the frame or a part of it.
+    /// - [`Operation::Adjoint`]: from one image to light, one array for each layer:
+    ///   `<A f, g> = <f, A^T g>` for every light `f` and image `g`.
     ///
-    /// The light array covers the plan's whole scene ([`Plan::scene_shape`]), or only the part of
-    /// it that reaches the image ([`Plan::light_region`]). If the pixels of a row of `into` are not
-    /// contiguous in memory, this function works on a copy of `into` and writes the copy back.
+    /// An array of light covers the plan's whole scene ([`Plan::scene_shape`]), or only the part of
+    /// it that reaches the image ([`Plan::light_region`]). If the pixels of a row of a result are not
+    /// contiguous in memory, this function works on a copy of it and writes the copy back.
     ///
     /// # Errors
-    /// [`ConvError`] if the light or the image has another shape than the plan expects, if the PSF
-    /// has no value at a pixel where it is needed, if the GPU fails, or if the progress object
-    /// cancels the work. After an error the result is incomplete.
+    /// [`ConvError`] if the light or the image has another shape than the plan expects, if there are
+    /// other numbers of them, if the PSF has no value at a pixel where it is needed, if the GPU fails, or
+    /// if the progress object cancels the work. After an error the result is incomplete.
     pub fn execute(
         &self,
         operation: Operation,
-        from: &ImageView<'_, T>,
-        into: ArrayViewMut2<'_, T>,
-        progress: &dyn Progress,
-    ) -> Result<TileCounts, ConvError> {
-        self.check_layers(1)?;
-        let (from, into) = self.parts(operation, from, into)?;
-        let rows = 0..self.plan().tiling.rows.len();
-        progress.start(rows.len() as u64);
-        with_rows_in_memory(into, |into| {
-            self.run(rows, (vec![from], 0), (into, 0), operation, progress)
-        })
-    }
-
-    /// Convolves several arrays of light, the layers of the plan ([`Plan::of_layers`]), and adds the sum
-    /// of their images to the array `into`. Otherwise as [`execute`](Self::execute).
-    ///
-    /// # Errors
-    /// As for [`execute`](Self::execute), and [`ConvError::Layers`] unless there is one array for each
-    /// layer of the plan.
-    pub fn execute_layers(
-        &self,
         from: &[ImageView<'_, T>],
-        into: ArrayViewMut2<'_, T>,
+        into: Vec<ArrayViewMut2<'_, T>>,
         progress: &dyn Progress,
     ) -> Result<TileCounts, ConvError> {
-        self.check_layers(from.len())?;
-        let plan = self.plan();
-        check_shape(plan.region().shape(), into.dim())?;
-        let parts = from.iter().map(|from| {
-            let [columns, rows] = plan.light_part(from.shape())?;
-            Ok(from.pixels().slice_move(s![rows, columns]))
-        });
-        let light = parts.collect::<Result<Vec<_>, ConvError>>()?;
-        let rows = 0..plan.tiling.rows.len();
+        let rows = 0..self.plan().tiling.rows.len();
+        let (light, images) = match operation {
+            Operation::Convolve => (from.len(), into.len()),
+            Operation::Adjoint => (into.len(), from.len()),
+        };
+        self.check_layers(light)?;
+        if images != 1 {
+            return Err(ConvError::Layers("an execution has one image"));
+        }
         progress.start(rows.len() as u64);
-        with_rows_in_memory(into, |into| {
-            self.run(rows, (light, 0), (into, 0), Operation::Convolve, progress)
-        })
+        let mut counts = TileCounts::default();
+        for (number, into) in into.into_iter().enumerate() {
+            let (from, into) = self.parts(operation, from, into)?;
+            // The rows count once.
+            let uncounted = Uncounted(progress);
+            let progress: &dyn Progress = if number == 0 { progress } else { &uncounted };
+            counts += with_rows_in_memory(into, |into| {
+                self.run(rows.clone(), (from, number, 0), (into, 0), operation, progress)
+            })?;
+        }
+        Ok(counts)
     }
 
     fn check_layers(&self, got: usize) -> Result<(), ConvError> {
@@ -237,41 +226,44 @@ impl<T: ConvReal> Engine<T> {
         if few || on_gpu || !into.iter().all(rows_in_memory) {
             let mut counts = TileCounts::default();
             for (from, into) in from.iter().zip(into) {
-                counts += self.execute(operation, from, into, &Uncounted(progress))?;
+                counts += self.execute(operation, from_ref(from), vec![into], &Uncounted(progress))?;
                 progress.advance(1);
             }
             return Ok(counts);
         }
         let parts = from.iter().zip(into).map(|(from, into)| {
-            let (light, output) = self.parts(operation, from, into)?;
+            let (light, output) = self.parts(operation, from_ref(from), into)?;
             let rows = 0..self.plan().tiling.rows.len();
-            let light = (vec![light], 0);
-            Ok((self.pass(rows, light, 0, 0, operation, progress), output))
+            Ok((self.pass(rows, (light, 0, 0), 0, operation, progress), output))
         });
         let passes = parts.collect::<Result<_, ConvError>>()?;
         T::dispatch(Many { passes })
     }
 
-    /// The parts of two arrays between which light passes.
+    /// The parts of arrays between which light passes.
     fn parts<'f, 'i>(
         &self,
         operation: Operation,
-        from: &'f ImageView<'_, T>,
+        from: &'f [ImageView<'_, T>],
         into: ArrayViewMut2<'i, T>,
-    ) -> Result<(ArrayView2<'f, T>, ArrayViewMut2<'i, T>), ConvError> {
+    ) -> Result<(Vec<ArrayView2<'f, T>>, ArrayViewMut2<'i, T>), ConvError> {
         let plan = self.plan();
         match operation {
             Operation::Convolve => {
                 check_shape(plan.region().shape(), into.dim())?;
-                let [columns, rows] = plan.light_part(from.shape())?;
-                Ok((from.pixels().slice_move(s![rows, columns]), into))
+                let parts = from.iter().map(|light| {
+                    let [columns, rows] = plan.light_part(light.shape())?;
+                    Ok(light.pixels().slice_move(s![rows, columns]))
+                });
+                Ok((parts.collect::<Result<_, ConvError>>()?, into))
             }
             Operation::Adjoint => {
-                check_shape(plan.region().shape(), from.pixels().dim())?;
+                let image = from[0].pixels();
+                check_shape(plan.region().shape(), image.dim())?;
                 let (height, width) = into.dim();
                 let got = FrameShape::new(width, height).map_err(ConvError::Result)?;
                 let [columns, rows] = plan.light_part(got)?;
-                Ok((from.pixels(), into.slice_move(s![rows, columns])))
+                Ok((vec![image], into.slice_move(s![rows, columns])))
             }
         }
     }
@@ -319,7 +311,7 @@ impl<T: ConvReal> Engine<T> {
             let into = if self.gathers() { reached } else { written..end };
             let output = image.slice_mut(s![into.start - written..into.end - written, ..]);
             let light = light.iter().map(|layer| layer.view()).collect();
-            let (light, output) = ((light, light_rows.start), (output, into.start));
+            let (light, output) = ((light, 0, light_rows.start), (output, into.start));
             counts += self.run(band, light, output, Operation::Convolve, progress)?;
             pending = image.slice(s![next - written.., ..]).to_owned();
             if next > written {
@@ -333,20 +325,20 @@ impl<T: ConvReal> Engine<T> {
     }
 
     /// Executes the plan for some rows of blocks on the engine's device: applies the operation to
-    /// `light`, one array for each layer, and adds the result to `output`. All arrays hold whole rows
-    /// of pixels, and come with the index of their first row.
+    /// `light`, one array for each layer from `layer` on, and adds the result to `output`. All arrays hold
+    /// whole rows of pixels, and come with the index of their first row.
     #[inline(never)]
     pub(crate) fn run(
         &self,
         rows: Range<usize>,
-        (mut light, first_light): (Vec<ArrayView2<'_, T>>, usize),
+        (mut light, first, first_light): (Vec<ArrayView2<'_, T>>, usize, usize),
         (mut output, first_output): (ArrayViewMut2<'_, T>, usize),
         operation: Operation,
         progress: &dyn Progress,
     ) -> Result<TileCounts, ConvError> {
-        let of_layers = |layer, light, progress| {
-            let light = (light, first_light);
-            self.pass(rows.clone(), light, layer, first_output, operation, progress)
+        let of_layers = |light, layer, progress| {
+            let light = (light, layer, first_light);
+            self.pass(rows.clone(), light, first_output, operation, progress)
         };
         if light.len() > 1 && self.gathers() {
             // Layers are weighted after their transforms, so each has its own.
@@ -355,12 +347,12 @@ impl<T: ConvReal> Engine<T> {
             for (layer, light) in light.drain(..).enumerate() {
                 // The rows count once.
                 let progress: &dyn Progress = if layer == 0 { progress } else { &uncounted };
-                let (pass, output) = (of_layers(layer, vec![light], progress), output.view_mut());
+                let (pass, output) = (of_layers(vec![light], first + layer, progress), output.view_mut());
                 counts += T::dispatch(Gather { pass, output })?;
             }
             return Ok(counts);
         }
-        let pass = of_layers(0, light, progress);
+        let pass = of_layers(light, first, progress);
         #[cfg(feature = "gpu")]
         if let Some(gpu) = &self.gpu {
             let direct_sums = false;
@@ -376,8 +368,7 @@ impl<T: ConvReal> Engine<T> {
     fn pass<'a>(
         &'a self,
         rows: Range<usize>,
-        (light, first_light): (Vec<ArrayView2<'a, T>>, usize),
-        layer: usize,
+        (light, layer, first_light): (Vec<ArrayView2<'a, T>>, usize, usize),
         first_output: usize,
         operation: Operation,
         progress: &'a dyn Progress,
@@ -485,7 +476,12 @@ impl<T: ConvReal> ConvolutionMethod<T> for LowRank {
     ) -> Result<Image<T>, ConvError> {
         let engine = Engine::new(Plan::new(model, light.shape(), frame, self.options)?);
         let mut image = engine.plan().zeros();
-        engine.execute(Operation::Convolve, light, image.view_mut(), progress)?;
+        engine.execute(
+            Operation::Convolve,
+            from_ref(light),
+            vec![image.view_mut()],
+            progress,
+        )?;
         Image::new(image).map_err(ConvError::Result)
     }
 }

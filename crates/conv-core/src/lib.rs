@@ -25,10 +25,10 @@
 //! the region of the light that the image shows. The frame's first pixel is the origin of field
 //! positions. Outside the given array of light, all light is taken as zero.
 //!
-//! Point sources are added to the image of extended light. [`StarPainter`] and [`StarPlan`] draw
-//! each source at its sub-pixel position. They interpolate the stamps as [`StampInterpolator`]
-//! does. The anchor selects the PSF, as for extended light. The painter draws stars one by one from
-//! all components of the model. The plan draws many stars at once within a tolerance.
+//! Stars and galaxies are added to the image of extended light. A [`SourcePlan`] draws
+//! each source at its sub-pixel position, many at once, within a tolerance. It interpolates the stamps as
+//! [`StampInterpolator`] does. The anchor selects the PSF, as for extended light. [`StarPainter`] draws stars
+//! one by one from all components of the model.
 //!
 //! # Normalisation
 //! The image holds the light's flux times the flux of the PSFs. The model decides the flux of the
@@ -52,7 +52,8 @@
 //!
 //! # Modules
 //! `plan` does not depend on a device. `cpu` and `gpu` execute plans, and `engine` chooses between
-//! them. `stars` draws point sources with the modes of `plan`. `reference` holds the methods that
+//! them. `source_plan` draws sources with the modes of `plan`: `stars` and `galaxies` are its drawers, and
+//! `sources` is what both share. `reference` holds the methods that
 //! the others are compared with. The other modules are small tools, such as `transform` for FFTs of
 //! tiles and `simd` for vector instructions.
 
@@ -74,6 +75,8 @@ mod overlap;
 mod plan;
 mod reference;
 mod simd;
+mod source_plan;
+mod sources;
 mod stamp_interpolator;
 mod stars;
 mod transform;
@@ -97,13 +100,14 @@ pub use {ndarray, psf_types};
 
 pub use engine::{Engine, LowRank, Operation, RowStream, TileCounts};
 pub use error::ConvError;
-pub use galaxies::{GalaxyErrors, GalaxyPlan};
+pub use galaxies::{ExtendedSources, GalaxyErrors, Light};
 pub use image_memory::zeros;
 pub use plan::{Paths, Plan, PlanOptions, PlanSummary};
 pub use reference::{BasisConvolution, ConvolutionMethod, Direct, PatchConvolution};
 pub use simd::{ConvReal, InstructionSet};
+pub use source_plan::SourcePlan;
 pub use stamp_interpolator::{
     ScenePixelFilter, StampInterpolator, edge_reach, edge_reach_of, grid_with_pixel_response, native_grid,
     resample_samples,
 };
-pub use stars::{StarPainter, StarPlan};
+pub use stars::StarPainter;

@@ -3,10 +3,11 @@
 #[allow(dead_code, reason = "each test binary uses a part")]
 mod common;
 
+use std::slice::from_ref;
 use std::sync::Arc;
 
 use common::{ANCHORS, Execute, PATHS, Scene, Waves, drawn, model_with, noise, options, region};
-use conv_core::{ConvError, Direct, Operation, StarPlan};
+use conv_core::{ConvError, Direct, Operation, SourcePlan};
 use ndarray::{Array2, ArrayViewMut2, s};
 use psf_types::{
     FrameShape, Image, ImageView, NoProgress, Normalisation, PixelRegion, PointSource, Position, PsfModel,
@@ -60,8 +61,8 @@ fn every_layout_gives_the_same_bytes() {
             engine
                 .execute(
                     Operation::Convolve,
-                    &scene_light,
-                    expected.view_mut(),
+                    from_ref(&scene_light),
+                    vec![expected.view_mut()],
                     &NoProgress,
                 )
                 .unwrap();
@@ -70,7 +71,12 @@ fn every_layout_gives_the_same_bytes() {
                 let view = ImageView::new(light.view()).unwrap();
                 let mut image = present.clone();
                 engine
-                    .execute(Operation::Convolve, &view, image.view_mut(), &NoProgress)
+                    .execute(
+                        Operation::Convolve,
+                        from_ref(&view),
+                        vec![image.view_mut()],
+                        &NoProgress,
+                    )
                     .unwrap();
                 assert_eq!(image, expected, "light {layout}, {anchor} {paths:?}");
             });
@@ -79,14 +85,24 @@ fn every_layout_gives_the_same_bytes() {
                 let light = engine.adjoint_of(&view, &NoProgress).unwrap();
                 assert_eq!(light, back, "adjoint of {layout}, {anchor} {paths:?}");
                 engine
-                    .execute(Operation::Convolve, &scene_light, image.view_mut(), &NoProgress)
+                    .execute(
+                        Operation::Convolve,
+                        from_ref(&scene_light),
+                        vec![image.view_mut()],
+                        &NoProgress,
+                    )
                     .unwrap();
                 assert_eq!(image, expected, "image {layout}, {anchor} {paths:?}");
             });
             layouts(&Array2::zeros((SCENE.1, SCENE.0)), |layout, mut plane| {
                 let image = ImageView::new(present.view()).unwrap();
                 engine
-                    .execute(Operation::Adjoint, &image, plane.view_mut(), &NoProgress)
+                    .execute(
+                        Operation::Adjoint,
+                        from_ref(&image),
+                        vec![plane.view_mut()],
+                        &NoProgress,
+                    )
                     .unwrap();
                 assert_eq!(plane, back.pixels(), "adjoint to {layout}, {anchor} {paths:?}");
             });
@@ -110,8 +126,8 @@ fn the_light_that_reaches_the_frame_is_enough() {
         engine
             .execute(
                 Operation::Convolve,
-                &ImageView::new(cut).unwrap(),
-                image.view_mut(),
+                from_ref(&ImageView::new(cut).unwrap()),
+                vec![image.view_mut()],
                 &NoProgress,
             )
             .unwrap();
@@ -122,8 +138,8 @@ fn the_light_that_reaches_the_frame_is_enough() {
         engine
             .execute(
                 Operation::Adjoint,
-                &expected.view(),
-                plane.view_mut(),
+                from_ref(&expected.view()),
+                vec![plane.view_mut()],
                 &NoProgress,
             )
             .unwrap();
@@ -148,8 +164,8 @@ fn other_shapes_are_errors_that_say_what_fits() {
     let wrong = Array2::zeros((SCENE.1, SCENE.0 + 1));
     let error = engine.execute(
         Operation::Convolve,
-        &ImageView::new(wrong.view()).unwrap(),
-        image.view_mut(),
+        from_ref(&ImageView::new(wrong.view()).unwrap()),
+        vec![image.view_mut()],
         &NoProgress,
     );
     assert_eq!(
@@ -160,12 +176,17 @@ fn other_shapes_are_errors_that_say_what_fits() {
     let mut wide = Array2::zeros((29, 38));
     for result in [
         engine
-            .execute(Operation::Convolve, &light, wide.view_mut(), &NoProgress)
+            .execute(
+                Operation::Convolve,
+                from_ref(&light),
+                vec![wide.view_mut()],
+                &NoProgress,
+            )
             .map(|_| ()),
         engine.adjoint_of(&light, &NoProgress).map(|_| ()),
-        StarPlan::new(&model, options(1e-3, ANCHORS[0], PATHS[0]), None)
+        SourcePlan::new(&model, options(1e-3, ANCHORS[0], PATHS[0]), None)
             .unwrap()
-            .draw_into(&[], frame(), frame(), wide.view_mut(), &NoProgress),
+            .draw_stars_into(&[], frame(), frame(), wide.view_mut(), &NoProgress),
     ] {
         assert!(matches!(result, Err(ConvError::FrameShape { .. })), "{result:?}");
     }
@@ -182,7 +203,7 @@ fn stars_in_a_part_of_the_frame_are_those_of_the_whole() {
     };
     let stars: Vec<PointSource> = (0..200).map(star).collect();
     for anchor in ANCHORS {
-        let plan = StarPlan::new(&model, options(1e-3, anchor, PATHS[0]), None).unwrap();
+        let plan = SourcePlan::new(&model, options(1e-3, anchor, PATHS[0]), None).unwrap();
         let whole = drawn(&plan, &stars, frame);
         for (x, y, nx, ny) in [
             (0, 0, 67, 59),
@@ -193,7 +214,7 @@ fn stars_in_a_part_of_the_frame_are_those_of_the_whole() {
         ] {
             let part = region(x as i64, y as i64, nx, ny);
             layouts(&Array2::zeros((ny, nx)), |layout, mut image| {
-                plan.draw_into(&stars, frame, part, image.view_mut(), &NoProgress)
+                plan.draw_stars_into(&stars, frame, part, image.view_mut(), &NoProgress)
                     .unwrap();
                 assert_eq!(
                     image,

@@ -7,7 +7,7 @@ mod common;
 use std::sync::Arc;
 
 use common::{Waves, drawn, largest_difference, peak, region};
-use conv_core::{ConvReal, PlanOptions, StarPlan};
+use conv_core::{ConvReal, PlanOptions, SourcePlan};
 use ndarray::{Array2, s};
 use psf_types::{
     NoProgress, Normalisation, PixelRegion, PointSource, Position, PsfBasis, PsfModel, StampGrid,
@@ -65,12 +65,12 @@ fn plain() -> PsfModel {
     model(41, 1.0, (20.0, 18.0), StampInterpolation::CubicSpline)
 }
 
-fn plan<T: ConvReal>(model: &PsfModel) -> StarPlan<T> {
-    StarPlan::new(model, PlanOptions::new(1e-4).unwrap(), None).unwrap()
+fn plan<T: ConvReal>(model: &PsfModel) -> SourcePlan<T> {
+    SourcePlan::new(model, PlanOptions::new(1e-4).unwrap(), None).unwrap()
 }
 
 /// The sum of images of a few stars each.
-fn few_at_a_time<T: ConvReal>(plan: &StarPlan<T>, stars: &[PointSource]) -> Array2<f64> {
+fn few_at_a_time<T: ConvReal>(plan: &SourcePlan<T>, stars: &[PointSource]) -> Array2<f64> {
     let zeros = Array2::zeros((frame().shape().ny(), frame().shape().nx()));
     let images = stars.chunks(FEW).map(|some| drawn(plan, some, frame()));
     images.fold(zeros, |sum, image| sum + image.mapv(T::as_f64))
@@ -154,7 +154,7 @@ fn the_image_depends_neither_on_threads_nor_on_the_region() {
         let height = 37.min(300 - first);
         let mut band = Array2::zeros((height, 520));
         let band_region = region(0, first as i64, 520, height);
-        plan.draw_into(&stars, frame(), band_region, band.view_mut(), &NoProgress)
+        plan.draw_stars_into(&stars, frame(), band_region, band.view_mut(), &NoProgress)
             .unwrap();
         bands.slice_mut(s![first..first + height, ..]).assign(&band);
     }

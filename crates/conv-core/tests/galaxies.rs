@@ -6,8 +6,9 @@ mod common;
 use std::f64::consts::TAU;
 use std::sync::Arc;
 
+use common::extended::extended;
 use common::model_of_stamp;
-use conv_core::{ConvError, GalaxyPlan, PlanOptions, StampInterpolator};
+use conv_core::{ConvError, PlanOptions, SourcePlan, StampInterpolator};
 use ndarray::Array2;
 use psf_types::{
     Anchor, CoefficientField, FieldError, FrameShape, LightProfile, NoProgress, Normalisation, PixelRegion,
@@ -32,21 +33,19 @@ fn model_on(grid: StampGrid, psf: impl Fn(f64, f64) -> f64) -> PsfModel {
     model_of_stamp(stamp, grid)
 }
 
-fn light(galaxy: &SersicSource) -> Box<dyn LightProfile + Send + Sync> {
-    Box::new(SersicLight::new(galaxy))
-}
-
 fn galaxy(at: (f64, f64), re: f64, n: f64, q: f64, angle: f64) -> SersicSource {
     let profile = SersicProfile::new(re, n, q, angle).unwrap();
     SersicSource::new(Position::new(at.0, at.1).unwrap(), 1.0, profile).unwrap()
 }
 
 fn drawn(model: &PsfModel, galaxy: SersicSource, side: usize, tolerance: f64) -> Array2<f64> {
-    let plan = GalaxyPlan::<f64>::new(model, PlanOptions::new(tolerance).unwrap(), None).unwrap();
+    let plan = SourcePlan::<f64>::new(model, PlanOptions::new(tolerance).unwrap(), None).unwrap();
     let frame = FrameShape::new(side, side).unwrap().region();
     let mut image = Array2::zeros((side, side));
-    plan.draw_into(&[galaxy], &light, frame, frame, image.view_mut(), &NoProgress)
-        .unwrap();
+    extended(&[galaxy], |sources| {
+        plan.draw_extended_into(sources, frame, frame, image.view_mut(), &NoProgress)
+    })
+    .unwrap();
     image
 }
 
@@ -191,20 +190,24 @@ fn frame() -> PixelRegion {
     FrameShape::new(FRAME.1, FRAME.0).unwrap().region()
 }
 
-fn exact(plan: &GalaxyPlan<f64>, galaxies: &[SersicSource], pixels: &[(usize, usize)]) -> Vec<f64> {
-    plan.at_pixels(galaxies, &light, frame(), pixels, &NoProgress)
-        .unwrap()
+fn exact(plan: &SourcePlan<f64>, galaxies: &[SersicSource], pixels: &[(usize, usize)]) -> Vec<f64> {
+    extended(galaxies, |sources| {
+        plan.extended_at_pixels(sources, frame(), pixels, &NoProgress)
+    })
+    .unwrap()
 }
 
-fn planned(tolerance: f64, anchor: Anchor) -> GalaxyPlan<f64> {
+fn planned(tolerance: f64, anchor: Anchor) -> SourcePlan<f64> {
     let options = PlanOptions::new(tolerance).unwrap().with_anchor(anchor);
-    GalaxyPlan::new(&elliptical(Slopes), options, None).unwrap()
+    SourcePlan::new(&elliptical(Slopes), options, None).unwrap()
 }
 
-fn image_of(plan: &GalaxyPlan<f64>, galaxies: &[SersicSource], region: PixelRegion) -> Array2<f64> {
+fn image_of(plan: &SourcePlan<f64>, galaxies: &[SersicSource], region: PixelRegion) -> Array2<f64> {
     let mut image = Array2::zeros((region.shape().ny(), region.shape().nx()));
-    plan.draw_into(galaxies, &light, frame(), region, image.view_mut(), &NoProgress)
-        .unwrap();
+    extended(galaxies, |sources| {
+        plan.draw_extended_into(sources, frame(), region, image.view_mut(), &NoProgress)
+    })
+    .unwrap();
     image
 }
 
@@ -254,7 +257,7 @@ fn windows_hold_no_light_of_their_repetitions() {
     const TOLERANCE: f64 = 1e-5;
     let moffat = |x: f64, y: f64| (1.0 + (x * x + y * y) / 3.0).powf(-2.5) / TAU;
     let model = model(82, 2.0, moffat);
-    let precise = GalaxyPlan::<f64>::new(&model, PlanOptions::new(1e-8).unwrap(), None).unwrap();
+    let precise = SourcePlan::<f64>::new(&model, PlanOptions::new(1e-8).unwrap(), None).unwrap();
     let pixels: Vec<(usize, usize)> = (0..SIDE)
         .step_by(2)
         .flat_map(|y| (0..SIDE).step_by(2).map(move |x| (x, y)))
@@ -263,9 +266,10 @@ fn windows_hold_no_light_of_their_repetitions() {
     for (re, n, q, angle) in [(4.9, 2.3, 0.66, 30.0), (4.8, 3.5, 0.24, 0.0)] {
         let galaxy = galaxy((210.0, 210.0), re, n, q, angle);
         let image = drawn(&model, galaxy, SIDE, TOLERANCE);
-        let truth = precise
-            .at_pixels(&[galaxy], &light, frame, &pixels, &NoProgress)
-            .unwrap();
+        let truth = extended(&[galaxy], |sources| {
+            precise.extended_at_pixels(sources, frame, &pixels, &NoProgress)
+        });
+        let truth = truth.unwrap();
         let peak = truth.iter().copied().fold(0.0, f64::max);
         let errors = pixels.iter().zip(&truth).map(|(&(x, y), v)| image[[y, x]] - v);
         let (sum, largest) = errors.fold((0.0, 0.0_f64), |(sum, largest), error| {
@@ -305,13 +309,14 @@ fn light_does_not_depend_on_the_region() {
 #[test]
 fn transforms_that_are_too_large_are_an_error() {
     let model = model(9, 64.0, |u, v| if u == 0.0 && v == 0.0 { 1.0 } else { 0.0 });
-    let plan = GalaxyPlan::<f32>::new(&model, PlanOptions::new(1e-4).unwrap(), None).unwrap();
+    let plan = SourcePlan::<f32>::new(&model, PlanOptions::new(1e-4).unwrap(), None).unwrap();
     let mut image = Array2::zeros((64, 64));
     let frame = FrameShape::new(64, 64).unwrap().region();
     let galaxies = [galaxy((30.0, 31.0), 6.0, 4.0, 0.8, 20.0)];
-    let error = plan
-        .draw_into(&galaxies, &light, frame, frame, image.view_mut(), &NoProgress)
-        .unwrap_err();
+    let error = extended(&galaxies, |sources| {
+        plan.draw_extended_into(sources, frame, frame, image.view_mut(), &NoProgress)
+    });
+    let error = error.unwrap_err();
     assert!(
         matches!(error, ConvError::GalaxyTransform { x: 30.0, y: 31.0, points } if points > 1 << 15),
         "{error}"
@@ -330,14 +335,9 @@ fn bands_have_the_light_of_the_whole_frame() {
     let shape = FrameShape::new(700, 700).unwrap();
     let draw = |region: PixelRegion| {
         let mut image = Array2::zeros((region.shape().ny(), region.shape().nx()));
-        plan.draw_into(
-            &galaxies,
-            &light,
-            shape.region(),
-            region,
-            image.view_mut(),
-            &NoProgress,
-        )
+        extended(&galaxies, |sources| {
+            plan.draw_extended_into(sources, shape.region(), region, image.view_mut(), &NoProgress)
+        })
         .unwrap();
         image
     };
@@ -388,7 +388,7 @@ impl CoefficientField for Inside {
 #[test]
 fn galaxies_need_a_psf_only_at_their_own_positions() {
     let model = elliptical(Inside);
-    let plan = GalaxyPlan::<f64>::new(&model, PlanOptions::new(1e-4).unwrap(), None).unwrap();
+    let plan = SourcePlan::<f64>::new(&model, PlanOptions::new(1e-4).unwrap(), None).unwrap();
     let everywhere = planned(1e-4, Anchor::Source);
     let inside = [galaxy((40.3, 50.1), 1.0, 1.0, 0.5, 10.0)];
     let difference = image_of(&plan, &inside, frame()) - image_of(&everywhere, &inside, frame());
@@ -396,7 +396,9 @@ fn galaxies_need_a_psf_only_at_their_own_positions() {
     for at in [(5.0, 50.0), (40.0, -3.0)] {
         let mut image = Array2::zeros(FRAME);
         let outside = [galaxy(at, 1.0, 1.0, 0.5, 10.0)];
-        let found = plan.draw_into(&outside, &light, frame(), frame(), image.view_mut(), &NoProgress);
+        let found = extended(&outside, |sources| {
+            plan.draw_extended_into(sources, frame(), frame(), image.view_mut(), &NoProgress)
+        });
         assert!(found.is_err(), "{at:?}");
     }
     // Not needed where no light reaches the frame.

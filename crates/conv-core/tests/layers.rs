@@ -5,17 +5,17 @@ mod common;
 
 use std::sync::Arc;
 
+use common::extended::extended;
 use common::{ANCHORS, Waves, model_with, options, peak};
 use conv_core::{
-    ConvError, ConvReal, ConvolutionMethod, Direct, Engine, GalaxyPlan, Operation, Paths, Plan, PlanOptions,
-    RowStream, StarPlan,
+    ConvError, ConvReal, ConvolutionMethod, Direct, Engine, Operation, Paths, Plan, PlanOptions, RowStream,
+    SourcePlan,
 };
 use ndarray::{Array2, ArrayView2, ArrayViewMut2, s};
 use psf_types::{
-    Anchor, CoefficientField, FieldError, FrameShape, ImageView, LightProfile, NoProgress, Normalisation,
-    PointSource, Position, PsfModel, SersicProfile, SersicSource,
+    Anchor, CoefficientField, FieldError, FrameShape, ImageView, NoProgress, Normalisation, PointSource,
+    Position, PsfModel, SersicProfile, SersicSource,
 };
-use sersic::SersicLight;
 
 const SIZE: (usize, usize) = (170, 131);
 /// Rounding of images in f64, relative to the peak.
@@ -98,7 +98,12 @@ fn layers_equal_the_sum_of_direct_convolutions() {
                         let exact = exact(&models, &light, anchor);
                         let mut image = engine.plan().zeros();
                         engine
-                            .execute_layers(&views(&light), image.view_mut(), &NoProgress)
+                            .execute(
+                                Operation::Convolve,
+                                &views(&light),
+                                vec![image.view_mut()],
+                                &NoProgress,
+                            )
                             .unwrap();
                         let error = peak(&(&image - &exact)) / peak(&exact);
                         let allowed = tolerance + ROUNDING;
@@ -106,6 +111,69 @@ fn layers_equal_the_sum_of_direct_convolutions() {
                         assert!(error <= allowed, "{case}: {error:e}");
                     }
                 }
+            }
+        }
+    }
+}
+
+#[test]
+fn the_adjoint_of_layers_is_their_transpose() {
+    let models = models(Normalisation::Keep);
+    let light: Vec<Array2<f64>> = (0..3).map(|layer| light(0, layer)).collect();
+    let seen = Array2::from_shape_fn((SIZE.1, SIZE.0), |(y, x)| ((5 * x + 2 * y) % 9) as f64 - 3.0);
+    let product = |a: &Array2<f64>, b: &Array2<f64>| (a * b).sum();
+    for anchor in ANCHORS {
+        for paths in [Paths::Cheapest, Paths::Transforms] {
+            let engine = Engine::new(plan::<f64>(&models, options(1e-3, anchor, paths)));
+            let mut image = engine.plan().zeros();
+            engine
+                .execute(
+                    Operation::Convolve,
+                    &views(&light),
+                    vec![image.view_mut()],
+                    &NoProgress,
+                )
+                .unwrap();
+            let mut back = vec![Array2::zeros((SIZE.1, SIZE.0)); 3];
+            let into = back.iter_mut().map(|plane| plane.view_mut()).collect();
+            let seen_view = ImageView::new(seen.view()).unwrap();
+            engine
+                .execute(Operation::Adjoint, &[seen_view], into, &NoProgress)
+                .unwrap();
+            let (forth, mut sum) = (product(&image, &seen), 0.0);
+            for (light, back) in light.iter().zip(&back) {
+                sum += product(light, back);
+            }
+            assert!(
+                (forth - sum).abs() < 1e-11 * forth.abs(),
+                "{anchor} {paths:?}: {forth} {sum}"
+            );
+            // Each layer alone, too: the others are dark.
+            for (layer, back) in back.iter().enumerate() {
+                let dark = Array2::zeros((SIZE.1, SIZE.0));
+                let only: Vec<_> = (0..3)
+                    .map(|l| {
+                        if l == layer {
+                            light[l].clone()
+                        } else {
+                            dark.clone()
+                        }
+                    })
+                    .collect();
+                let mut image = engine.plan().zeros();
+                engine
+                    .execute(
+                        Operation::Convolve,
+                        &views(&only),
+                        vec![image.view_mut()],
+                        &NoProgress,
+                    )
+                    .unwrap();
+                let (forth, back) = (product(&image, &seen), product(&light[layer], back));
+                assert!(
+                    (forth - back).abs() < 1e-11 * forth.abs().max(1.0),
+                    "{anchor} {layer}"
+                );
             }
         }
     }
@@ -128,8 +196,15 @@ fn layers_in_single_precision_do_not_depend_on_threads() {
                 .build()
                 .unwrap();
             let mut image = engine.plan().zeros();
-            pool.install(|| engine.execute_layers(&views(&light), image.view_mut(), &NoProgress))
-                .unwrap();
+            pool.install(|| {
+                engine.execute(
+                    Operation::Convolve,
+                    &views(&light),
+                    vec![image.view_mut()],
+                    &NoProgress,
+                )
+            })
+            .unwrap();
             image
         };
         let single = image(1);
@@ -170,7 +245,12 @@ fn streamed_layers_give_the_same_image() {
         let engine = Engine::new(plan::<f64>(&models, options(1e-3, anchor, Paths::Cheapest)));
         let mut whole = engine.plan().zeros();
         engine
-            .execute_layers(&views(&light), whole.view_mut(), &NoProgress)
+            .execute(
+                Operation::Convolve,
+                &views(&light),
+                vec![whole.view_mut()],
+                &NoProgress,
+            )
             .unwrap();
         let (light, image) = (&light[..], Vec::new());
         let mut bands = Bands { light, image };
@@ -194,7 +274,12 @@ fn a_plan_of_layers_for_other_fields_keeps_its_tiles() {
     let exact = exact(&turned, &light, Anchor::Source);
     let mut image = other.zeros();
     Engine::new(other)
-        .execute_layers(&views(&light), image.view_mut(), &NoProgress)
+        .execute(
+            Operation::Convolve,
+            &views(&light),
+            vec![image.view_mut()],
+            &NoProgress,
+        )
         .unwrap();
     assert!(peak(&(&image - &exact)) / peak(&exact) < 1e-3);
 }
@@ -217,12 +302,17 @@ fn layers_that_do_not_belong_together_are_refused() {
     let mut image = engine.plan().zeros();
     for operation in [Operation::Convolve, Operation::Adjoint] {
         let error = engine
-            .execute(operation, &one, image.view_mut(), &NoProgress)
+            .execute(
+                operation,
+                std::slice::from_ref(&one),
+                vec![image.view_mut()],
+                &NoProgress,
+            )
             .unwrap_err();
         assert!(matches!(error, ConvError::Layers(_)), "{error}");
     }
     let error = engine
-        .execute_layers(&[one], image.view_mut(), &NoProgress)
+        .execute(Operation::Convolve, &[one], vec![image.view_mut()], &NoProgress)
         .unwrap_err();
     assert!(error.to_string().contains("as many layers"), "{error}");
 }
@@ -263,14 +353,14 @@ fn sources_of_another_field_share_local_bases() {
     let stars: Vec<_> = (0..200)
         .map(|i| PointSource::new(at(i), 1.0 + i as f64).unwrap())
         .collect();
-    let draw = |plan: &StarPlan<f64>| {
+    let draw = |plan: &SourcePlan<f64>| {
         let mut image = Array2::zeros((SIZE.1, SIZE.0));
-        plan.draw_into(&stars, frame, frame, image.view_mut(), &NoProgress)
+        plan.draw_stars_into(&stars, frame, frame, image.view_mut(), &NoProgress)
             .unwrap();
         image
     };
-    let shared = StarPlan::<f64>::of_layers(&models, options, None).unwrap();
-    let own = draw(&StarPlan::new(&mixed, options, None).unwrap());
+    let shared = SourcePlan::<f64>::of_layers(&models, options, None).unwrap();
+    let own = draw(&SourcePlan::new(&mixed, options, None).unwrap());
     for repeat in 0..2 {
         // The second time, the local bases exist.
         let found = draw(&shared.for_other_field(&mixed).unwrap());
@@ -282,7 +372,7 @@ fn sources_of_another_field_share_local_bases() {
     let error = peak(&(&found - &own)) / peak(&own);
     assert!(error < 1e-12, "{error:e}");
     // The plan itself draws with the first model.
-    let first = draw(&StarPlan::new(&models[0], options, None).unwrap());
+    let first = draw(&SourcePlan::new(&models[0], options, None).unwrap());
     let error = peak(&(&draw(&shared) - &first)) / peak(&first);
     assert!(error < 2.0 * TOLERANCE, "{error:e}");
 
@@ -290,16 +380,16 @@ fn sources_of_another_field_share_local_bases() {
     let galaxies: Vec<_> = (0..30)
         .map(|i| SersicSource::new(at(i), 10.0, profile).unwrap())
         .collect();
-    let light =
-        |galaxy: &SersicSource| -> Box<dyn LightProfile + Send + Sync> { Box::new(SersicLight::new(galaxy)) };
-    let draw = |plan: &GalaxyPlan<f64>| {
+    let draw = |plan: &SourcePlan<f64>| {
         let mut image = Array2::zeros((SIZE.1, SIZE.0));
-        plan.draw_into(&galaxies, &light, frame, frame, image.view_mut(), &NoProgress)
-            .unwrap();
+        extended(&galaxies, |sources| {
+            plan.draw_extended_into(sources, frame, frame, image.view_mut(), &NoProgress)
+        })
+        .unwrap();
         image
     };
-    let shared = GalaxyPlan::<f64>::of_layers(&models, options, None).unwrap();
-    let own = draw(&GalaxyPlan::new(&mixed, options, None).unwrap());
+    let shared = SourcePlan::<f64>::of_layers(&models, options, None).unwrap();
+    let own = draw(&SourcePlan::new(&mixed, options, None).unwrap());
     let error = peak(&(&draw(&shared.for_other_field(&mixed).unwrap()) - &own)) / peak(&own);
     assert!(error < 2.0 * TOLERANCE, "{error:e}");
 

@@ -49,7 +49,12 @@ fn each<T: ConvReal>(engine: &Engine<T>, operation: Operation, from: &[Array2<T>
     let one = |from: &Array2<T>| {
         let mut into = engine.plan().zeros();
         engine
-            .execute(operation, &view(from.view()), into.view_mut(), &NoProgress)
+            .execute(
+                operation,
+                &[view(from.view())],
+                vec![into.view_mut()],
+                &NoProgress,
+            )
             .unwrap();
         into
     };

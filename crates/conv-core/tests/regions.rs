@@ -3,11 +3,12 @@
 #[allow(dead_code, reason = "each test binary uses a part")]
 mod common;
 
+use std::slice::from_ref;
 use std::sync::Arc;
 
 use common::grid_field::GridField;
 use common::{ANCHORS, Execute, PATHS, Scene, Waves, drawn, model_with, noise, options, region};
-use conv_core::{ConvError, ConvReal, Engine, Operation, Plan, PlanOptions, RowStream, StarPlan};
+use conv_core::{ConvError, ConvReal, Engine, Operation, Plan, PlanOptions, RowStream, SourcePlan};
 use ndarray::{Array2, ArrayView2, ArrayViewMut2, s};
 use psf_types::{
     Anchor, FrameShape, Image, ImageView, NoProgress, Normalisation, PixelRegion, PointSource, Position,
@@ -109,8 +110,8 @@ fn image_of<T: ConvReal>(engine: &Engine<T>, light: &Image<T>) -> Array2<T> {
     engine
         .execute(
             Operation::Convolve,
-            &ImageView::new(cut.view()).unwrap(),
-            image.view_mut(),
+            from_ref(&ImageView::new(cut.view()).unwrap()),
+            vec![image.view_mut()],
             &NoProgress,
         )
         .unwrap();
@@ -152,8 +153,8 @@ fn compare<T: ConvReal>(
         engine
             .execute(
                 Operation::Adjoint,
-                &ImageView::new(cut).unwrap(),
-                sum.view_mut(),
+                from_ref(&ImageView::new(cut).unwrap()),
+                vec![sum.view_mut()],
                 &NoProgress,
             )
             .unwrap();
@@ -330,7 +331,12 @@ fn a_region_has_its_own_adjoint() {
             assert!((left - right).abs() <= ROUNDING_F64 * scale, "{name} {anchor}");
             let mut plane = Array2::zeros(slice_of(back.pixels(), engine.plan().light_region()).dim());
             engine
-                .execute(Operation::Adjoint, &seen.view(), plane.view_mut(), &NoProgress)
+                .execute(
+                    Operation::Adjoint,
+                    from_ref(&seen.view()),
+                    vec![plane.view_mut()],
+                    &NoProgress,
+                )
                 .unwrap();
             assert_eq!(plane, slice_of(back.pixels(), engine.plan().light_region()));
             let outside = norm(back.pixels()).powi(2) - norm(plane.view()).powi(2);
@@ -395,11 +401,11 @@ fn a_region_streams_its_rows_and_draws_its_stars() {
             );
 
             // Stars drawn in the region equal, bit by bit, stars drawn in the whole frame.
-            let stars = StarPlan::<f64>::new(&model, options, None).unwrap();
+            let stars = SourcePlan::<f64>::new(&model, options, None).unwrap();
             let whole = drawn(&stars, &sources, frame);
             let mut of_part = Array2::zeros((47, 53));
             stars
-                .draw_into(&sources, frame, part, of_part.view_mut(), &NoProgress)
+                .draw_stars_into(&sources, frame, part, of_part.view_mut(), &NoProgress)
                 .unwrap();
             assert_eq!(of_part, slice_of(whole.view(), part), "{name} {anchor}");
         }
@@ -430,7 +436,12 @@ fn regions_lie_within_the_frame() {
     );
     let wrong = light(true);
     let mut image = Array2::zeros((127, 151));
-    let refused = engine.execute(Operation::Convolve, &wrong.view(), image.view_mut(), &NoProgress);
+    let refused = engine.execute(
+        Operation::Convolve,
+        from_ref(&wrong.view()),
+        vec![image.view_mut()],
+        &NoProgress,
+    );
     assert!(
         matches!(refused, Err(ConvError::FrameShape { .. })),
         "{refused:?}"

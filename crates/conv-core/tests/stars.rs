@@ -6,7 +6,7 @@ mod common;
 use std::sync::Arc;
 
 use common::{Waves, drawn, largest_difference, model_of_stamp, peak, region};
-use conv_core::{ConvError, ConvReal, PlanOptions, StarPainter, StarPlan};
+use conv_core::{ConvError, ConvReal, PlanOptions, SourcePlan, StarPainter};
 use ndarray::{Array2, Array3};
 use psf_types::{
     Anchor, CoefficientField, FieldError, NoProgress, Normalisation, PixelRegion, PointSource, Position,
@@ -70,7 +70,7 @@ fn planned<T: ConvReal>(
     options: PlanOptions,
     size: Option<usize>,
 ) -> Array2<f64> {
-    let plan = StarPlan::<T>::new(model, options, size).unwrap();
+    let plan = SourcePlan::<T>::new(model, options, size).unwrap();
     drawn(&plan, stars, frame()).mapv(T::as_f64)
 }
 
@@ -244,7 +244,8 @@ fn stars_of_every_phase_are_within_the_tolerance() {
         for s in [1, 2, 4] {
             let model = model_of_one_phase(s, kernel);
             for tolerance in [3e-2, 1e-2, 2e-3] {
-                let plan = StarPlan::<f64>::new(&model, PlanOptions::new(tolerance).unwrap(), None).unwrap();
+                let plan =
+                    SourcePlan::<f64>::new(&model, PlanOptions::new(tolerance).unwrap(), None).unwrap();
                 let (mut largest, mut by_modes) = (0.0f64, 0);
                 for i in 0..400 {
                     // Half of the stars lie at phases that use the stamp's pixels.
@@ -329,7 +330,7 @@ fn frames_anchors_threads_and_repetition() {
     for anchor in [Anchor::Source, Anchor::Output] {
         let options = PlanOptions::new(0.0).unwrap().with_anchor(anchor);
         let reference = painted(&model, &stars, frame, anchor, None);
-        let plan = StarPlan::new(&model, options, None).unwrap();
+        let plan = SourcePlan::new(&model, options, None).unwrap();
         let mut first = None;
         for threads in [1, 2, 5] {
             let pool = rayon::ThreadPoolBuilder::new()
@@ -369,11 +370,11 @@ fn a_star_without_a_psf_is_an_error() {
     }
     let whole = common::model_with(Arc::new(Half), (9, 9), (4, 4), false, Normalisation::Keep);
     let star = |x: f64| vec![PointSource::new(Position::new(x, 40.3).unwrap(), 1.0).unwrap()];
-    let plan = StarPlan::<f64>::new(&whole, PlanOptions::default(), None).unwrap();
+    let plan = SourcePlan::<f64>::new(&whole, PlanOptions::default(), None).unwrap();
     let mut image = drawn(&plan, &star(70.2), frame());
     let reference = painted(&whole, &star(70.2), frame(), Anchor::Source, None);
     assert!(largest_difference(&image, &reference) < 1e-3 * peak(&reference));
-    let refused = plan.draw_into(&star(70.3), frame(), frame(), image.view_mut(), &NoProgress);
+    let refused = plan.draw_stars_into(&star(70.3), frame(), frame(), image.view_mut(), &NoProgress);
     assert!(refused.is_err());
 }
 
@@ -384,7 +385,7 @@ fn a_star_without_pixels_is_an_error() {
         let painter = StarPainter::new(&model, frame, anchor, Some(0));
         assert!(matches!(painter, Err(ConvError::StampSize)));
         let options = PlanOptions::default().with_anchor(anchor);
-        let plan = StarPlan::<f32>::new(&model, options, Some(0));
+        let plan = SourcePlan::<f32>::new(&model, options, Some(0));
         assert!(matches!(plan, Err(ConvError::StampSize)));
     }
 }

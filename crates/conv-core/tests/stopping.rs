@@ -3,12 +3,13 @@
 #[allow(dead_code, reason = "each test binary uses a part")]
 mod common;
 
+use std::slice::from_ref;
 use std::sync::Arc;
 
 use common::{ANCHORS, Execute, Patience, Scene, Waves, model_with, noise};
 use conv_core::{
     BasisConvolution, ConvError, ConvolutionMethod, Direct, LowRank, Operation, PatchConvolution, Paths,
-    PlanOptions, StarPlan,
+    PlanOptions, SourcePlan,
 };
 use ndarray::Array2;
 use psf_types::{Normalisation, PointSource, Position, PsfBasis, PsfModel, StampGrid};
@@ -84,8 +85,8 @@ fn a_plan_stops_soon_and_serves_again() {
                 let mut image = engine.plan().zeros();
                 engine.execute(
                     Operation::Convolve,
-                    &scene.light.view(),
-                    image.view_mut(),
+                    from_ref(&scene.light.view()),
+                    vec![image.view_mut()],
                     patience,
                 )
             });
@@ -112,13 +113,13 @@ fn stars_stop_soon_and_are_drawn_again() {
     for (name, model) in [("fine", fine), ("exactly", model())] {
         for anchor in ANCHORS {
             let plan =
-                StarPlan::<f64>::new(&model, PlanOptions::new(1e-3).unwrap().with_anchor(anchor), None)
+                SourcePlan::<f64>::new(&model, PlanOptions::new(1e-3).unwrap().with_anchor(anchor), None)
                     .unwrap();
             let drawn = || common::drawn(&plan, &stars, frame);
             let before = drawn();
             stops(name, (5, 40), |patience| {
                 let mut image = Array2::zeros((FRAME.1, FRAME.0));
-                plan.draw_into(&stars, frame, frame, image.view_mut(), patience)
+                plan.draw_stars_into(&stars, frame, frame, image.view_mut(), patience)
             });
             assert_eq!(drawn(), before);
         }

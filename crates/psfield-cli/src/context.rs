@@ -41,7 +41,7 @@ pub(crate) fn message_of(error: &anyhow::Error) -> String {
         let of_pipeline = || cause.downcast_ref().and_then(PsfieldError::setting);
         of_pipeline().or_else(|| cause.downcast_ref().and_then(IoError::setting))
     });
-    with_option(psfield::error_text(error.as_ref()), setting)
+    with_option(psfield::error::error_text(error.as_ref()), setting)
 }
 
 /// Appends to a message of the library the command-line option for `setting`, if there is one.
@@ -55,7 +55,7 @@ pub(crate) fn with_option(text: impl std::fmt::Display, setting: Option<&str>) -
 /// Keeps only the text of an error, so that [`message_of`] appends no option to it. For errors of
 /// files to which the options of the command do not apply.
 pub(crate) fn without_option(error: impl std::error::Error + 'static) -> anyhow::Error {
-    anyhow::anyhow!(psfield::error_text(&error))
+    anyhow::anyhow!(psfield::error::error_text(&error))
 }
 
 /// If an error concerns a pixel, adds to it the setting that accepts NaN.
@@ -208,7 +208,7 @@ fn given_arguments() -> Vec<String> {
 /// Header cards like those of [`signature`], for the given arguments instead of the program's own.
 pub(crate) fn signature_of(arguments: &[String]) -> Vec<Card> {
     let command: Vec<String> = matters(arguments).map(quoted).collect();
-    psfield::provenance_cards(&format!("psfield {}", command.join(" ")))
+    psfield::image_cards::provenance_cards(&format!("psfield {}", command.join(" ")))
 }
 
 /// The arguments without the number of threads, `--json`, `--quiet` and `--stream`.

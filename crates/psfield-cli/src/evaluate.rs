@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use anyhow::Context as _;
-use psfield::{EvaluateOptions, OutputGrid};
+use psfield::evaluate::{EvaluateOptions, OutputGrid};
 
 use super::context::{Context, object, signature, with_option};
 use super::values::{Precision, stamp_size};

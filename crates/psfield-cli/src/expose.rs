@@ -6,7 +6,7 @@ use std::time::Instant;
 use detector::{Detector, DetectorError, DetectorParams};
 use psf_io::HduChoice;
 use psf_types::Real;
-use psfield::{ExposureFiles, read_bad_pixel_mask};
+use psfield::exposure_files::{ExposureFiles, read_bad_pixel_mask};
 
 use super::UsageError;
 use super::context::{Context, object, signature};

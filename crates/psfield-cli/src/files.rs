@@ -144,27 +144,27 @@ impl NamesFile for JsonTo {
 impl NamesFile for BandpassName {
     const USE: Use = Use::Input;
     fn files(&self) -> Vec<PathBuf> {
-        vec![psfield::bandpass_file(&self.0).into()]
+        vec![psfield::colours::bandpass_file(&self.0).into()]
     }
 }
 
 impl NamesFile for SpectrumName {
     const USE: Use = Use::Input;
     fn files(&self) -> Vec<PathBuf> {
-        psfield::spectrum_file(&self.0)
+        psfield::colours::spectrum_file(&self.0)
             .map(PathBuf::from)
             .into_iter()
             .collect()
     }
     fn within(folder: &Path, text: &str) -> OsString {
-        psfield::spectrum_in(folder, text).into()
+        psfield::colours::spectrum_in(folder, text).into()
     }
 }
 
 impl NamesFile for Layer {
     const USE: Use = Use::Input;
     fn files(&self) -> Vec<PathBuf> {
-        let spectrum = psfield::spectrum_file(&self.spectrum).map(PathBuf::from);
+        let spectrum = psfield::colours::spectrum_file(&self.spectrum).map(PathBuf::from);
         std::iter::once(self.image.clone()).chain(spectrum).collect()
     }
     fn within(folder: &Path, text: &str) -> OsString {
@@ -173,7 +173,7 @@ impl NamesFile for Layer {
         };
         let mut within = folder.join(layer.image).into_os_string();
         within.push(SPECTRUM_OF_LAYER);
-        within.push(psfield::spectrum_in(folder, &layer.spectrum));
+        within.push(psfield::colours::spectrum_in(folder, &layer.spectrum));
         within
     }
 }

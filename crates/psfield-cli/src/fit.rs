@@ -5,7 +5,8 @@ use std::path::PathBuf;
 
 use anyhow::Context as _;
 use psf_io::FileKind;
-use psfield::{FitOptions, FitReport, InterpolationErrors, Psf};
+use psfield::fit::{FitReport, InterpolationErrors};
+use psfield::{FitOptions, Psf};
 
 use super::context::{Context, signature};
 use crate::files::OutputFile;
@@ -94,7 +95,7 @@ impl FitCommandArgs {
             None => psf.fit().with_context(in_file)?.expect("samples have a fit"),
             Some(model) => {
                 let model = Psf::open(model)?;
-                own_fit = psfield::fit_in_basis(samples.clone(), model.record()?.basis(), options)
+                own_fit = psfield::fit::fit_in_basis(samples.clone(), model.record()?.basis(), options)
                     .with_context(in_file)?;
                 &own_fit
             }
@@ -102,7 +103,7 @@ impl FitCommandArgs {
         let report = fitted.report().with_context(in_file)?;
         fitted.write(&self.output, &signature(), self.overwrite)?;
         let compared = if self.compare {
-            psfield::compare_interpolations(samples.clone(), options).with_context(in_file)?
+            psfield::fit::compare_interpolations(samples.clone(), options).with_context(in_file)?
         } else {
             Vec::new()
         };
@@ -150,7 +151,10 @@ impl FitCommandArgs {
             .iter()
             .map(|path| path.display().to_string())
             .collect();
-        Ok(Psf::new(psfield::join_samples(&samples, &names)?, *options[0]))
+        Ok(Psf::new(
+            psfield::psf::join_samples(&samples, &names)?,
+            *options[0],
+        ))
     }
 }
 

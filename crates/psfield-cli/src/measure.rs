@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use ndarray::Axis;
 use psf_io::{FileKind, HduChoice};
-use psfield::{MEASUREMENT_COLUMNS, MeasureOptions, Measurement};
+use psfield::measure::{MEASUREMENT_COLUMNS, MeasureOptions, Measurement};
 
 use super::UsageError;
 use super::context::{Context, object};

@@ -136,7 +136,7 @@ pub(crate) fn text_of_bytes(bytes: usize) -> String {
 
 /// The text of an error about the value of an option, without Rust's own words and ranges.
 pub(crate) fn plain_text(error: &clap::Error) -> String {
-    let text = psfield::in_plain_words(&error.to_string());
+    let text = psfield::error::in_plain_words(&error.to_string());
     text.replace(" is not in ", " is not within ")
         .replace("..=", " to ")
 }

@@ -5,7 +5,9 @@ use conv_core::StarPainter;
 use ndarray::{Array2, ArrayView2, Zip};
 use psf_stars::{Source, StarSamples, StarSampling};
 use psf_types::{Anchor, FrameShape, Image, NoProgress, PointSource, Position, PsfModel, PsfModelRecord};
-use psfield::{FitOptions, MeasureOptions, Measurement, PsfieldError, fit, model_of};
+use psfield::fit::{fit, model_of};
+use psfield::measure::{MeasureOptions, Measurement};
+use psfield::{FitOptions, PsfieldError};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution as _, Poisson, StandardNormal};
@@ -133,7 +135,7 @@ impl RoundTrip {
         // The comparison with all stars holds even if stars cannot be left out.
         let (left_out, left_out_error) = match left_out {
             Ok(left_out) => (left_out, None),
-            Err(error) => (None, Some(psfield::error_text(&error))),
+            Err(error) => (None, Some(psfield::error::error_text(&error))),
         };
 
         let residual = &frame - &all.simulated;

@@ -70,7 +70,7 @@ pub(crate) fn read_catalog<'py>(
     if let Some(cards) = cards {
         options = options.with_sky(
             SkyCoordinates::from_header(&cards)
-                .map_err(|e| invalid(format!("wcs: {}", psfield::error_text(&e))))?,
+                .map_err(|e| invalid(format!("wcs: {}", psfield::error::error_text(&e))))?,
         );
     }
     let catalog = py
@@ -112,7 +112,7 @@ type RoleOfColumn = (&'static str, String, Option<&'static str>);
 pub(crate) fn catalog_columns(names: Vec<String>) -> PyResult<(Vec<RoleOfColumn>, Vec<String>)> {
     let picked = CatalogColumns::default().columns_of("catalog", &names);
     let ignored = CatalogOptions::new().ignored_columns(&names);
-    let picked = picked.map_err(|e| invalid(psfield::error_text(&e)))?;
+    let picked = picked.map_err(|e| invalid(psfield::error::error_text(&e)))?;
     let of = |column: NeededColumn| (column.role, column.name, column.unit);
     Ok((picked.into_iter().map(of).collect(), ignored))
 }
@@ -137,7 +137,7 @@ impl Sources {
             }
             catalog_of(&table, &CatalogOptions::new())
         };
-        let catalog = made().map_err(|e| invalid(psfield::error_text(&e)))?;
+        let catalog = made().map_err(|e| invalid(psfield::error::error_text(&e)))?;
         let (stars, galaxies) = catalog.into_parts();
         Ok(Self { stars, galaxies })
     }

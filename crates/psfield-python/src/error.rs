@@ -50,7 +50,7 @@ impl From<Failure> for PyErr {
             // KeyboardInterrupt and SystemExit are passed on unchanged.
             return clone(exit);
         }
-        let text = with_argument(psfield::error_text(&*error), error.setting());
+        let text = with_argument(psfield::error::error_text(&*error), error.setting());
         let text = argument.map_or_else(|| text.clone(), |argument| format!("{argument}: {text}"));
         let of_file = error.cause().map(IoError::kind);
         let raised = match (error.kind(), of_file, error.cause().map(std::io::Error::kind)) {

@@ -1,8 +1,8 @@
 //! Measurements of stamps and images.
 
 use numpy::{PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3, PyReadonlyArrayDyn};
+use psfield::measure::{MeasureOptions, Measurement};
 use psfield::metrics::{AdaptiveMomentFinder, Comparison, GaussianFitter, QuadrupoleMoments, Window};
-use psfield::{MeasureOptions, Measurement};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 

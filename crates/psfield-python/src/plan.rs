@@ -157,7 +157,7 @@ impl Plan {
     /// Makes a plan for another PSF, with the settings of this plan and, if possible, its tiles.
     fn for_model(&self, py: Python<'_>, model: &PsfModel) -> PyResult<Self> {
         let psf = model.0.clone();
-        let simulator = another!(self, py, |of, watch| of.for_other_field(psf, watch));
+        let simulator = another!(self, py, |of, watch| of.with_psf(psf, watch));
         Ok(Self {
             simulator,
             making: Arc::default(),
@@ -289,7 +289,8 @@ impl Plan {
                 let image = ImageView::new(pixels).map_err(Failure::of("image"))?;
                 Ok(simulator.adjoint(&image, watch)?)
             })?;
-            Ok(made?.into_pixels().into_pyarray(py).into_any())
+            let light = made?.pop().expect("a scene has a layer");
+            Ok(light.into_pixels().into_pyarray(py).into_any())
         })
     }
 
@@ -342,9 +343,9 @@ impl Plan {
             None => Scene::dark(),
         };
         let scene = scene.with_stars(&sources.stars).with_galaxies(&sources.galaxies);
-        if !simulator.is_prepared(&scene, false) {
+        if !simulator.is_prepared(&scene) {
             let _making = threads::turn(&self.making, watch)?;
-            pool.install(|| simulator.prepare(&scene, false, watch))?;
+            pool.install(|| simulator.prepare(&scene, watch))?;
         }
         Ok(scene)
     }
@@ -374,7 +375,7 @@ impl Plan {
 
     /// Returns the preparation of the simulator for scenes with an image.
     fn preparation(&self) -> PyResult<Preparation<'_>> {
-        let made = in_precision!(self, simulator => simulator.prepare(&Scene::dark(), true, &NoProgress));
+        let made = in_precision!(self, simulator => simulator.prepare(&Scene::streamed(), &NoProgress));
         Ok(made.map_err(Failure::from)?)
     }
 }
@@ -448,7 +449,7 @@ fn planned<T: ConvReal>(
     let made = threads::run_apart(py, move |watch, pool| {
         pool.install(|| -> Result<_, Failure> {
             let simulator = make(watch)?;
-            simulator.prepare(&Scene::dark(), true, watch)?;
+            simulator.prepare(&Scene::streamed(), watch)?;
             Ok(Arc::new(simulator))
         })
     })?;

@@ -7,7 +7,11 @@ use numpy::{
     IntoPyArray, PyArray1, PyArray2, PyArray3, PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3,
 };
 use psfield::coeff_field::CoeffFieldError;
+use psfield::colours::{open_bandpass, open_spectrum};
 use psfield::convert::{PsfFormat, SamplesAt, to_gridded};
+use psfield::evaluate::{EvaluateOptions, OutputGrid, evaluate_stamps};
+use psfield::fit::{Fit, OwnInterpolation, fit_by, fit_in_basis, fit_weighted};
+use psfield::image_cards::provenance_cards;
 use psfield::psf_basis::{GivenStamps, PixelNoise};
 use psfield::psf_io::Precision;
 use psfield::psf_types::{
@@ -15,10 +19,8 @@ use psfield::psf_types::{
     SampleStates, StateKind,
 };
 use psfield::spectra::{Bandpass, Curve, FluxDensity, Spectrum};
-use psfield::{
-    EvaluateOptions, Fit, FitOptions, MAX_STACK_BYTES, OutputGrid, OwnInterpolation, Psf, PsfieldError,
-    evaluate_stamps, fit_by, fit_in_basis, fit_weighted, open_bandpass, open_spectrum, provenance_cards,
-};
+use psfield::stack_size::MAX_STACK_BYTES;
+use psfield::{FitOptions, Psf, PsfieldError};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 

@@ -74,7 +74,7 @@ pub(crate) fn sample_function(
     let method = sampling.options()?.method().map_err(Failure::from)?;
     let options = fit.choices()?.or(FitOptions::default());
     if let Some((ny, nx)) = sampling.uniform {
-        psfield::check_stack(nx.saturating_mul(ny), grid).map_err(Failure::from)?;
+        psfield::stack_size::check_stack(nx.saturating_mul(ny), grid).map_err(Failure::from)?;
     }
     // The sampling has a pool of its own. The caller's function may itself call psfield, which then
     // uses the common pool. Threads that wait for the function must not occupy that pool.
@@ -197,7 +197,7 @@ impl TelescopeSettings {
         let method = UniformSampling::new(nx, ny)?;
         let states = self.wavelengths_um.as_ref().map_or(1, Vec::len);
         let count = nx.saturating_mul(ny).saturating_mul(states);
-        psfield::check_stack(count, telescope.grid())?;
+        psfield::stack_size::check_stack(count, telescope.grid())?;
         let Some(wavelengths_um) = &self.wavelengths_um else {
             return Ok(method.sample(&telescope, watch)?.samples);
         };

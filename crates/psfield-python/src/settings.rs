@@ -2,10 +2,11 @@
 
 use std::str::FromStr;
 
+use psfield::fit::OwnInterpolation;
 use psfield::psf_basis::PixelNoise;
 use psfield::psf_sample::SamplingOptions;
 use psfield::psf_types::{FrameShape, PixelRegion, Position, Real, StampGrid};
-use psfield::{FitChoices, FitOptions, OwnInterpolation, PsfFileOptions, PsfieldError, SimulateOptions};
+use psfield::{FitChoices, FitOptions, PsfFileOptions, PsfieldError, SimulateOptions};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 

@@ -6,7 +6,8 @@ use ndarray::Array2;
 use psf_types::StateKind;
 use spectra::{Bandpass, Curve, FluxDensity, PhotonFraction, SpectraError, Spectrum, photons};
 
-use crate::{ErrorKind, Psf, PsfieldError};
+use crate::error::{ErrorKind, PsfieldError};
+use crate::psf::Psf;
 
 /// The largest fraction of the detected photons that may have wavelengths outside those of the
 /// samples. They get the PSF of the nearest sample.
@@ -20,8 +21,8 @@ const MAX_OUTSIDE: f64 = 1e-3;
 /// per frequency) or `:photons`. At the end of any name, `@z=REDSHIFT` sets the redshift.
 ///
 /// ```
-/// let star = psfield::open_spectrum("blackbody:5800")?;
-/// let quasar = psfield::open_spectrum("powerlaw:-1.5@z=2")?;
+/// let star = psfield::colours::open_spectrum("blackbody:5800")?;
+/// let quasar = psfield::colours::open_spectrum("powerlaw:-1.5@z=2")?;
 /// assert_eq!((star.redshift(), quasar.redshift()), (0.0, 2.0));
 /// # Ok::<(), psfield::PsfieldError>(())
 /// ```
@@ -43,8 +44,8 @@ pub fn open_spectrum(name: &str) -> Result<Spectrum, PsfieldError> {
 /// law.
 ///
 /// ```
-/// assert_eq!(psfield::spectrum_file("galaxy.txt:nm:photons@z=0.5"), Some("galaxy.txt"));
-/// assert_eq!(psfield::spectrum_file("blackbody:5800"), None);
+/// assert_eq!(psfield::colours::spectrum_file("galaxy.txt:nm:photons@z=0.5"), Some("galaxy.txt"));
+/// assert_eq!(psfield::colours::spectrum_file("blackbody:5800"), None);
 /// ```
 pub fn spectrum_file(name: &str) -> Option<&str> {
     if name.starts_with("blackbody:") || name.starts_with("powerlaw:") {
@@ -207,9 +208,9 @@ mod tests {
         });
         let states = SampleStates::new(StateKind::Wavelength, &states).unwrap();
         let positions = SamplePositions::with_states(at, None, Some(states)).unwrap();
-        let options = crate::FitOptions {
+        let options = crate::fit::FitOptions {
             rank: psf_basis::RankSelection::Full,
-            ..crate::FitOptions::default()
+            ..crate::fit::FitOptions::default()
         };
         Psf::new(
             PsfSamples::new(stamps, positions, StampGrid::new(21, 21).unwrap()).unwrap(),

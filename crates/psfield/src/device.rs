@@ -6,7 +6,7 @@ mod placement;
 
 use conv_core::{ConvReal, Engine, Plan};
 
-use crate::PsfieldError;
+use crate::error::PsfieldError;
 use crate::simulate_options::{Device, SimulateOptions};
 
 #[cfg(feature = "gpu")]
@@ -59,7 +59,7 @@ pub fn open_gpu(_adapter: Option<&str>) -> Result<String, PsfieldError> {
 #[cfg(not(feature = "gpu"))]
 fn no_gpu_support() -> PsfieldError {
     const NO_SUPPORT: &str = "this psfield was built without GPU support: build it with its feature gpu (--features gpu, docs/gpu.md shows how)";
-    PsfieldError::new(crate::ErrorKind::Gpu, NO_SUPPORT)
+    PsfieldError::new(crate::error::ErrorKind::Gpu, NO_SUPPORT)
 }
 
 /// Does nothing, because this build has no GPU support.

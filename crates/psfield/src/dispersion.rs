@@ -9,9 +9,11 @@ use rayon::prelude::*;
 use rustfft::num_complex::Complex64;
 use spectra::{Atmosphere, Bandpass, PhotonFraction, Spectrum};
 
+use crate::error::{ErrorKind, PsfieldError};
+use crate::fit::FitOptions;
+use crate::psf::Psf;
 use crate::stack_size::check_stack;
 use crate::stamp_plane::{Line, StampPlane, margin_of, widened};
-use crate::{ErrorKind, FitOptions, Psf, PsfieldError};
 
 /// The dispersion of the atmosphere on a frame. It shifts light of wavelength `lambda` towards the
 /// zenith by `[R(lambda) - R(reference)] / pixel_scale` pixels, with the refraction `R`

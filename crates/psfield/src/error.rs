@@ -254,7 +254,7 @@ pub fn in_plain_words(text: &str) -> String {
 /// numbers and types are replaced by plain ones.
 ///
 /// ```
-/// use psfield::{Psf, error_text};
+/// use psfield::{Psf, error::error_text};
 /// let error = Psf::open("no such file.fits").unwrap_err();
 /// assert!(error_text(&error).starts_with("no such file.fits: cannot read the file: "));
 /// ```

@@ -5,8 +5,10 @@ use ndarray::{Array2, Array3};
 use psf_types::{DataError, FrameShape, Position, PsfModel, PsfSamples, SamplePositions, StampGrid};
 use rayon::prelude::*;
 
+use crate::error::{ErrorKind, PsfieldError};
+use crate::psf::Psf;
 use crate::psf::native_grid_of;
-use crate::{ErrorKind, Psf, PsfieldError, check_stack};
+use crate::stack_size::check_stack;
 
 /// The pixels at which PSFs are evaluated.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -131,7 +133,7 @@ pub fn evaluate(
 ///
 /// ```no_run
 /// use psfield::psf_types::Position;
-/// use psfield::{EvaluateOptions, OutputGrid, Psf, evaluate_stamps};
+/// use psfield::{Psf, evaluate::{EvaluateOptions, OutputGrid, evaluate_stamps}};
 /// let psf = Psf::open("psf.fits")?;
 /// let options = EvaluateOptions { grid: OutputGrid::Native, sub_pixel: true, ..Default::default() };
 /// let stars = [Position::new(100.25, 80.5)?, Position::new(100.25, 80.5)?];

@@ -6,7 +6,7 @@ use detector::{BadPixelMask, Detector, Exposure, ExposureReport};
 use psf_io::{Card, CardError, HeaderCards, IntegerKind};
 use psf_types::{Image, Real};
 
-use crate::{ErrorKind, PsfieldError};
+use crate::error::{ErrorKind, PsfieldError};
 
 /// Keywords that describe an exposure. [`ExposureFiles::write`] does not copy their cards from the
 /// header of the exposed image.
@@ -21,7 +21,7 @@ const KEYWORDS: [&str; 24] = [
 /// ```
 /// # let directory = tempfile::tempdir()?;
 /// # let at = |name: &str| directory.path().join(name);
-/// use psfield::ExposureFiles;
+/// use psfield::exposure_files::ExposureFiles;
 /// use psfield::detector::{Detector, DetectorParams};
 /// use psfield::psf_io::{HeaderCards, read_image};
 /// use psfield::psf_types::{FrameShape, Image};

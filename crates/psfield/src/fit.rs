@@ -19,8 +19,8 @@ use psf_types::{
 };
 use rayon::prelude::*;
 
+use crate::error::{ErrorKind, PsfieldError};
 use crate::stack_size::check_stack;
-use crate::{ErrorKind, PsfieldError};
 
 pub use comparison::{InterpolationErrors, compare_interpolations};
 pub use models::model_of;
@@ -104,8 +104,8 @@ pub struct Fit {
 /// Samples of several states, such as wavelengths or frames, get one basis.
 ///
 /// # Errors
-/// [`ErrorKind::Fit`](crate::ErrorKind::Fit) when the basis cannot be computed, for example because
-/// the samples do not have the requested rank. [`ErrorKind::TooLarge`](crate::ErrorKind::TooLarge)
+/// [`ErrorKind::Fit`] when the basis cannot be computed, for example because
+/// the samples do not have the requested rank. [`ErrorKind::TooLarge`]
 /// if the shifted copies would fill too much memory. An interpolation that does not suit the positions is
 /// an error of [`Fit::into_model`] and [`Fit::report`], not of the fit.
 pub fn fit(samples: PsfSamples, options: &FitOptions) -> Result<Fit, PsfieldError> {
@@ -144,7 +144,7 @@ fn shifted_copies(samples: &PsfSamples, copies: usize) -> Result<Array3<f64>, Ps
 /// not apply.
 ///
 /// # Errors
-/// [`ErrorKind::Data`](crate::ErrorKind::Data) for samples whose stamps have other pixels than the
+/// [`ErrorKind::Data`] for samples whose stamps have other pixels than the
 /// basis.
 pub fn fit_in_basis(
     samples: PsfSamples,
@@ -194,7 +194,7 @@ fn norms_of(samples: &PsfSamples) -> Vec<f64> {
 /// With [`Normalisation::Unit`], the training stamps are scaled to unit flux, like the samples.
 ///
 /// # Errors
-/// The errors of [`fit()`], and [`ErrorKind::Fit`](crate::ErrorKind::Fit) for training stamps that
+/// The errors of [`fit()`], and [`ErrorKind::Fit`] for training stamps that
 /// differ in shape from the samples.
 pub fn fit_trained(
     samples: PsfSamples,
@@ -392,7 +392,7 @@ impl Fit {
     /// of each sample grows by the part that the removed components represented.
     ///
     /// # Errors
-    /// [`ErrorKind::Data`](crate::ErrorKind::Data) for rank 0 of a basis without mean. The cause is
+    /// [`ErrorKind::Data`] for rank 0 of a basis without mean. The cause is
     /// [`DataError::EmptyBasis`](psf_types::DataError::EmptyBasis).
     pub fn truncated(&self, rank: usize) -> Result<Self, PsfieldError> {
         let record = self.record.truncated(rank)?;

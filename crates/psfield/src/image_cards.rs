@@ -5,7 +5,9 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 use conv_core::ConvReal;
 use psf_io::{Card, CardError, HeaderCards};
 
-use crate::{ErrorKind, Preparation, PsfieldError, Simulator, SpotCheck};
+use crate::error::{ErrorKind, PsfieldError};
+use crate::simulator::{Preparation, Simulator};
+use crate::spot_check::SpotCheck;
 
 /// The keyword that holds the digest of a batch job's options, in the files that the job made.
 pub const JOB_KEYWORD: &str = "PSFJOB";
@@ -50,8 +52,8 @@ pub fn utc_now() -> String {
 /// another text, and for a time zone other than UTC.
 ///
 /// ```
-/// assert!(psfield::parse_utc("2026-11-27T21:00:00.25").is_some());
-/// assert!(psfield::parse_utc("2026-11-27T21:00:00+02:00").is_none());
+/// assert!(psfield::image_cards::parse_utc("2026-11-27T21:00:00.25").is_some());
+/// assert!(psfield::image_cards::parse_utc("2026-11-27T21:00:00+02:00").is_none());
 /// ```
 pub fn parse_utc(text: &str) -> Option<SystemTime> {
     humantime::parse_rfc3339_weak(text).ok()
@@ -66,14 +68,14 @@ pub fn parse_utc(text: &str) -> Option<SystemTime> {
 /// | `EXPTIME` | duration in seconds |
 ///
 /// ```
-/// let start = psfield::parse_utc("2026-12-31T23:59:50").expect("a time");
-/// let cards = psfield::exposure_time_cards(start, (5.0, 35.5))?;
+/// let start = psfield::image_cards::parse_utc("2026-12-31T23:59:50").expect("a time");
+/// let cards = psfield::image_cards::exposure_time_cards(start, (5.0, 35.5))?;
 /// assert_eq!(cards[1].value(), Some("2027-01-01T00:00:25.500000".into()));
 /// # Ok::<(), psfield::PsfieldError>(())
 /// ```
 ///
 /// # Errors
-/// [`ErrorKind::Data`](crate::ErrorKind::Data) for a time before the year 1970 or after 9999.
+/// [`ErrorKind::Data`] for a time before the year 1970 or after 9999.
 pub fn exposure_time_cards(start: SystemTime, (from_s, to_s): (f64, f64)) -> Result<[Card; 3], PsfieldError> {
     let date = |seconds: f64| {
         let distance = Duration::from_micros((seconds.abs() * 1e6).round() as u64);

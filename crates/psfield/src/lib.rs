@@ -51,26 +51,26 @@
 //! ([`Device`]). Without this feature, everything runs on the processor, and no GPU library is
 //! compiled.
 
-mod colour_scene;
-mod colours;
+pub mod colours;
 pub mod convert;
-mod device;
+pub mod device;
 mod dispersion;
-mod error;
-mod evaluate;
-mod exposure_files;
-mod fit;
-mod image_cards;
+pub mod error;
+pub mod evaluate;
+pub mod exposure_files;
+pub mod fit;
+pub mod image_cards;
 mod light_on_pixels;
-mod measure;
-mod psf;
+pub mod measure;
+pub mod psf;
 mod readable;
 mod scene;
-mod series;
+mod scene_light;
+pub mod series;
 mod simulate_options;
 mod simulator;
 mod spot_check;
-mod stack_size;
+pub mod stack_size;
 mod stamp_plane;
 
 pub use {
@@ -78,39 +78,17 @@ pub use {
     psf_types, sersic, spectra,
 };
 
-pub use colour_scene::ColourScene;
-pub use colours::{bandpass_file, open_bandpass, open_spectrum, spectrum_file, spectrum_in};
-pub use device::{
-    CpuReason, GpuSeconds, MIN_SECONDS_FOR_GPU, Placement, PredictedSeconds, forget_gpus, open_gpu,
-};
 pub use dispersion::Dispersion;
-pub use error::{ErrorKind, PsfieldError, error_text, in_plain_words};
-pub use evaluate::{
-    EvaluateOptions, OutputGrid, check_frame_on_field, check_on_field, evaluate, evaluate_stamps,
-};
-pub use exposure_files::{ExposureFiles, exposure_cards, read_bad_pixel_mask};
-pub use fit::{
-    Fit, FitOptions, FitReport, InterpolationErrors, LeaveOneOutReport, OwnInterpolation,
-    compare_interpolations, fit, fit_by, fit_in_basis, fit_trained, fit_weighted, fit_with, model_of,
-};
-pub use image_cards::{
-    JOB_KEYWORD, PSF_FILE_KEYWORD, exposure_time_cards, parse_utc, provenance_cards, utc_now,
-};
+pub use error::{ErrorKind, PsfieldError};
+pub use fit::FitOptions;
 pub use light_on_pixels::light_on_pixels;
-pub use measure::{MEASUREMENT_COLUMNS, MeasureOptions, Measurement};
-pub use psf::{Extrapolation, FitChoices, Motion, Note, Psf, PsfFileOptions, join_samples, record_of_psfex};
+pub use psf::{Extrapolation, FitChoices, Motion, Psf, PsfFileOptions};
 pub use readable::readable;
-pub use scene::Scene;
-pub use series::{
-    Exposures, LightCurves, Pointing, PointingPath, Series, SeriesExposure, SeriesSimulator, SourceInExposure,
-};
+pub use scene::{Layer, ProfileSource, Scene};
+pub use scene_light::SceneLight;
 pub use simulate_options::{Device, Method, ScenePixels, SimulateOptions};
-pub use simulator::{
-    ColourSimulator, OwnMethodBuilder, Preparation, SamplingErrors, SimulationWarning, Simulator,
-    SimulatorBuilder,
-};
-pub use spot_check::{PickedPixel, PixelPicker, SpotCheck};
-pub use stack_size::{MAX_STACK_BYTES, check_stack};
+pub use simulator::{Preparation, SamplingErrors, SimulationWarning, Simulator, SimulatorBuilder};
+pub use spot_check::SpotCheck;
 
 /// The names that most programs need.
 pub mod prelude {

@@ -4,7 +4,10 @@ use conv_core::ConvReal;
 use ndarray::Array3;
 use psf_types::{FrameShape, Image, Position, PsfSamples, SamplePositions, SersicSource, StampGrid};
 
-use crate::{FitOptions, Psf, PsfieldError, Scene};
+use crate::error::PsfieldError;
+use crate::fit::FitOptions;
+use crate::psf::Psf;
+use crate::scene::Scene;
 
 /// Pixels of the stamp for each pixel of an image of [`light_on_pixels`].
 const FINE: usize = 4;

@@ -19,8 +19,9 @@ use psf_types::{
     StampGrid,
 };
 
+use crate::error::PsfieldError;
+use crate::fit::FitOptions;
 use crate::fit::{Fit, OwnInterpolation, fit, models_of, table_of, tabulated};
-use crate::{FitOptions, PsfieldError};
 
 pub use extrapolation::Extrapolation;
 pub use format_records::record_of_psfex;
@@ -300,7 +301,7 @@ impl Psf {
         })
     }
 
-    /// Sentences on samples that do not determine the model ([`FitReport`](crate::FitReport)). None for a
+    /// Sentences on samples that do not determine the model ([`FitReport`](crate::fit::FitReport)). None for a
     /// PSF that does not come from samples, and before the fit.
     pub(crate) fn fit_warnings(&self) -> &[String] {
         let kept = &self.0.fit_warnings;

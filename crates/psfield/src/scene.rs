@@ -1,12 +1,14 @@
 //! Light before the PSF.
 
 use std::borrow::Cow;
+use std::fmt;
+use std::sync::Arc;
 
 use ndarray::Array2;
-use psf_types::{DataError, Image, ImageView, PointSource, Real, SersicSource};
+use psf_types::{DataError, Image, ImageView, LightProfile, PointSource, Position, Real, SersicSource};
 
-/// The light before the PSF: an image `[y, x]` in flux per pixel, stars, galaxies, or any
-/// combination of these.
+/// The light before the PSF: an image `[y, x]` in flux per pixel, stars, galaxies, sources with profiles of
+/// the caller's own, or any combination of these.
 ///
 /// Positions and sizes of stars and galaxies are in pixels of the frame, even if the image is finer
 /// than the frame ([`oversample`](crate::SimulateOptions::oversample)). Positions count from the
@@ -26,18 +28,65 @@ use psf_types::{DataError, Image, ImageView, PointSource, Real, SersicSource};
 /// let pixels = Array2::<f32>::ones((48, 64));
 /// let borrowed = Scene::from(ImageView::new(pixels.view())?);
 /// let stars_alone = Scene::<f32>::dark().with_stars(vec![star]);
-/// assert_eq!(owned.stars(), stars_alone.stars());
+/// assert_eq!(owned.stars().count(), stars_alone.stars().count());
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+///
+/// # Layers
+/// A PSF may have several states ([`Psf::states`](crate::Psf::states)), such as those for several
+/// spectra. Then the scene has a [`Layer`] of light for each state, in their order, and all layers are
+/// added up in one image. The scenes above have one layer. [`of_layers`](Self::of_layers) joins the
+/// layers of several scenes:
+///
+/// ```
+/// # use ndarray::Array2;
+/// # use psfield::Scene;
+/// let (red, blue) = (Array2::<f32>::ones((48, 64)), Array2::<f32>::zeros((48, 64)));
+/// let scene = Scene::of_layers([Scene::new(red)?, Scene::new(blue)?]);
+/// assert_eq!(scene.layers().len(), 2);
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 #[derive(Debug, Clone)]
 pub struct Scene<'a, T = f64> {
-    image: Option<ImageView<'a, T>>,
-    stars: Cow<'a, [PointSource]>,
-    galaxies: Cow<'a, [SersicSource]>,
+    /// One at least.
+    layers: Vec<Layer<'a, T>>,
 }
 
-/// Stars and galaxies.
-pub(crate) type SceneSources<'a> = (&'a [PointSource], &'a [SersicSource]);
+/// The light of a [`Scene`] that sees one state of the PSF.
+#[derive(Debug, Clone)]
+pub struct Layer<'a, T = f64> {
+    pixels: Pixels<'a, T>,
+    stars: Cow<'a, [PointSource]>,
+    galaxies: Cow<'a, [SersicSource]>,
+    profiles: Cow<'a, [ProfileSource]>,
+}
+
+/// A source with a profile of the caller's own: any light on the sky that is a [`LightProfile`].
+#[derive(Clone)]
+pub struct ProfileSource {
+    /// Position and flux.
+    pub point: PointSource,
+    /// The light, for a flux of 1.
+    pub light: Arc<dyn LightProfile + Send + Sync>,
+}
+
+impl fmt::Debug for ProfileSource {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let point = &self.point;
+        f.debug_struct("ProfileSource")
+            .field("point", point)
+            .finish_non_exhaustive()
+    }
+}
+
+/// The image of a layer.
+#[derive(Debug, Clone)]
+enum Pixels<'a, T> {
+    None,
+    InMemory(ImageView<'a, T>),
+    /// Its rows are read from a stream.
+    Streamed,
+}
 
 impl<'a, T: Real> Scene<'a, T> {
     /// A scene with only an image.
@@ -50,34 +99,117 @@ impl<'a, T: Real> Scene<'a, T> {
 
     /// A scene without an image, for stars and galaxies.
     pub fn dark() -> Self {
-        Self {
-            image: None,
+        Self::with(Pixels::None)
+    }
+
+    /// A scene whose image is read row by row ([`Simulator::stream`](crate::Simulator::stream)).
+    pub fn streamed() -> Self {
+        Self::with(Pixels::Streamed)
+    }
+
+    fn with(pixels: Pixels<'a, T>) -> Self {
+        let layer = Layer {
+            pixels,
             stars: Cow::Borrowed(&[]),
             galaxies: Cow::Borrowed(&[]),
-        }
+            profiles: Cow::Borrowed(&[]),
+        };
+        Self { layers: vec![layer] }
     }
 
-    /// Replaces the stars.
+    /// A scene with the layers of these scenes, in their order.
+    ///
+    /// # Panics
+    /// When there are no scenes.
+    pub fn of_layers(scenes: impl IntoIterator<Item = Self>) -> Self {
+        let layers: Vec<_> = scenes.into_iter().flat_map(|scene| scene.layers).collect();
+        assert!(!layers.is_empty(), "at least one scene");
+        Self { layers }
+    }
+
+    /// Replaces the stars of the last layer.
     #[must_use]
-    pub fn with_stars(self, stars: impl Into<Cow<'a, [PointSource]>>) -> Self {
-        Self {
-            stars: stars.into(),
-            ..self
-        }
+    pub fn with_stars(mut self, stars: impl Into<Cow<'a, [PointSource]>>) -> Self {
+        self.last().stars = stars.into();
+        self
     }
 
-    /// Replaces the galaxies.
+    /// Replaces the galaxies of the last layer.
     #[must_use]
-    pub fn with_galaxies(self, galaxies: impl Into<Cow<'a, [SersicSource]>>) -> Self {
-        Self {
-            galaxies: galaxies.into(),
-            ..self
-        }
+    pub fn with_galaxies(mut self, galaxies: impl Into<Cow<'a, [SersicSource]>>) -> Self {
+        self.last().galaxies = galaxies.into();
+        self
     }
 
-    /// The image, if there is one.
+    /// Replaces the sources with profiles of the caller's own in the last layer.
+    #[must_use]
+    pub fn with_profiles(mut self, profiles: impl Into<Cow<'a, [ProfileSource]>>) -> Self {
+        self.last().profiles = profiles.into();
+        self
+    }
+
+    fn last(&mut self) -> &mut Layer<'a, T> {
+        self.layers.last_mut().expect("a scene has a layer")
+    }
+
+    /// The layers, one at least.
+    pub fn layers(&self) -> &[Layer<'a, T>] {
+        &self.layers
+    }
+
+    /// The stars of all layers.
+    pub fn stars(&self) -> impl Iterator<Item = &PointSource> {
+        self.layers.iter().flat_map(Layer::stars)
+    }
+
+    /// The galaxies of all layers.
+    pub fn galaxies(&self) -> impl Iterator<Item = &SersicSource> {
+        self.layers.iter().flat_map(Layer::galaxies)
+    }
+
+    /// The sources with profiles of the caller's own, of all layers.
+    pub fn profiles(&self) -> impl Iterator<Item = &ProfileSource> {
+        self.layers.iter().flat_map(Layer::profiles)
+    }
+
+    /// The positions and fluxes of all sources.
+    pub(crate) fn points(&self) -> impl Iterator<Item = (Position, f64)> {
+        let stars = self.stars().map(|star| (star.position(), star.flux()));
+        let galaxies = self.galaxies().map(|galaxy| (galaxy.position(), galaxy.flux()));
+        let profiles = self.profiles().map(|source| &source.point);
+        let profiles = profiles.map(|point| (point.position(), point.flux()));
+        stars.chain(galaxies).chain(profiles)
+    }
+
+    /// Returns whether a layer has an image, in memory or streamed.
+    pub fn has_image(&self) -> bool {
+        self.layers.iter().any(Layer::has_image)
+    }
+
+    /// The numbers of the layers that have an image.
+    pub(crate) fn layers_with_image(&self) -> Vec<usize> {
+        let numbers = 0..self.layers.len();
+        numbers.filter(|&layer| self.layers[layer].has_image()).collect()
+    }
+}
+
+impl<'a, T: Real> Layer<'a, T> {
+    /// The image, if there is one in memory.
     pub fn image(&self) -> Option<&ImageView<'a, T>> {
-        self.image.as_ref()
+        match &self.pixels {
+            Pixels::InMemory(image) => Some(image),
+            Pixels::None | Pixels::Streamed => None,
+        }
+    }
+
+    /// Returns whether the layer has an image that is read row by row.
+    pub fn is_streamed(&self) -> bool {
+        matches!(self.pixels, Pixels::Streamed)
+    }
+
+    /// Returns whether the layer has an image, in memory or streamed.
+    pub fn has_image(&self) -> bool {
+        !matches!(self.pixels, Pixels::None)
     }
 
     /// The stars.
@@ -90,18 +222,19 @@ impl<'a, T: Real> Scene<'a, T> {
         &self.galaxies
     }
 
-    /// The stars and the galaxies.
-    pub(crate) fn sources(&self) -> SceneSources<'_> {
-        (&self.stars, &self.galaxies)
+    /// The sources with profiles of the caller's own.
+    pub fn profiles(&self) -> &[ProfileSource] {
+        &self.profiles
+    }
+
+    pub(crate) fn has_sources(&self) -> bool {
+        !(self.stars.is_empty() && self.galaxies.is_empty() && self.profiles.is_empty())
     }
 }
 
 impl<'a, T: Real> From<ImageView<'a, T>> for Scene<'a, T> {
     fn from(image: ImageView<'a, T>) -> Self {
-        Self {
-            image: Some(image),
-            ..Self::dark()
-        }
+        Self::with(Pixels::InMemory(image))
     }
 }
 

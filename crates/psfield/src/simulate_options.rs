@@ -7,7 +7,7 @@ use conv_core::{
 };
 use psf_types::{Anchor, PixelRegion, ToleranceOn, named};
 
-use crate::PsfieldError;
+use crate::error::PsfieldError;
 
 /// Every setting of a simulation. The options of the command line and the keywords of the Python
 /// package have these names and these defaults, with two exceptions: the command line has no option
@@ -163,7 +163,7 @@ pub enum Method {
     /// The direct sum over pixels and PSF values, in f64 ([`Direct`]).
     Direct,
     /// A method that the caller implements, given to
-    /// [`Psf::simulator_by`](crate::Psf::simulator_by).
+    /// [`SimulatorBuilder::build_by`](crate::SimulatorBuilder::build_by).
     Own,
 }
 

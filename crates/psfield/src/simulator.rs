@@ -3,12 +3,13 @@
 mod both_precisions;
 mod builder;
 mod check;
-mod colours;
+mod convolver;
 mod derived;
 mod flux;
 mod geometry;
 mod many;
-mod mixtures;
+mod part;
+mod setup;
 mod sources;
 mod stamp_sampling;
 mod stream;
@@ -16,33 +17,27 @@ mod stream;
 mod tests;
 mod warnings;
 
-use std::sync::{Arc, OnceLock};
-use std::time::Instant;
+use std::sync::{Arc, Mutex, OnceLock};
 
-use conv_core::{
-    ConvError, ConvReal, ConvolutionMethod, Engine, Operation, Plan, PlanOptions, PlanSummary, TileCounts,
-};
+use conv_core::{ConvError, ConvReal, ConvolutionMethod, Engine, Operation, PlanSummary, TileCounts};
 use ndarray::{Array2, ArrayViewMut2};
-use psf_types::{DataError, FrameShape, Image, ImageView, NoProgress, PixelRegion, Progress, PsfModel};
+use psf_types::{
+    DataError, FrameShape, Image, ImageView, NoProgress, PixelRegion, Progress, PsfModel, StateKind,
+};
 
-use crate::device::{self, CpuReason, GpuSeconds, Placement};
-use crate::psf::get_or_make;
-use crate::{Device, ErrorKind, Psf, PsfieldError, Scene, ScenePixels, SimulateOptions};
+use crate::device::{GpuSeconds, Placement};
+use crate::error::{ErrorKind, PsfieldError};
+use crate::psf::Psf;
+use crate::scene::{Layer, Scene};
+use crate::simulate_options::SimulateOptions;
 
-use flux::check_flux;
-use geometry::Geometry;
-use sources::{Sources, has_sources};
+use convolver::OfLayers;
 
-pub use builder::{OwnMethodBuilder, SimulatorBuilder};
-pub(crate) use check::spot_check_layers;
-pub use colours::ColourSimulator;
-pub(crate) use mixtures::{Mixture, Mixtures};
+pub use builder::SimulatorBuilder;
+pub(crate) use part::Part;
+pub(crate) use setup::Setup;
 pub use stamp_sampling::SamplingErrors;
 pub use warnings::SimulationWarning;
-
-/// The start of the error message for a region with a method that makes no plan
-/// ([`PsfieldError::needs_plan`]).
-const REGION: &str = "a region of the frame can be computed";
 
 /// Makes images of scenes of one shape through a PSF. Models and plans are made when the first
 /// scene needs them, and kept for all later scenes. [`prepare`](Self::prepare) makes them
@@ -54,10 +49,15 @@ const REGION: &str = "a region of the frame can be computed";
 /// accurately than resampled ones. The result includes the response of a frame pixel exactly once.
 /// If the stamps lack this response, the simulator adds it. If the image's values are integrated
 /// over the scene's pixels, the simulator takes the response of these pixels out
-/// ([`ScenePixels`]).
+/// ([`ScenePixels`](crate::ScenePixels)).
 ///
 /// Galaxies are functions on the sky. Each is convolved once with the interpolated stamp of its own
-/// position ([`GalaxyPlan`](conv_core::GalaxyPlan)), whatever the scene's pixels are.
+/// position ([`SourcePlan`](conv_core::SourcePlan)), whatever the scene's pixels are.
+///
+/// A PSF with several states ([`Psf::states`]), such as those for several spectra, takes scenes with a layer
+/// for each state. The images of all layers are convolved together: the engine adds them, weighted for each
+/// mode, and transforms the sums. So layers cost no convolutions of their own. The tolerance holds for every
+/// position and every layer.
 ///
 /// ```
 /// use ndarray::{Array2, Array3};
@@ -83,50 +83,45 @@ const REGION: &str = "a region of the frame can be computed";
 #[derive(Debug)]
 pub struct Simulator<T: ConvReal> {
     shared: Arc<Shared<T>>,
-    options: SimulateOptions,
-    geometry: Geometry,
-    /// Convolves the images of scenes.
-    convolver: OnceLock<Convolver<T>>,
+    setup: Setup,
+    /// Convolve the images of some layers, made when a scene first needs them.
+    convolvers: Mutex<Vec<OfLayers<T>>>,
 }
 
-/// Parts that the simulators of all regions of a frame share.
+/// The PSFs and what the simulators of all regions of a frame share.
 #[derive(Debug)]
 struct Shared<T: ConvReal> {
-    psf: Psf,
+    /// The layers of a scene are the states of the first part, then those of the others. Only layers of the
+    /// first part may have images.
+    parts: Vec<Arc<Part<T>>>,
+    /// The PSF of the first part on the pixels of the scenes' images, if it was made in another way.
+    images: Option<Psf>,
     /// The method that convolves images without a plan. None for a method with a plan, which an
     /// [`Engine`] executes.
     method: Option<Box<dyn ConvolutionMethod<T>>>,
-    /// The model on the scene's pixels, and the seconds that its fit took.
-    image_model: OnceLock<(PsfModel, f64)>,
-    sources: OnceLock<Sources<T>>,
+    /// The models of the first part's states on the scene's pixels, and the seconds that their fit took.
+    image_models: OnceLock<(Vec<PsfModel>, f64)>,
     /// The errors of stars by the interpolation of the stamps.
     sampling_errors: OnceLock<SamplingErrors>,
 }
 
-/// Convolves the image of a scene.
-#[derive(Debug)]
-struct Convolver<T: ConvReal> {
-    /// None for a method without a plan.
-    engine: Option<Engine<T>>,
-    placement: Placement,
-    seconds: f64,
-}
-
-impl<T: ConvReal> Convolver<T> {
-    /// Places a plan on a device. The time is counted from `clock` on.
-    fn of_plan(plan: Plan<T>, options: &SimulateOptions, clock: Instant) -> Result<Self, PsfieldError> {
-        let (engine, placement) = device::place(plan, options)?;
-        Ok(Self {
-            engine: Some(engine),
-            placement,
-            seconds: clock.elapsed().as_secs_f64(),
-        })
+impl<T: ConvReal> Shared<T> {
+    /// The part of a layer, and the number of its state.
+    fn part_of(&self, layer: usize) -> (&Part<T>, usize) {
+        let mut state = layer;
+        for part in &self.parts {
+            let count = part.layer_count();
+            if state < count {
+                return (part, state);
+            }
+            state -= count;
+        }
+        unreachable!("scenes are checked for their number of layers")
     }
 
-    /// Returns the engine. For a method without a plan, returns an error whose message begins with
-    /// `what`.
-    fn engine_for(&self, what: &str) -> Result<&Engine<T>, PsfieldError> {
-        self.engine.as_ref().ok_or_else(|| PsfieldError::needs_plan(what))
+    /// The layers that may have images.
+    fn layers_of_images(&self) -> Vec<usize> {
+        (0..self.parts[0].layer_count()).collect()
     }
 }
 
@@ -136,7 +131,7 @@ impl<T: ConvReal> Convolver<T> {
 #[non_exhaustive]
 pub struct Preparation<'a> {
     /// The model for the convolution of images. For scenes without an image, the model for drawing
-    /// stars and galaxies.
+    /// stars and galaxies. That of the first layer.
     pub model: &'a PsfModel,
     /// The plan for the image. None for scenes without an image, and for methods without a plan.
     pub plan: Option<PlanSummary>,
@@ -148,7 +143,7 @@ pub struct Preparation<'a> {
     pub plan_seconds: f64,
 }
 
-/// The image of a scene, or a part of it, and the column and the row of the scene at which it begins.
+/// The image of a layer, or a part of it, and the column and the row of the scene at which it begins.
 type Light<'a, T> = (ImageView<'a, T>, (usize, usize));
 
 impl<T: ConvReal> Simulator<T> {
@@ -158,27 +153,32 @@ impl<T: ConvReal> Simulator<T> {
 
     /// The PSF.
     pub fn psf(&self) -> &Psf {
-        &self.shared.psf
+        self.shared.parts[0].psf()
     }
 
     /// The settings.
     pub fn options(&self) -> &SimulateOptions {
-        &self.options
+        &self.setup.options
     }
 
     /// Columns and rows of scenes, in their own pixels.
     pub fn scene_shape(&self) -> FrameShape {
-        self.geometry.shape
+        self.setup.geometry.shape
     }
 
     /// Columns and rows of images.
     pub fn image_shape(&self) -> FrameShape {
-        self.geometry.region.shape()
+        self.setup.geometry.region.shape()
     }
 
     /// The frame, in frame pixels counted from the scene's first pixel.
     pub fn frame(&self) -> PixelRegion {
-        self.geometry.frame
+        self.setup.geometry.frame
+    }
+
+    /// The number of layers that scenes have: that of the PSF's states, or 1.
+    pub fn layer_count(&self) -> usize {
+        self.shared.parts.iter().map(|part| part.layer_count()).sum()
     }
 
     /// Returns the image of a scene.
@@ -187,7 +187,7 @@ impl<T: ConvReal> Simulator<T> {
     /// The errors of [`simulate_into`](Self::simulate_into).
     pub fn simulate(&self, scene: &Scene<'_, T>) -> Result<Image<T>, PsfieldError> {
         // Check the scene before memory is allocated.
-        self.check_sources(scene, false)?;
+        self.check_scene(scene)?;
         let mut image = self.zeros();
         self.simulate_into(scene, image.view_mut(), &NoProgress)?;
         Ok(Image::new(image)?)
@@ -205,14 +205,14 @@ impl<T: ConvReal> Simulator<T> {
     /// has a region, of this region. Returns counts of the tiles of the scene's image, one for
     /// each way to convolve a tile.
     ///
-    /// The image in the scene has the shape of the simulator's scenes. If the simulator has a
-    /// region, the scene may instead hold only the image of the part whose light reaches the region
+    /// Images in the scene have the shape of the simulator's scenes. If the simulator has a
+    /// region, they may instead be only the part whose light reaches the region
     /// ([`light_region`](Self::light_region)).
     ///
     /// # Errors
-    /// [`PsfieldError`] for a wrong shape, light where the PSF is not known, or a flux that `T`
-    /// cannot hold, and the errors of [`prepare`](Self::prepare). After [`ErrorKind::Cancelled`],
-    /// the image is incomplete.
+    /// [`PsfieldError`] for a wrong shape or number of layers, light where the PSF is not known, or a flux
+    /// that `T` cannot hold, and the errors of [`prepare`](Self::prepare). [`ErrorKind::Data`] for a scene
+    /// whose image is read row by row. After [`ErrorKind::Cancelled`], the image is incomplete.
     #[inline(never)]
     pub fn simulate_into(
         &self,
@@ -220,15 +220,13 @@ impl<T: ConvReal> Simulator<T> {
         mut image: ArrayViewMut2<'_, T>,
         progress: &dyn Progress,
     ) -> Result<TileCounts, PsfieldError> {
-        self.check_sources(scene, false)?;
+        self.check_scene(scene)?;
         self.check_image(&image)?;
         let mut counts = TileCounts::default();
-        if let Some(of_scene) = scene.image() {
-            let convolver = self.convolver(progress)?;
-            let (light, _) = self.light(of_scene, progress)?;
-            counts = self.convolve_into(convolver, &light, image.view_mut(), progress)?;
+        if scene.has_image() {
+            counts = self.convolve_into(scene, image.view_mut(), progress)?;
         }
-        self.draw_sources_into(scene.sources(), self.geometry.region, image, progress)?;
+        self.draw_sources_into(scene, self.setup.geometry.region, image, progress)?;
         Ok(counts)
     }
 
@@ -248,9 +246,9 @@ impl<T: ConvReal> Simulator<T> {
     /// scene finer than the frame, `A` convolves, samples at the centres of the frame's pixels, and
     /// multiplies by their area in pixels of the scene.
     ///
-    /// `image` (`g`) is `[y, x]` of the frame, and the result is `[y, x]` of the scene. If the
-    /// simulator has a region, `image` is `[y, x]` of this region, and the result is only the part
-    /// of the scene whose light reaches the region ([`light_region`](Self::light_region)).
+    /// `image` (`g`) is `[y, x]` of the frame, and the result is `[y, x]` of the scene, one array for each
+    /// layer. If the simulator has a region, `image` is `[y, x]` of this region, and the result is only the
+    /// part of the scene whose light reaches the region ([`light_region`](Self::light_region)).
     ///
     /// # Errors
     /// [`ErrorKind::Convolution`] for an image of another shape, [`ErrorKind::Setting`] for a
@@ -260,26 +258,29 @@ impl<T: ConvReal> Simulator<T> {
         &self,
         image: &ImageView<'_, T>,
         progress: &dyn Progress,
-    ) -> Result<Image<T>, PsfieldError> {
+    ) -> Result<Vec<Image<T>>, PsfieldError> {
         let (expected, got) = (self.image_shape(), image.shape());
         if expected != got {
             return Err(ConvError::FrameShape { expected, got }.into());
         }
-        let convolver = self.convolver(progress)?;
+        let (layers, geometry) = (self.shared.layers_of_images(), &self.setup.geometry);
+        let convolver = self.convolver(&layers, progress)?;
         let engine = convolver.engine_for("the adjoint can be computed")?;
-        let shape = if self.geometry.is_whole() {
-            self.geometry.shape
+        let shape = if geometry.is_whole() {
+            geometry.shape
         } else {
             engine.plan().light_region().shape()
         };
-        let mut light = conv_core::zeros((shape.ny(), shape.nx()));
-        if self.geometry.oversample == 1 {
-            engine.execute(Operation::Adjoint, image, light.view_mut(), progress)?;
+        let zeros = |_: &usize| conv_core::zeros((shape.ny(), shape.nx()));
+        let mut light: Vec<Array2<T>> = layers.iter().map(zeros).collect();
+        let into = light.iter_mut().map(|light| light.view_mut()).collect();
+        if geometry.oversample == 1 {
+            engine.execute(Operation::Adjoint, &[image.view()], into, progress)?;
         } else {
-            let fine = self.geometry.spread(image)?;
-            engine.execute(Operation::Adjoint, &fine.view(), light.view_mut(), progress)?;
+            let fine = geometry.spread(image)?;
+            engine.execute(Operation::Adjoint, &[fine.view()], into, progress)?;
         }
-        Ok(Image::new(light)?)
+        light.into_iter().map(|light| Ok(Image::new(light)?)).collect()
     }
 
     /// The part of the scene whose light reaches the computed region, in pixels of the scene. For
@@ -288,11 +289,7 @@ impl<T: ConvReal> Simulator<T> {
     /// # Errors
     /// The errors of [`prepare`](Self::prepare).
     pub fn light_region(&self, progress: &dyn Progress) -> Result<PixelRegion, PsfieldError> {
-        let convolver = self.convolver(progress)?;
-        Ok(match &convolver.engine {
-            Some(engine) => engine.plan().light_region(),
-            None => self.geometry.shape.region(),
-        })
+        self.light_region_of(&self.shared.layers_of_images(), progress)
     }
 
     /// The blocks of the plan ([`Plan::blocks`](conv_core::Plan::blocks)): the pixels of each, in
@@ -302,47 +299,46 @@ impl<T: ConvReal> Simulator<T> {
     /// [`ErrorKind::Setting`] for a method without a plan, and the errors of
     /// [`prepare`](Self::prepare).
     pub fn blocks(&self, progress: &dyn Progress) -> Result<Vec<(PixelRegion, usize)>, PsfieldError> {
-        let engine = self.convolver(progress)?.engine_for("blocks are made")?;
-        Ok(engine.plan().blocks().collect())
+        let convolver = self.convolver(&self.shared.layers_of_images(), progress)?;
+        Ok(convolver.engine_for("blocks are made")?.plan().blocks().collect())
     }
 
-    /// Makes the models and the plans that scenes like `scene` need (with or without an image,
-    /// stars and galaxies), unless they exist. If `rows` is true, the image of the scene will be
-    /// read row by row ([`stream`](Self::stream)), and `scene` does not hold it.
+    /// Makes the models and the plans that scenes like `scene` need (with or without images,
+    /// stars and galaxies), unless they exist.
     ///
     /// # Errors
     /// [`PsfieldError`] if the scene or a flux in it is too large, if a fit or a plan fails, if
-    /// `progress` cancels the work, or if [`Device::Gpu`] was chosen and no GPU can be used.
+    /// `progress` cancels the work, or if [`Device::Gpu`](crate::Device::Gpu) was chosen and no GPU can be
+    /// used.
     #[inline(never)]
     pub fn prepare(
         &self,
         scene: &Scene<'_, T>,
-        rows: bool,
         progress: &dyn Progress,
     ) -> Result<Preparation<'_>, PsfieldError> {
-        self.check_sources(scene, rows)?;
-        let with_image = rows || scene.image().is_some();
-        let with_sources = !with_image || has_sources(scene);
+        self.check_scene(scene)?;
+        let layers = scene.layers_with_image();
         // Models and plans that already exist count 0 seconds.
-        let new_model = self.shared.image_model.get().is_none();
-        let new_convolver = self.convolver.get().is_none();
-        let new_sources = self.shared.sources.get().is_none();
         let spent = |new: bool, seconds: f64| if new { seconds } else { 0.0 };
         let (mut fit_seconds, mut plan_seconds) = (0.0, 0.0);
         let mut made = None;
-        if with_image {
-            let convolver = self.convolver(progress)?;
-            let (model, seconds) = self.image_model()?;
-            fit_seconds += spent(new_model, seconds);
+        if !layers.is_empty() {
+            let new_model = self.shared.image_models.get().is_none();
+            let new_convolver = self.kept_convolver(&layers).is_none();
+            let convolver = self.convolver(&layers, progress)?;
+            let (models, seconds) = self.image_models()?;
+            fit_seconds += spent(new_model, *seconds);
             plan_seconds += spent(new_convolver, convolver.seconds);
             let plan = convolver.engine.as_ref().map(|engine| engine.plan().summary());
-            made = Some((model, plan, convolver.placement.clone()));
+            made = Some((&models[layers[0]], plan, convolver.placement.clone()));
         }
-        if with_sources {
-            let sources = self.sources()?;
-            fit_seconds += spent(new_sources, sources.fit_seconds);
-            plan_seconds += spent(new_sources, sources.plan_seconds);
-            made = made.or_else(|| Some((&sources.model, None, self.placement_of_sources())));
+        for (part, layer) in self.parts_to_draw(scene) {
+            let new = !part.has_sources();
+            let sources = part.sources(&self.setup)?;
+            fit_seconds += spent(new, sources.fit_seconds);
+            plan_seconds += spent(new, sources.plan_seconds);
+            let model = self.sources(layer)?.model();
+            made = made.or_else(|| Some((model, None, self.placement_of_sources())));
         }
         let (model, plan, placement) = made.expect("an image or sources");
         Ok(Preparation {
@@ -355,36 +351,59 @@ impl<T: ConvReal> Simulator<T> {
     }
 
     /// Returns whether [`prepare`](Self::prepare) has nothing left to make for scenes like `scene`.
-    pub fn is_prepared(&self, scene: &Scene<'_, T>, rows: bool) -> bool {
-        let with_image = rows || scene.image().is_some();
-        (!with_image || self.convolver.get().is_some())
-            && (with_image && !has_sources(scene) || self.shared.sources.get().is_some())
+    pub fn is_prepared(&self, scene: &Scene<'_, T>) -> bool {
+        let layers = scene.layers_with_image();
+        let drawn = self.parts_to_draw(scene);
+        (layers.is_empty() || self.kept_convolver(&layers).is_some())
+            && drawn.iter().all(|(part, _)| part.has_sources())
+    }
+
+    /// The parts that draw the stars and galaxies of a scene, each with the number of its first layer. The
+    /// first part for a scene without any light.
+    fn parts_to_draw(&self, scene: &Scene<'_, T>) -> Vec<(&Part<T>, usize)> {
+        let mut first = 0;
+        let mut drawn = Vec::new();
+        for part in &self.shared.parts {
+            let layers = scene.layers().iter().skip(first).take(part.layer_count());
+            if layers.clone().any(Layer::has_sources) {
+                drawn.push((&**part, first));
+            }
+            first += part.layer_count();
+        }
+        if drawn.is_empty() && !scene.has_image() {
+            drawn.push((&*self.shared.parts[0], 0));
+        }
+        drawn
     }
 
     /// Times of the last convolution on a GPU, in seconds. None if the processor convolves images,
     /// or before the first convolution.
     pub fn gpu_seconds(&self) -> Option<GpuSeconds> {
-        let convolver = self.convolver.get()?;
-        convolver.engine.as_ref().and_then(GpuSeconds::of_last)
+        let kept = self.kept_convolvers();
+        let mut engines = kept.iter().filter_map(|(_, convolver)| convolver.engine.as_ref());
+        engines.find_map(GpuSeconds::of_last)
     }
 
-    fn placement_of_sources(&self) -> Placement {
-        Placement::cpu(match (self.options.device, &self.shared.method) {
-            (Device::Cpu, _) => CpuReason::Asked,
-            (_, Some(_)) => CpuReason::Method,
-            (_, None) => CpuReason::Stars,
-        })
-    }
-
-    fn check_sources(&self, scene: &Scene<'_, T>, rows: bool) -> Result<(), PsfieldError> {
-        let stars = scene.stars().iter().map(|star| star.flux());
-        let mut fluxes = stars.chain(scene.galaxies().iter().map(|galaxy| galaxy.flux()));
+    /// Checks the number of layers, the fluxes, and the size of a scene.
+    fn check_scene(&self, scene: &Scene<'_, T>) -> Result<(), PsfieldError> {
+        let (expected, got) = (self.layer_count(), scene.layers().len());
+        if expected != got {
+            let kind = self.psf().states().map(|states| states.kind());
+            if got == 1 && kind.is_some_and(|kind| kind != StateKind::Spectrum) {
+                return Err(self.psf().several_states());
+            }
+            let message = format!(
+                "the PSF has {expected} states, but the scene has {got} layers: give one layer for each state"
+            );
+            return Err(PsfieldError::new(ErrorKind::Data, message));
+        }
+        let mut fluxes = scene.points().map(|(_, flux)| flux);
         if let Some(flux) = fluxes.find(|&flux| !T::nearest(flux).as_f64().is_finite()) {
             let message = format!("a flux of {flux:e} is beyond single precision (3.4e38): choose f64");
             return Err(PsfieldError::new(ErrorKind::Data, message).with_setting("precision"));
         }
-        let (shape, s) = (self.geometry.shape, self.geometry.oversample);
-        if !rows && scene.image().is_none() && shape.pixel_count() > Self::MAX_PIXELS {
+        let (shape, s) = (self.setup.geometry.shape, self.setup.geometry.oversample);
+        if !scene.has_image() && shape.pixel_count() > Self::MAX_PIXELS {
             let (nx, ny) = (shape.nx() / s, shape.ny() / s);
             let message = format!(
                 "a scene of {nx} x {ny} frame pixels without an image is too large: choose at most 2^30 = {} scene pixels",
@@ -392,65 +411,41 @@ impl<T: ConvReal> Simulator<T> {
             );
             return Err(PsfieldError::new(ErrorKind::TooLarge, message).with_setting("shape"));
         }
+        let with_image = scene.layers_with_image();
+        if with_image.last() >= Some(&self.shared.parts[0].layer_count()) {
+            const TRAILS: &str = "a layer of moving sources has no image";
+            return Err(PsfieldError::new(ErrorKind::Data, TRAILS));
+        }
         Ok(())
     }
 
-    /// The options of the plans. None for methods without a plan.
-    fn planned(&self) -> Result<Option<PlanOptions>, PsfieldError> {
-        let options = self.options.plan_options()?;
-        Ok(options.filter(|_| self.shared.method.is_none()))
+    /// The images of the layers that have one, for a convolver: the whole scene, or only the part whose light
+    /// reaches the region. Their shape tells which.
+    fn lights<'a>(
+        &self,
+        scene: &'a Scene<'_, T>,
+        progress: &dyn Progress,
+    ) -> Result<Vec<Light<'a, T>>, PsfieldError> {
+        let with_image = scene.layers().iter().filter(|layer| layer.has_image());
+        let light = with_image.map(|layer| match layer.image() {
+            Some(image) => self.light(image, scene, progress),
+            None => Err(PsfieldError::new(
+                ErrorKind::Data,
+                "the image of this scene is read row by row: use stream",
+            )),
+        });
+        light.collect()
     }
 
-    /// The options of a model's plans, with the limit of memory for this model.
-    fn planned_for(&self, model: &PsfModel) -> Result<Option<PlanOptions>, PsfieldError> {
-        let frame = self.geometry.fine(self.geometry.frame)?.shape();
-        let memory = || PlanOptions::memory_for::<T>(frame, model);
-        let bytes = self.options.memory.unwrap_or_else(memory);
-        Ok(self.planned()?.map(|options| options.with_memory(bytes)))
-    }
-
-    /// The model on the scene's pixels, and the seconds that its fit took.
-    fn image_model(&self) -> Result<(&PsfModel, f64), PsfieldError> {
-        let (psf, options) = (self.psf(), &self.options);
-        let (model, seconds) = get_or_make(&self.shared.image_model, || {
-            let clock = Instant::now();
-            let model = on_scene_pixels(psf, options)?.model()?.clone();
-            Ok::<_, PsfieldError>((model, clock.elapsed().as_secs_f64()))
-        })?;
-        Ok((model, *seconds))
-    }
-
-    /// Returns the convolver for the images of scenes.
-    #[inline(never)]
-    fn convolver(&self, progress: &dyn Progress) -> Result<&Convolver<T>, PsfieldError> {
-        get_or_make(&self.convolver, || {
-            let (model, _) = self.image_model()?;
-            let clock = Instant::now();
-            let Some(options) = self.planned_for(model)? else {
-                return Ok(Convolver {
-                    engine: None,
-                    placement: self.placement_of_sources(),
-                    seconds: clock.elapsed().as_secs_f64(),
-                });
-            };
-            check_flux(self.psf(), model, &options)?;
-            let (shape, frame) = (self.geometry.shape, self.geometry.fine(self.geometry.frame)?);
-            let region = self.geometry.fine(self.geometry.region)?;
-            let plan = Plan::for_region(model, shape, frame, region, options, progress)?;
-            Convolver::of_plan(plan, &self.options, clock)
-        })
-    }
-
-    /// Returns the image of a scene for the convolver. It is the whole scene, or only the part whose
-    /// light reaches the region. Its shape tells which.
     fn light<'a>(
         &self,
         image: &'a ImageView<'_, T>,
+        scene: &Scene<'_, T>,
         progress: &dyn Progress,
     ) -> Result<Light<'a, T>, PsfieldError> {
-        let (whole, mut first) = (self.geometry.shape, (0, 0));
+        let (whole, mut first) = (self.setup.geometry.shape, (0, 0));
         if image.shape() != whole {
-            let part = self.light_region(progress)?;
+            let part = self.light_region_of(&scene.layers_with_image(), progress)?;
             if image.shape() != part.shape() {
                 let (expected, got) = ((whole.ny(), whole.nx()), image.pixels().dim());
                 return Err(DataError::ImageShape { expected, got }.into());
@@ -460,27 +455,33 @@ impl<T: ConvReal> Simulator<T> {
         Ok((image.view(), first))
     }
 
-    /// Convolves the image of a scene and adds the result to `image`.
+    /// Convolves the images of a scene's layers and adds the result to `image`.
     fn convolve_into(
         &self,
-        convolver: &Convolver<T>,
-        light: &ImageView<'_, T>,
-        image: ArrayViewMut2<'_, T>,
+        scene: &Scene<'_, T>,
+        mut image: ArrayViewMut2<'_, T>,
         progress: &dyn Progress,
     ) -> Result<TileCounts, PsfieldError> {
+        let layers = scene.layers_with_image();
+        let convolver = self.convolver(&layers, progress)?;
+        let light: Vec<ImageView<'_, T>> = self
+            .lights(scene, progress)?
+            .into_iter()
+            .map(|(light, _)| light)
+            .collect();
         let Some(engine) = &convolver.engine else {
-            let method = self
-                .shared
-                .method
-                .as_ref()
-                .expect("a simulator without a plan has a method");
-            let frame = self.geometry.fine(self.geometry.frame)?;
-            let fine = method.convolve(self.image_model()?.0, light, frame, progress)?;
-            self.geometry.add_sampled(fine.pixels(), image);
+            let geometry = &self.setup.geometry;
+            let (method, frame) = (&self.shared.method, geometry.fine(geometry.frame)?);
+            let method = method.as_ref().expect("a simulator without a plan has a method");
+            for (&layer, light) in layers.iter().zip(&light) {
+                let model = &self.image_models()?.0[layer];
+                let fine = method.convolve(model, light, frame, progress)?;
+                geometry.add_sampled(fine.pixels(), image.view_mut());
+            }
             return Ok(TileCounts::default());
         };
         self.add_executed(engine, image, |image| {
-            engine.execute(Operation::Convolve, light, image, progress)
+            engine.execute(Operation::Convolve, &light, vec![image], progress)
         })
     }
 
@@ -491,25 +492,13 @@ impl<T: ConvReal> Simulator<T> {
         image: ArrayViewMut2<'_, T>,
         execute: impl FnOnce(ArrayViewMut2<'_, T>) -> Result<TileCounts, ConvError>,
     ) -> Result<TileCounts, PsfieldError> {
-        if self.geometry.oversample == 1 {
+        if self.setup.geometry.oversample == 1 {
             return Ok(execute(image)?);
         }
         let shape = engine.plan().region().shape();
         let mut fine = conv_core::zeros((shape.ny(), shape.nx()));
         let counts = execute(fine.view_mut())?;
-        self.geometry.add_sampled(fine.view(), image);
+        self.setup.geometry.add_sampled(fine.view(), image);
         Ok(counts)
-    }
-}
-
-/// The PSF on the pixels of a scene's image, for its convolution.
-fn on_scene_pixels(psf: &Psf, options: &SimulateOptions) -> Result<Psf, PsfieldError> {
-    let psf = match options.oversample {
-        1 => psf.native(options.stamp_size)?,
-        finer => psf.for_finer_scene(finer, options.stamp_size, options.anchor)?,
-    };
-    match options.scene_pixels {
-        ScenePixels::Point => Ok(psf),
-        ScenePixels::Integrated => psf.without_scene_pixel(),
     }
 }

@@ -1,13 +1,12 @@
 //! Checks an image against the direct sum, at random pixels and around random sources.
 
 use conv_core::GalaxyErrors;
+use ndarray::ArrayView2;
 use psf_io::{Card, CardError};
 use psf_types::{FrameShape, Real};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde::Serialize;
-
-use crate::PsfieldError;
 
 /// The largest relative r.m.s. rounding error that is accepted: twice the error that the
 /// documentation states, because the pixels are a sample.
@@ -37,7 +36,7 @@ const AROUND: usize = 7;
 ///
 /// To each limit, rounding is added. A galaxy is compared with an integral on the sky, which shares
 /// nothing with its drawing. Its limits are lower, because its light is spread over many pixels, and
-/// they include the error of its image (see [`conv_core::GalaxyPlan`]). In the r.m.s., galaxies add up
+/// they include the error of its image (see [`conv_core::SourcePlan`]). In the r.m.s., galaxies add up
 /// as in single pixels. The check measures the error that the engine adds to the model. It does not
 /// measure the error of the model itself, nor the error of stamps that are too coarse to be
 /// interpolated.
@@ -143,11 +142,11 @@ impl SpotCheck {
     /// Compares the pixels that a [`PixelPicker`] chose from an image's rows. `exact` gets pixels
     /// `(column, row)` that are sorted by rows. It returns their values by the direct sum and the
     /// errors that the method promises, or None if it promises nothing.
-    pub(crate) fn of_picked<T: Real>(
+    pub(crate) fn of_picked<T: Real, E>(
         picker: PixelPicker,
-        exact: impl FnOnce(&[(usize, usize)]) -> Result<Exact, PsfieldError>,
-    ) -> Result<Self, PsfieldError> {
-        let seed = picker.seed();
+        exact: impl FnOnce(&[(usize, usize)]) -> Result<Exact, E>,
+    ) -> Result<Self, E> {
+        let seed = picker.seed;
         let (picked, squares, peak) = picker.finish();
         let of_squares = squares.iter().flatten();
         let mut places: Vec<(usize, usize)> = picked
@@ -236,7 +235,7 @@ impl SpotCheck {
 /// its absolute value. For an image of zeros, this second half is left out. The choice depends only
 /// on the image, the number of pixels and the seed.
 #[derive(Debug, Clone)]
-pub struct PixelPicker {
+pub(crate) struct PixelPicker {
     /// The pixels around sources, in squares.
     squares: Vec<Vec<PickedPixel>>,
     /// The pixels of the first half: `(row, column)`, ascending.
@@ -255,18 +254,18 @@ pub struct PixelPicker {
 
 /// A pixel and its value.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct PickedPixel {
+pub(crate) struct PickedPixel {
     /// Column of the image.
-    pub column: usize,
+    pub(crate) column: usize,
     /// Row of the image.
-    pub row: usize,
+    pub(crate) row: usize,
     /// The image's value.
-    pub value: f64,
+    pub(crate) value: f64,
 }
 
 impl PixelPicker {
     /// Makes a picker of `count` pixels of an image with this shape.
-    pub fn new(shape: FrameShape, count: usize, seed: u64) -> Self {
+    pub(crate) fn new(shape: FrameShape, count: usize, seed: u64) -> Self {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let bright_count = count / 2;
         let mut anywhere: Vec<(usize, usize)> = (0..count - bright_count)
@@ -311,8 +310,15 @@ impl PixelPicker {
         self
     }
 
+    /// Reads the next rows of the image.
+    pub(crate) fn pass_rows<T: Real>(&mut self, rows: ArrayView2<'_, T>) {
+        for row in rows.outer_iter() {
+            self.pass(row.iter().map(|v| v.as_f64()));
+        }
+    }
+
     /// Reads the next row of the image.
-    pub fn pass(&mut self, row: impl Iterator<Item = f64>) {
+    fn pass(&mut self, row: impl Iterator<Item = f64>) {
         let row: Vec<f64> = row.collect();
         while let Some(&(_, column)) = self
             .anywhere
@@ -370,11 +376,6 @@ impl PixelPicker {
             .collect();
         picked.sort_by_key(|p| (p.row, p.column));
         (picked, self.squares, self.peak)
-    }
-
-    /// The seed.
-    pub fn seed(&self) -> u64 {
-        self.seed
     }
 }
 

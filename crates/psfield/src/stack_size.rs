@@ -2,7 +2,7 @@
 
 use psf_types::StampGrid;
 
-use crate::{ErrorKind, PsfieldError};
+use crate::error::{ErrorKind, PsfieldError};
 
 /// The largest stack of stamps that is allowed: 16 GiB.
 pub const MAX_STACK_BYTES: usize = 16 << 30;

@@ -10,7 +10,7 @@ use psf_types::maths::sinc;
 use rustfft::num_complex::Complex64;
 use rustfft::{Fft, FftPlanner};
 
-use crate::{ErrorKind, PsfieldError};
+use crate::error::{ErrorKind, PsfieldError};
 
 /// Stamp pixels around the shifted stamps, in which the interpolation between pixels fades.
 const MARGIN: f64 = 8.0;

@@ -190,7 +190,7 @@ fn the_adjoint_is_that_of_light_sampled_at_the_frames_pixels() {
                 let (ny, nx) = image.pixels().dim();
                 let seen = Array2::from_shape_fn((ny, nx), |(y, x)| ((x * 31 + y * 17) % 23) as f64 - 11.0);
                 let view = ImageView::new(seen.view()).unwrap();
-                let back = simulator.adjoint(&view, &NoProgress).unwrap();
+                let back = simulator.adjoint(&view, &NoProgress).unwrap().remove(0);
                 let reach = simulator.light_region(&NoProgress).unwrap();
                 let of_light = if whole { light.shape().region() } else { reach };
                 assert_eq!(back.shape(), of_light.shape());
@@ -249,8 +249,11 @@ fn a_region_streams_and_is_checked_pixel_by_pixel() {
                 light: light.pixels(),
                 written: Vec::new(),
             };
-            let stars_alone = Scene::dark().with_stars(&stars[..]);
-            simulator.stream(&stars_alone, &mut rows, &NoProgress).unwrap();
+            let by_rows = Scene::streamed().with_stars(&stars[..]);
+            let (_, check) = simulator
+                .stream(&by_rows, &mut rows, (20, 1), &NoProgress)
+                .unwrap();
+            assert_eq!(check.unwrap().passed, Some(true), "{finer} {anchor}");
             assert!(image.pixels().iter().eq(&rows.written), "{finer} {anchor}");
 
             let reach = simulator.light_region(&NoProgress).unwrap();
@@ -290,7 +293,7 @@ fn every_call_can_be_stopped_and_errors_say_what_fits() {
     let scene = Scene::from(&light).with_stars(&stars[..]);
     let stars_alone = Scene::dark().with_stars(&stars[..]);
     let simulator = build(options.clone());
-    simulator.prepare(&scene, false, &NoProgress).unwrap();
+    simulator.prepare(&scene, &NoProgress).unwrap();
     let stopped = |result: Result<(), PsfieldError>| {
         let error = result.unwrap_err();
         assert_eq!(error.kind(), ErrorKind::Cancelled);
@@ -308,16 +311,18 @@ fn every_call_can_be_stopped_and_errors_say_what_fits() {
     let view = ImageView::new(image.view()).unwrap();
     stopped(simulator.adjoint(&view, &Impatient).map(|_| ()));
     let of_part = build(of_region(&options, part));
-    stopped(of_part.prepare(&scene, false, &Impatient).map(|_| ()));
+    stopped(of_part.prepare(&scene, &Impatient).map(|_| ()));
     stopped(simulator.for_region(part, &Impatient).map(|_| ()));
     let fresh = build(options.clone());
-    stopped(fresh.prepare(&stars_alone, true, &Impatient).map(|_| ()));
+    let by_rows = Scene::streamed().with_stars(&stars[..]);
+    stopped(fresh.prepare(&by_rows, &Impatient).map(|_| ()));
     stopped(simulator.exact_at(&scene, &[(1, 1)], &Impatient).map(|_| ()));
     let mut rows = Rows {
         light: light.pixels(),
         written: Vec::new(),
     };
-    stopped(simulator.stream(&stars_alone, &mut rows, &Impatient).map(|_| ()));
+    let stream = simulator.stream(&by_rows, &mut rows, (0, 0), &Impatient);
+    stopped(stream.map(|_| ()));
 
     let beyond = of_region(&options, region(90, 0, 8, 4));
     let beyond = builder.clone().options(beyond).build::<f32>();
@@ -365,7 +370,7 @@ fn methods_without_a_plan_say_what_they_cannot_do() {
         light: light.pixels(),
         written: Vec::new(),
     };
-    let refused = simulator.stream(&Scene::dark(), &mut rows, &NoProgress);
+    let refused = simulator.stream(&Scene::streamed(), &mut rows, (0, 0), &NoProgress);
     assert_needs_plan(refused.unwrap_err(), "rows can be streamed");
     assert!(rows.written.is_empty());
 }

@@ -1,12 +1,17 @@
 //! Series of exposures against sums of many short ones.
 
+use std::sync::Arc;
+
 use ndarray::{Array2, Array3, s};
+use psfield::conv_core::ConvReal;
 use psfield::prelude::*;
 use psfield::psf_io::{Catalog, CatalogOptions, read_catalog_with};
 use psfield::psf_types::{
     FrameShape, Image, NoProgress, PointSource, Position, PsfSamples, SamplePositions, StampGrid, StateKind,
 };
-use psfield::{Exposures, LightCurves, Motion, Pointing, PointingPath, Series, SeriesSimulator};
+use psfield::series::{Exposures, LightCurves, Pointing, PointingPath, Series, SeriesExposure, SeriesFrames};
+use psfield::spectra::{Bandpass, Curve};
+use psfield::{Motion, SceneLight, SpotCheck};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -51,6 +56,33 @@ fn options() -> SimulateOptions {
         tolerance: TOLERANCE,
         ..SimulateOptions::default()
     }
+}
+
+/// The frames of a series with an image and a catalogue.
+fn frames_of<T: ConvReal>(
+    psf: &Psf,
+    shape: (usize, usize),
+    options: SimulateOptions,
+    series: Series,
+    (image, catalog): (Option<Image<T>>, Catalog),
+) -> Result<SeriesFrames<T>, PsfieldError> {
+    let mut light = SceneLight::new();
+    if let Some(image) = image {
+        light.add_image(None, image.into_pixels()).unwrap();
+    }
+    light.set_catalog(catalog);
+    SeriesFrames::new(psf, shape, options, series, light)
+}
+
+fn image_of(exposure: &SeriesExposure<'_, f64>) -> Image<f64> {
+    exposure.simulator.simulate(&exposure.scene).unwrap()
+}
+
+fn check_of(exposure: &SeriesExposure<'_, f64>, image: &Image<f64>, count: usize) -> SpotCheck {
+    let simulator = &exposure.simulator;
+    simulator
+        .spot_check(&exposure.scene, image, (count, 1), &NoProgress)
+        .unwrap()
 }
 
 fn series(exposures: Exposures) -> Series {
@@ -100,10 +132,9 @@ fn a_moving_telescope_gives_the_mean_of_a_thousand_short_exposures() {
         ..series(Exposures::regular(1, 10.0, 10.0).unwrap())
     };
     let light = Catalog::new(stars(), Vec::new());
-    let mut moving =
-        SeriesSimulator::<f64>::new(&psf, FRAME, options(), whole.clone(), (None, light)).unwrap();
+    let mut moving = frames_of::<f64>(&psf, FRAME, options(), whole.clone(), (None, light)).unwrap();
     let exposure = moving.exposure(0, &NoProgress).unwrap();
-    let found = exposure.simulate().unwrap();
+    let found = image_of(&exposure);
 
     // The sum of stars at the middle of every step.
     let fixed = psf.simulator(FRAME).options(options()).build::<f64>().unwrap();
@@ -122,19 +153,18 @@ fn a_moving_telescope_gives_the_mean_of_a_thousand_short_exposures() {
     let expected = fixed.simulate(&Scene::dark().with_stars(points)).unwrap();
     let error = largest_difference(&found.pixels().to_owned(), &expected.pixels().to_owned());
     assert!(error < PIXEL, "{error:e}");
-    let [x, y] = exposure.shift_px();
-    assert!((exposure.sources()[0].x - 30.3 - x).abs() < 1e-12);
-    assert!((exposure.sources()[0].y - 40.8 - y).abs() < 1e-12);
+    let [x, y] = exposure.shift_px;
+    assert!((exposure.sources[0].x - 30.3 - x).abs() < 1e-12);
+    assert!((exposure.sources[0].y - 40.8 - y).abs() < 1e-12);
 
     // As pixels of an image, the light moves by whole pixels, and the PSF does the rest.
     let mut pixels = Array2::zeros(FRAME);
     pixels[(40, 30)] = 100.0;
     let image = Image::new(pixels).unwrap();
     let mut moving =
-        SeriesSimulator::<f64>::new(&psf, FRAME, options(), whole, (Some(image), Catalog::default()))
-            .unwrap();
+        frames_of::<f64>(&psf, FRAME, options(), whole, (Some(image), Catalog::default())).unwrap();
     let exposure = moving.exposure(0, &NoProgress).unwrap();
-    let found = exposure.simulate().unwrap();
+    let found = image_of(&exposure);
     let points = (0..1000).map(|step| {
         let drift = 0.05 * 0.5 * (times[step] + times[step + 1]);
         let (x, y) = (
@@ -189,10 +219,10 @@ fn a_psf_with_times_is_averaged_over_each_exposure() {
     );
     let all = series(Exposures::new(vec![1.0, 12.0, 33.0], 7.0).unwrap());
     let light = Catalog::new(stars(), Vec::new());
-    let mut varying = SeriesSimulator::<f64>::new(&psf, FRAME, options(), all, (None, light)).unwrap();
+    let mut varying = frames_of::<f64>(&psf, FRAME, options(), all, (None, light)).unwrap();
     for (number, from) in [1.0, 12.0, 33.0].into_iter().enumerate() {
         let exposure = varying.exposure(number, &NoProgress).unwrap();
-        let found = exposure.simulate().unwrap();
+        let found = image_of(&exposure);
         let mut expected = Array2::zeros(FRAME);
         for part in 0..100 {
             let time = from + 7.0 * (f64::from(part) + 0.5) / 100.0;
@@ -212,7 +242,7 @@ fn a_psf_with_times_is_averaged_over_each_exposure() {
         assert!(error < PIXEL, "exposure {number}: {error:e}");
     }
     let late = series(Exposures::new(vec![35.0], 7.0).unwrap());
-    let error = SeriesSimulator::<f64>::new(&psf, FRAME, options(), late, (None, Catalog::default()));
+    let error = frames_of::<f64>(&psf, FRAME, options(), late, (None, Catalog::default()));
     let message = error.unwrap_err().to_string();
     assert!(message.contains("from 0 to 40 s"), "{message}");
 }
@@ -242,14 +272,14 @@ fn exposures_do_not_depend_on_those_before() {
                     with_image.then(|| image.clone()),
                     Catalog::new(stars.clone(), Vec::new()),
                 );
-                SeriesSimulator::<f64>::new(&psf, FRAME, options(), all.clone(), light).unwrap()
+                frames_of::<f64>(&psf, FRAME, options(), all.clone(), light).unwrap()
             };
             let (mut forward, mut backward) = (simulator(), simulator());
             let mut images = Vec::new();
             for number in 0..COUNT {
                 let exposure = forward.exposure(number, &NoProgress).unwrap();
-                let made = exposure.simulate().unwrap();
-                let check = exposure.spot_check(&made, (100, 1), &NoProgress).unwrap();
+                let made = image_of(&exposure);
+                let check = check_of(&exposure, &made, 100);
                 assert_eq!(
                     check.passed,
                     Some(true),
@@ -259,7 +289,7 @@ fn exposures_do_not_depend_on_those_before() {
             }
             for number in (0..COUNT).rev() {
                 let exposure = backward.exposure(number, &NoProgress).unwrap();
-                let made = exposure.simulate().unwrap().into_pixels();
+                let made = image_of(&exposure).into_pixels();
                 let error = largest_difference(&made, &images[number]);
                 assert!(error < TOLERANCE, "{with_image} {drift} {number}: {error:e}");
             }
@@ -291,15 +321,15 @@ fn fluxes_follow_the_light_curves() {
     };
     let apart = vec![stars()[0], stars()[1]];
     let light = Catalog::new(apart, Vec::new());
-    let mut varying = SeriesSimulator::<f64>::new(&psf, FRAME, options(), all, (None, light)).unwrap();
+    let mut varying = frames_of::<f64>(&psf, FRAME, options(), all, (None, light)).unwrap();
     for number in 0..20 {
         let exposure = varying.exposure(number, &NoProgress).unwrap();
-        let image = exposure.simulate().unwrap();
+        let image = image_of(&exposure);
         let (from, to) = (10.0 * number as f64, 10.0 * number as f64 + 8.0);
         let mean = curves.mean_factor(1, (from, to)).unwrap();
         let (sum, expected) = (image.pixels().sum(), 100.0 + 50.0 * mean);
         assert!((sum / expected - 1.0).abs() < 1e-5, "{number}: {sum}");
-        for (source, alone) in exposure.sources().iter().zip([100.0, 50.0 * mean]) {
+        for (source, alone) in exposure.sources.iter().zip([100.0, 50.0 * mean]) {
             assert!((source.flux / alone - 1.0).abs() < 1e-12);
             // The fraction of the light in the aperture, from the PSF drawn alone at the known position.
             let window = s![
@@ -309,7 +339,7 @@ fn fluxes_follow_the_light_curves() {
             let at = Position::new(source.x, source.y).unwrap();
             let one = vec![PointSource::new(at, 1.0).unwrap()];
             let of_psf = exposure
-                .simulator()
+                .simulator
                 .simulate(&Scene::dark().with_stars(one))
                 .unwrap();
             let fraction = of_psf.pixels().slice(window).sum();
@@ -325,7 +355,7 @@ fn fluxes_follow_the_light_curves() {
         ..series(Exposures::regular(1, 8.0, 10.0).unwrap())
     };
     let light = Catalog::new(stars(), Vec::new());
-    let error = SeriesSimulator::<f64>::new(&psf, FRAME, options(), wrong, (None, light)).unwrap_err();
+    let error = frames_of::<f64>(&psf, FRAME, options(), wrong, (None, light)).unwrap_err();
     assert!(error.to_string().contains("source 7"), "{error}");
 }
 
@@ -337,9 +367,9 @@ fn moving_sources_leave_trails() {
     let catalog = read_catalog_with(&path, &CatalogOptions::new().with_velocities(true)).unwrap();
     let psf = psf(None, &[1.1], WIDENING);
     let all = series(Exposures::new(vec![5.0], 10.0).unwrap());
-    let mut moving = SeriesSimulator::<f64>::new(&psf, FRAME, options(), all, (None, catalog)).unwrap();
+    let mut moving = frames_of::<f64>(&psf, FRAME, options(), all, (None, catalog)).unwrap();
     let exposure = moving.exposure(0, &NoProgress).unwrap();
-    let found = exposure.simulate().unwrap();
+    let found = image_of(&exposure);
     let mut points = vec![PointSource::new(Position::new(70.0, 30.0).unwrap(), 50.0).unwrap()];
     for step in 0..1000 {
         let time = 5.0 + 0.01 * (f64::from(step) + 0.5);
@@ -347,12 +377,12 @@ fn moving_sources_leave_trails() {
         points.push(PointSource::new(at, 0.1).unwrap());
     }
     let expected = exposure
-        .simulator()
+        .simulator
         .simulate(&Scene::dark().with_stars(points))
         .unwrap();
     let error = largest_difference(&found.pixels().to_owned(), &expected.pixels().to_owned());
     assert!(error < PIXEL, "{error:e}");
-    assert!((exposure.sources()[0].x - 34.3).abs() < 1e-12);
+    assert!((exposure.sources[0].x - 34.3).abs() < 1e-12);
 }
 
 #[test]
@@ -368,11 +398,10 @@ fn exposures_with_equal_psfs_share_a_simulator() {
     };
     let light = Catalog::new(stars(), Vec::new());
     let mut moving =
-        SeriesSimulator::<f32>::new(&psf(None, &[1.1], WIDENING), FRAME, options(), all, (None, light))
-            .unwrap();
-    let first = std::ptr::from_ref(moving.exposure(0, &NoProgress).unwrap().simulator());
-    let second = std::ptr::from_ref(moving.exposure(2, &NoProgress).unwrap().simulator());
-    assert_eq!(first, second);
+        frames_of::<f32>(&psf(None, &[1.1], WIDENING), FRAME, options(), all, (None, light)).unwrap();
+    let first = Arc::clone(&moving.exposure(0, &NoProgress).unwrap().simulator);
+    let second = Arc::clone(&moving.exposure(2, &NoProgress).unwrap().simulator);
+    assert!(Arc::ptr_eq(&first, &second));
 }
 
 #[test]
@@ -394,10 +423,9 @@ fn a_telescope_that_follows_a_source_makes_it_a_point() {
         },
         ..series(Exposures::new(vec![5.0], 10.0).unwrap())
     };
-    let mut follows =
-        SeriesSimulator::<f64>::new(&psf, FRAME, options(), all, (None, catalog.clone())).unwrap();
+    let mut follows = frames_of::<f64>(&psf, FRAME, options(), all, (None, catalog.clone())).unwrap();
     let exposure = follows.exposure(0, &NoProgress).unwrap();
-    let found = exposure.simulate().unwrap();
+    let found = image_of(&exposure);
     let fixed = psf.simulator(FRAME).options(options()).build::<f64>().unwrap();
     let scene = Scene::dark()
         .with_stars(catalog.stars().to_vec())
@@ -405,7 +433,7 @@ fn a_telescope_that_follows_a_source_makes_it_a_point() {
     let expected = fixed.simulate(&scene).unwrap();
     let error = largest_difference(&found.pixels().to_owned(), &expected.pixels().to_owned());
     assert!(error < PIXEL, "{error:e}");
-    let check = exposure.spot_check(&found, (50, 1), &NoProgress).unwrap();
+    let check = check_of(&exposure, &found, 50);
     assert_eq!(check.passed, Some(true));
 }
 
@@ -418,10 +446,10 @@ fn frames_give_each_exposure_its_own_psf() {
     let image = Image::new(pixels).unwrap();
     let all = series(Exposures::regular(2, 10.0, 10.0).unwrap());
     let light = (Some(image.clone()), Catalog::new(stars(), Vec::new()));
-    let mut frames = SeriesSimulator::<f64>::new(&psf, FRAME, options(), all, light).unwrap();
+    let mut frames = frames_of::<f64>(&psf, FRAME, options(), all, light).unwrap();
     for number in 0..2 {
         let exposure = frames.exposure(number, &NoProgress).unwrap();
-        let found = exposure.simulate().unwrap();
+        let found = image_of(&exposure);
         let chosen = psf.at_state(number as f64).unwrap();
         let simulator = chosen.simulator(FRAME).options(options()).build::<f64>().unwrap();
         let expected = simulator
@@ -431,10 +459,95 @@ fn frames_give_each_exposure_its_own_psf() {
         assert!(error < 2.0 * TOLERANCE, "{number}: {error:e}");
     }
     let three = series(Exposures::regular(3, 10.0, 10.0).unwrap());
-    let error = SeriesSimulator::<f64>::new(&psf, FRAME, options(), three, (None, Catalog::default()));
+    let error = frames_of::<f64>(&psf, FRAME, options(), three, (None, Catalog::default()));
     let message = error.unwrap_err().to_string();
     assert!(
         message.contains("exposure 2 needs the PSF of frame 2"),
         "{message}"
     );
+}
+
+#[test]
+fn a_series_in_colour_is_the_sum_of_its_spectra() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("sources.csv");
+    std::fs::write(
+        &path,
+        "x,y,flux,vx,vy,teff\n30.3,40.8,100,0,0,3000\n80,60,50,0.4,-0.3,3000\n60.5,20.1,70,0,0,20000\n",
+    )
+    .unwrap();
+    let columns = || CatalogOptions::new().with_velocities(true);
+    let catalog = read_catalog_with(&path, &columns().with_colours(true)).unwrap();
+    let wavelengths = [0.5, 0.6, 0.7];
+    let psf = psf(
+        Some((StateKind::Wavelength, &wavelengths)),
+        &[1.0, 1.2, 1.4],
+        WIDENING,
+    );
+    let bandpass = Curve::new(vec![0.5, 0.6, 0.7], vec![0.0, 1.0, 0.0]).unwrap();
+    let bandpass = Bandpass::new(bandpass);
+    let all = Series {
+        pointing: Pointing {
+            drift_px_per_s: [0.15, -0.1],
+            jitter_px: 0.2,
+            path: None,
+        },
+        light_curves: LightCurves::new(&[2.0, 2.0], &[0.0, 100.0], &[1.0, 3.0]).unwrap(),
+        ..series(Exposures::regular(2, 10.0, 15.0).unwrap())
+    };
+    let mut pixels = Array2::from_elem(FRAME, 0.1);
+    pixels[(40, 50)] = 60.0;
+    let mut light = SceneLight::new();
+    light.add_image(Some("blackbody:20000"), pixels.clone()).unwrap();
+    light
+        .set_catalog_with_spectra(catalog.clone(), None, directory.path())
+        .unwrap();
+    let names = light.spectra().to_vec();
+    assert_eq!(names, ["blackbody:20000", "blackbody:3000"]);
+    let of_spectra = light.psf_of(&psf, &bandpass, None).unwrap();
+    let mut frames = SeriesFrames::new(&of_spectra, FRAME, options(), all.clone(), light).unwrap();
+    // The sources of each spectrum, alone.
+    let rows = ["80,60,50,0.4,-0.3\n", "60.5,20.1,70,0,0\n"];
+    let lines = [
+        "x,y,flux,vx,vy\n1,1,0,0,0\n1,1,0,0,0\n",
+        "x,y,flux,vx,vy\n30.3,40.8,100,0,0\n",
+    ];
+    let alone = |hot: bool| {
+        let text = if hot {
+            format!("{}{}", lines[0], rows[1])
+        } else {
+            format!("{}{}", lines[1], rows[0])
+        };
+        let path = directory.path().join(format!("{hot}.csv"));
+        std::fs::write(&path, text).unwrap();
+        let options = columns().with_invalid_skipped(true);
+        read_catalog_with(&path, &options).unwrap()
+    };
+    for number in 0..2 {
+        let exposure = frames.exposure(number, &NoProgress).unwrap();
+        assert_eq!(exposure.scene.layers().len(), 4);
+        let found = image_of(&exposure);
+        assert_eq!(check_of(&exposure, &found, 100).passed, Some(true));
+        let mut expected = Array2::zeros(FRAME);
+        for (state, hot) in [(0.0, true), (1.0, false)] {
+            let one = of_spectra.at_state(state).unwrap();
+            // An image without light moves the sources of the red spectrum as that of the blue one does.
+            let image = if hot { pixels.clone() } else { Array2::zeros(FRAME) };
+            let light_curves = if hot {
+                all.light_curves.clone()
+            } else {
+                LightCurves::default()
+            };
+            let one_series = Series {
+                light_curves,
+                ..all.clone()
+            };
+            let light = (Some(Image::new(image).unwrap()), alone(hot));
+            let mut single = frames_of(&one, FRAME, options(), one_series, light).unwrap();
+            let exposure = single.exposure(number, &NoProgress).unwrap();
+            expected += &image_of(&exposure).pixels();
+        }
+        let error = largest_difference(&found.pixels().to_owned(), &expected);
+        assert!(error < 10.0 * TOLERANCE, "{number}: {error:e}");
+    }
 }

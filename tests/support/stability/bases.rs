@@ -1,9 +1,10 @@
 //! Bases of extreme samples.
 
 use ndarray::Array2;
+use psfield::fit::fit;
 use psfield::psf_basis::{Centring, RankSelection};
 use psfield::psf_types::{Interpolation, Normalisation};
-use psfield::{FitOptions, PsfieldError, fit};
+use psfield::{FitOptions, PsfieldError};
 
 use super::models::{full, gaussian, gaussians, lattice, samples};
 use super::stamps::{Kind, kinds};

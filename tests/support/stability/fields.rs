@@ -2,8 +2,9 @@
 
 use ndarray::Array2;
 use psfield::coeff_field::interpolation;
+use psfield::fit::fit;
 use psfield::psf_types::{Interpolation, OutsidePolicy, Position, SampleCoefficients, SamplePositions};
-use psfield::{Method, PsfieldError, fit};
+use psfield::{Method, PsfieldError};
 
 use super::images::{Light, PRECISIONS, error};
 use super::models::{full, gaussians, random, unit_coordinates};

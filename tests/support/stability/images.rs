@@ -2,7 +2,7 @@
 
 use ndarray::Array2;
 use psfield::conv_core::{
-    BasisConvolution, ConvReal, ConvolutionMethod, Direct, LowRank, PatchConvolution, StarPainter, StarPlan,
+    BasisConvolution, ConvReal, ConvolutionMethod, Direct, LowRank, PatchConvolution, SourcePlan, StarPainter,
 };
 use psfield::psf_types::{Anchor, Image, NoProgress, PointSource, PsfModel};
 use psfield::{Method, PsfieldError, SimulateOptions};
@@ -120,8 +120,8 @@ fn image_of<T: ConvReal>(
     let whole = pixels.shape().region();
     let mut image = convolve(method.as_ref(), model, &pixels)?.into_pixels();
     if let Some(plan) = plan {
-        let stars = StarPlan::new(model, plan, None)?;
-        stars.draw_into(&light.stars, whole, whole, image.view_mut(), &NoProgress)?;
+        let stars = SourcePlan::new(model, plan, None)?;
+        stars.draw_stars_into(&light.stars, whole, whole, image.view_mut(), &NoProgress)?;
     } else {
         let stars = StarPainter::new(model, whole, anchor, None)?;
         stars.draw_into(&light.stars, whole, image.view_mut(), &NoProgress)?;

@@ -1,11 +1,12 @@
 //! Samples and models with a known PSF.
 
 use ndarray::{Array2, Array3};
+use psfield::fit::fit;
 use psfield::psf_basis::{Centring, RankSelection};
 use psfield::psf_types::{
     Interpolation, Normalisation, Position, PsfModel, PsfSamples, SamplePositions, StampGrid,
 };
-use psfield::{FitOptions, PsfieldError, fit};
+use psfield::{FitOptions, PsfieldError};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 

@@ -1,6 +1,7 @@
 //! Outcomes of measurements.
 
-use psfield::{PsfieldError, error_text};
+use psfield::PsfieldError;
+use psfield::error::error_text;
 
 /// A measured result and its limit.
 #[derive(Debug, Clone, PartialEq)]

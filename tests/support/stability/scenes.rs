@@ -1,8 +1,9 @@
 //! Extreme scenes.
 
 use ndarray::Array2;
+use psfield::fit::fit;
 use psfield::psf_types::{Interpolation, PointSource, Position};
-use psfield::{Method, PsfieldError, fit};
+use psfield::{Method, PsfieldError};
 
 use super::faint::{texture_and_disc, texture_and_stars};
 use super::images::{Light, PRECISIONS, Precision, error};

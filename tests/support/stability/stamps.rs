@@ -1,9 +1,10 @@
 //! Extreme stamps and samples.
 
 use ndarray::Array2;
+use psfield::fit::fit;
 use psfield::psf_basis::{Centring, RankSelection};
 use psfield::psf_types::{Interpolation, PsfSamples};
-use psfield::{FitOptions, Method, PsfieldError, fit};
+use psfield::{FitOptions, Method, PsfieldError};
 
 use super::images::{Light, PRECISIONS, Precision, error, error_where};
 use super::models::{

@@ -1,18 +1,15 @@
 //! The light of galaxies with the PSFs of all components, in f64, and the errors that a plan allows.
 
 use ndarray::{Array1, Array2, Axis};
-use psf_types::{
-    Anchor, FrameShape, LightProfile, PixelRegion, Position, Progress, SersicSource, ToleranceOn,
-};
+use psf_types::{Anchor, FrameShape, LightProfile, Position, ToleranceOn};
 use rayon::prelude::*;
 
 use super::far_field::farthest_edge;
-use super::galaxy_plan::{Catalogue, GalaxyPlan, Light, Window, window_at};
+use super::galaxy_drawer::{Catalogue, GalaxyDrawer, Window, window_at};
 use super::kernels::Kernels;
 use super::power_spectrum::Outline;
 use super::real_space::{Integrator, Sky, corner_radius, radius_of};
 use super::window::{Drawn, Spectra, WindowDrawer};
-use crate::stars::StarVectors;
 use crate::{ConvError, ConvReal};
 
 /// A spot check ignores this part of the light that may be left out of an image.
@@ -33,10 +30,6 @@ const TRANSFORM: f64 = 3e-7;
 const LARGEST_PSF_FLUX: f64 = 2.0;
 /// Galaxies whose light in single pixels is computed before it is added.
 const GALAXIES_AT_ONCE: usize = 256;
-/// The L2 norm of a PSF over the frame's pixels depends on the sub-pixel position. It is at most
-/// about this multiple of the norm over all pixels of the stamp, divided by the oversampling.
-const OF_PHASES: f64 = 1.5;
-
 /// The largest errors of a galaxy in a pixel.
 #[derive(Debug, Clone, Copy)]
 pub struct GalaxyErrors {
@@ -48,34 +41,23 @@ pub struct GalaxyErrors {
     pub image: f64,
 }
 
-impl<T: ConvReal> GalaxyPlan<T> {
+impl<T: ConvReal> GalaxyDrawer<T> {
     /// Computes single pixels `(column, row)` of the frame, in f64, with the PSFs of all components, by
     /// integration on the sky. The time grows with the number of pairs of a galaxy and a pixel: about a
     /// millisecond if the galaxy's centre lies on the stamp around the pixel, and microseconds if it is
     /// farther away.
-    ///
-    /// # Errors
-    /// The errors of [`draw_into`](Self::draw_into), without those of an image.
-    pub fn at_pixels(
+    pub(crate) fn at_pixels(
         &self,
-        galaxies: &[SersicSource],
-        light: &(dyn Fn(&SersicSource) -> Light + Sync),
-        frame: PixelRegion,
+        catalogue: Catalogue<'_>,
         pixels: &[(usize, usize)],
-        progress: &dyn Progress,
     ) -> Result<Vec<f64>, ConvError> {
-        let catalogue = Catalogue {
-            galaxies,
-            light,
-            frame,
-            progress,
-        };
         let mut sums = vec![0.0; pixels.len()];
-        if galaxies.is_empty() {
+        let count = catalogue.sources.points.len();
+        if count == 0 {
             return Ok(sums);
         }
-        let integrator = Integrator::new(&self.model, self.shared.size);
-        let all: Vec<usize> = (0..galaxies.len()).collect();
+        let integrator = Integrator::new(&self.psfs.model, self.psfs.size());
+        let all: Vec<usize> = (0..count).collect();
         for some in all.chunks(GALAXIES_AT_ONCE) {
             let parts: Vec<Vec<f64>> = some
                 .par_iter()
@@ -97,11 +79,11 @@ impl<T: ConvReal> GalaxyPlan<T> {
         pixels: &[(usize, usize)],
     ) -> Result<Vec<f64>, ConvError> {
         catalogue.progress.check_cancelled()?;
-        let galaxy = &catalogue.galaxies[index];
-        if galaxy.flux() == 0.0 {
+        let flux = catalogue.flux(index);
+        if flux == 0.0 {
             return Ok(Vec::new());
         }
-        let light = (catalogue.light)(galaxy);
+        let light = catalogue.light(index);
         let (x, y) = catalogue.position(index);
         let sky = Sky::new(light.as_ref(), IGNORED * self.shared.extent.left_out());
         let offset = |&(column, row): &(usize, usize)| (column as f64 - x, row as f64 - y);
@@ -115,7 +97,7 @@ impl<T: ConvReal> GalaxyPlan<T> {
         // With the PSF of each pixel, or that of the galaxy outside its window.
         let window = window_at((x, y), self.shared.extent.side_and_reach(light.as_ref()).0);
         let (of_pixels, of_galaxy): (Vec<usize>, Vec<usize>) = lit.into_iter().partition(|&pixel| {
-            self.shared.options.anchor() == Anchor::Output && is_in(window, pixels[pixel])
+            self.psfs.options().anchor() == Anchor::Output && is_in(window, pixels[pixel])
         });
         if !of_galaxy.is_empty() {
             let psf = match integrator.psf(Position::new(x, y).map_err(ConvError::Result)?) {
@@ -133,13 +115,13 @@ impl<T: ConvReal> GalaxyPlan<T> {
             };
             let offsets: Vec<(f64, f64)> = of_galaxy.iter().map(|&pixel| offset(&pixels[pixel])).collect();
             for (pixel, value) in of_galaxy.into_iter().zip(psf.images(&sky, &offsets)?) {
-                values[pixel] = value * galaxy.flux();
+                values[pixel] = value * flux;
             }
         }
         for pixel in of_pixels {
             let (column, row) = pixels[pixel];
             let psf = integrator.psf(Position::of_pixel(column as i64, row as i64))?;
-            values[pixel] = psf.images(&sky, &[offset(&pixels[pixel])])?[0] * galaxy.flux();
+            values[pixel] = psf.images(&sky, &[offset(&pixels[pixel])])?[0] * flux;
         }
         Ok(values)
     }
@@ -151,25 +133,21 @@ impl<T: ConvReal> GalaxyPlan<T> {
     /// The error of the PSF, `d`, adds at most `|c| |sum d| + |d| |I - c|` to a pixel, for the light `I`
     /// on the stamp and any constant `c` (Cauchy-Schwarz inequality). Both parts of `d` are within the
     /// tolerance: its L2 norm, and its flux if the tolerance holds on apertures.
-    ///
-    /// # Errors
-    /// [`ConvError`] if the PSF has no value at a galaxy that lights one of the pixels.
-    pub fn errors_at_pixels(
+    pub(crate) fn errors_at_pixels(
         &self,
-        galaxies: &[SersicSource],
-        light: &dyn Fn(&SersicSource) -> Light,
-        (frame, pixels): (PixelRegion, &[(usize, usize)]),
+        catalogue: Catalogue<'_>,
+        pixels: &[(usize, usize)],
         rounding: f64,
         mut take: impl FnMut(usize, GalaxyErrors),
     ) -> Result<(), ConvError> {
         let (extent, tolerance) = (&self.shared.extent, self.shared.tolerance);
-        let on_apertures = self.shared.options.tolerance_on() == ToleranceOn::Aperture;
-        let grid = self.model.grid();
+        let on_apertures = self.psfs.options().tolerance_on() == ToleranceOn::Aperture;
+        let grid = self.psfs.model.grid();
         let [width, height] = [grid.nx(), grid.ny()].map(|n| (n as f64 + BEYOND) / grid.oversampling());
-        for galaxy in galaxies.iter().filter(|galaxy| galaxy.flux() != 0.0) {
-            let at = galaxy.position();
-            let (x, y) = (at.x() - frame.x0() as f64, at.y() - frame.y0() as f64);
-            let (light, flux) = (light(galaxy), galaxy.flux().abs());
+        let lit = (0..catalogue.sources.points.len()).filter(|&index| catalogue.flux(index) != 0.0);
+        for galaxy in lit {
+            let (x, y) = catalogue.position(galaxy);
+            let (light, flux) = (catalogue.light(galaxy), catalogue.flux(galaxy).abs());
             let farthest = radius_of(light.as_ref(), IGNORED * extent.left_out());
             let drawn = radius_of(light.as_ref(), extent.left_out());
             let window = farthest_edge(extent.side_and_reach(light.as_ref()).0);
@@ -195,7 +173,7 @@ impl<T: ConvReal> GalaxyPlan<T> {
                     known
                 } else {
                     let position = Position::new(x, y).map_err(ConvError::Result)?;
-                    let (norm, psf_flux) = match self.norm_and_flux(position) {
+                    let (norm, psf_flux) = match self.psfs.norm_and_flux(position) {
                         Err(_) if radius - corner > drawn => continue,
                         known => known?,
                     };
@@ -236,26 +214,6 @@ impl<T: ConvReal> GalaxyPlan<T> {
         Ok(())
     }
 
-    /// An upper limit of the L2 norm of the PSF of a source of flux 1 on the pixels of the frame,
-    /// for any sub-pixel position. Positions are in pixels of the frame.
-    ///
-    /// # Errors
-    /// [`ConvError`] if the PSF has no value at the position.
-    pub fn psf_norm(&self, position: Position) -> Result<f64, ConvError> {
-        Ok(self.norm_and_flux(position)?.0)
-    }
-
-    /// The norm of [`psf_norm`](Self::psf_norm), and the size of the PSF's flux.
-    fn norm_and_flux(&self, position: Position) -> Result<(f64, f64), ConvError> {
-        let mut vectors = StarVectors::new(&self.model, self.space());
-        let scale = vectors.set(position)?;
-        let flux = (vectors.psf.dot(&self.space().fluxes) * scale).abs();
-        Ok((
-            OF_PHASES * vectors.norm() * scale / self.model.grid().oversampling(),
-            flux,
-        ))
-    }
-
     /// Draws a galaxy on its window with the PSF of all components, given as a vector of
     /// `PsfSpace` times the galaxy's flux. The light of other windows, at the distances of the
     /// period, is not yet subtracted. With [`Anchor::Output`], pixels outside the frame are dark.
@@ -287,7 +245,7 @@ impl<T: ConvReal> GalaxyPlan<T> {
             let spectra = stamps.spectra_of(&kernels, side, stamps.band_number(outline.radius()));
             (spectra, outline)
         };
-        if self.shared.options.anchor() != Anchor::Output {
+        if self.psfs.options().anchor() != Anchor::Output {
             let (spectra, outline) = transformed(psf.to_owned().insert_axis(Axis(0)), &[1.0]);
             return Ok(plane(&spectra, &[1.0], &outline));
         }
@@ -303,7 +261,7 @@ impl<T: ConvReal> GalaxyPlan<T> {
             })
             .collect();
         let mut values = Array2::zeros((side, side));
-        let mut vectors = StarVectors::new(&self.model, self.space());
+        let mut vectors = self.psfs.vectors();
         for ((j, i), value) in values.indexed_iter_mut() {
             let (x, y) = (x0 + i as i64, y0 + j as i64);
             if !(0..frame.nx() as i64).contains(&x) || !(0..frame.ny() as i64).contains(&y) {

@@ -4,7 +4,7 @@
 //! PSF's centroid, plus its second derivatives times half the PSF's covariance.
 
 use ndarray::{Array2, ArrayViewMut2};
-use psf_types::{LightProfile, Progress};
+use psf_types::Progress;
 use rayon::prelude::*;
 
 use super::extent::Outside;
@@ -31,7 +31,7 @@ const SHARE: f64 = 1e-3;
 
 /// The light of one galaxy far from its centre.
 pub(super) struct FarLight {
-    pub(super) light: Box<dyn LightProfile + Send + Sync>,
+    pub(super) light: super::Light,
     pub(super) flux: f64,
     /// The centre of the galaxy plus the centroid of the PSF, in pixels of the frame.
     pub(super) centre: (f64, f64),
@@ -473,7 +473,7 @@ const CHEBYSHEV_NODES: [f64; NODES] = [
 
 #[cfg(test)]
 mod tests {
-    use psf_types::{Position, SersicProfile, SersicSource};
+    use psf_types::{LightProfile, Position, SersicProfile, SersicSource};
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
     use sersic::SersicLight;

@@ -17,7 +17,7 @@ mod all_components;
 mod cells;
 mod extent;
 mod far_field;
-mod galaxy_plan;
+mod galaxy_drawer;
 mod kernels;
 mod power_spectrum;
 mod real_space;
@@ -25,4 +25,5 @@ mod spectrum;
 mod window;
 
 pub use all_components::GalaxyErrors;
-pub use galaxy_plan::GalaxyPlan;
+pub(crate) use galaxy_drawer::{Catalogue, GalaxyDrawer};
+pub use galaxy_drawer::{ExtendedSources, Light};

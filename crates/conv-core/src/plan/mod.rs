@@ -159,7 +159,7 @@ impl<T: ConvReal> Plan<T> {
     /// let engine = Engine::new(Plan::new(&model, shape, shape.region(), options)?);
     /// let mut whole = engine.plan().zeros();
     /// let all = ImageView::new(light.view())?;
-    /// engine.execute(Operation::Convolve, &all, whole.view_mut(), &NoProgress)?;
+    /// engine.execute(Operation::Convolve, &[all], vec![whole.view_mut()], &NoProgress)?;
     ///
     /// let region = PixelRegion::new(32, 20, FrameShape::new(16, 20)?);
     /// let plan = Plan::for_region(&model, shape, shape.region(), region, options, &NoProgress)?;
@@ -168,7 +168,7 @@ impl<T: ConvReal> Plan<T> {
     /// assert_eq!((part.x0(), part.y0(), part.shape()), (30, 18, FrameShape::new(20, 24)?));
     /// let light = ImageView::new(light.slice(s![18..42, 30..50]))?;
     /// let mut image = Array2::zeros((20, 16));
-    /// engine.execute(Operation::Convolve, &light, image.view_mut(), &NoProgress)?;
+    /// engine.execute(Operation::Convolve, &[light], vec![image.view_mut()], &NoProgress)?;
     /// let difference = &image - &whole.slice(s![20..40, 32..48]);
     /// assert!(difference.iter().all(|d: &f64| d.abs() < 1e-12));
     /// # Ok::<(), Box<dyn std::error::Error>>(())
@@ -195,7 +195,7 @@ impl<T: ConvReal> Plan<T> {
     /// one spectrum. The models share their stamps.
     ///
     /// The modes of a block represent the PSFs of all layers. So an execution
-    /// ([`Engine::execute_layers`](crate::Engine::execute_layers)) first adds the weighted layers,
+    /// ([`Engine::execute`](crate::Engine::execute)) first adds the weighted layers,
     /// mode by mode, and transforms the sums: layers cost no transforms of their own. The tolerance
     /// holds for every layer at every position.
     ///

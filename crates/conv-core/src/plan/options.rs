@@ -18,7 +18,7 @@ pub enum Paths {
 
 /// Tolerance and the errors that it bounds, anchoring, methods for tiles and memory limit of a
 /// [`Plan`](crate::Plan). A
-/// [`StarPlan`](crate::StarPlan) and [`GalaxyPlan`](crate::GalaxyPlan) use these options too, except
+/// [`SourcePlan`](crate::SourcePlan) uses these options too, except
 /// for the methods for tiles.
 ///
 /// ```

@@ -24,7 +24,7 @@ pub trait ConvolutionMethod<T: ConvReal>: std::fmt::Debug + Send + Sync {
     /// Convolves `light` with the PSFs of `model`. Returns the image in `frame`, which is a region
     /// in pixels of the light. The result has the frame's shape, and the frame's first pixel is the
     /// origin of field positions. Point sources are drawn separately
-    /// ([`StarPlan`](crate::StarPlan), [`StarPainter`](crate::StarPainter)).
+    /// ([`SourcePlan`](crate::SourcePlan), [`StarPainter`](crate::StarPainter)).
     ///
     /// `progress` receives the steps and may cancel the work.
     ///

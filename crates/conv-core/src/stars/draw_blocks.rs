@@ -4,7 +4,7 @@
 use std::sync::Arc;
 
 use ndarray::{Array2, ArrayViewMut2, Axis, s};
-use psf_types::{PixelRegion, PointSource, Position, Progress, PsfModel, StampGrid};
+use psf_types::{PixelRegion, PointSource, Position, Progress, StampGrid};
 use rayon::prelude::*;
 
 use super::draw::{DrawGroup, Group};
@@ -13,13 +13,12 @@ use super::phased_stamps::PhasedStamps;
 use super::phases::{PhasedAxis, PhasedStar, Star};
 use super::row_layout::RowLayout;
 use super::spread::Spreader;
-use super::star_block::{BlockKey, StarBlock, block_of, region_of};
-use super::star_vectors::StarVectors;
+use super::star_block::StarBlock;
 use crate::kept::Kept;
 use crate::overlap::{add_values, split};
 use crate::plan::PlanOptions;
-use crate::plan::psf_space::PsfSpace;
 use crate::simd::{Lanes, WithIsa};
+use crate::sources::{BlockKey, SourcePsfs, block_of, region_of};
 use crate::stamp_interpolator::StampInterpolator;
 use crate::working_range::{Rescaling, brightest_allowed};
 use crate::{ConvError, ConvReal};
@@ -32,7 +31,6 @@ pub(super) struct Phased<T> {
     pub(super) spreader: Arc<Spreader<T>>,
     /// Whether crowded stars may be spread.
     pub(super) may_spread: bool,
-    pub(super) space: PsfSpace,
     pub(super) stamps: Arc<PhasedStamps<T>>,
     pub(super) norms: Arc<PhaseNorms>,
     pub(super) tolerance: f64,
@@ -50,16 +48,16 @@ impl<T: ConvReal> Phased<T> {
     /// Prepares the stamps that the models share. `target` holds the frame's pixels that a star may
     /// light.
     pub(super) fn new(
-        models: &[PsfModel],
+        psfs: &SourcePsfs,
         axes: [PhasedAxis; 2],
         target: StampGrid,
-        (options, size): (PlanOptions, Option<usize>),
     ) -> Result<Self, ConvError> {
-        let space = PsfSpace::new(models, options.tolerance_on());
         let layout = RowLayout::new(&axes[0]);
+        let options = psfs.options();
         let tolerance = options.tolerance_in::<T>();
-        let grid = models[0].grid();
-        let stamps: Vec<StampInterpolator> = space
+        let grid = psfs.model.grid();
+        let stamps: Vec<StampInterpolator> = psfs
+            .space()
             .stamps()
             .axis_iter(Axis(0))
             .into_par_iter()
@@ -72,12 +70,11 @@ impl<T: ConvReal> Phased<T> {
         Ok(Self {
             spreader: Arc::new(Spreader::new(&axes, layout)),
             // Transforms do not truncate stars.
-            may_spread: size.is_none() && tolerance >= LEAST_SPREAD_TOLERANCE,
+            may_spread: psfs.size().is_none() && tolerance >= LEAST_SPREAD_TOLERANCE,
             norms: Arc::new(PhaseNorms::new(&stamps, grid, target).map_err(ConvError::Result)?),
             stamps: Arc::new(PhasedStamps::new(&stamps, &axes, layout)),
             axes,
             layout,
-            space,
             tolerance,
             rounding: PlanOptions::rounding_in::<T>(),
             blocks: Kept::new(options.memory_bytes()),
@@ -85,12 +82,11 @@ impl<T: ConvReal> Phased<T> {
     }
 
     /// Shares the stamps with a plan for other models, which makes local bases of its own.
-    pub(super) fn for_other_models(&self, models: &[PsfModel], options: PlanOptions) -> Self {
+    pub(super) fn with_own_blocks(&self, options: PlanOptions) -> Self {
         Self {
             spreader: Arc::clone(&self.spreader),
             norms: Arc::clone(&self.norms),
             stamps: Arc::clone(&self.stamps),
-            space: self.space.for_other_models(models, options.tolerance_on()),
             blocks: Kept::new(options.memory_bytes()),
             ..*self
         }
@@ -99,10 +95,10 @@ impl<T: ConvReal> Phased<T> {
 
 /// Stars, with positions in pixels of a scene, and the frame, which is a region of the scene.
 #[derive(Clone, Copy)]
-pub(super) struct Catalogue<'a> {
-    pub(super) stars: &'a [PointSource],
-    pub(super) frame: PixelRegion,
-    pub(super) progress: &'a dyn Progress,
+pub(crate) struct Catalogue<'a> {
+    pub(crate) stars: &'a [PointSource],
+    pub(crate) frame: PixelRegion,
+    pub(crate) progress: &'a dyn Progress,
 }
 
 /// A star's block (row and column), and the star's index in the catalogue.
@@ -132,7 +128,7 @@ pub(super) struct DrawBlocks<'a, T> {
 
 /// Draws the stars of one block.
 pub(super) struct BlockDrawer<'a, T> {
-    pub(super) model: &'a PsfModel,
+    pub(super) psfs: &'a SourcePsfs,
     pub(super) phased: &'a Phased<T>,
     pub(super) catalogue: Catalogue<'a>,
     /// The pixels that a star may light, relative to its own pixel.
@@ -247,7 +243,7 @@ impl<T: ConvReal> BlockDrawer<'_, T> {
         let ((row, column), _) = task.stars[0];
         let key = (i64::from(row), i64::from(column));
         let region = region_of(key, phased.spreader.side as i64);
-        let directions = (&phased.space, &*phased.stamps);
+        let directions = (self.psfs.space(), &*phased.stamps);
         let make = || StarBlock::new(directions, region, &phased.norms, phased.tolerance);
         let block = &*phased.blocks.get(key, make, StarBlock::bytes);
         let (mut image, origin) = (task.image, task.origin);
@@ -340,7 +336,7 @@ impl<T: ConvReal> BlockDrawer<'_, T> {
         self.catalogue.progress.check_cancelled()?;
         let (phased, axes) = (self.phased, &self.phased.axes);
         let (norms, tolerance) = (&phased.norms, phased.tolerance);
-        let mut vectors = StarVectors::new(self.model, &phased.space);
+        let mut vectors = self.psfs.vectors();
         let mut coefficients = Vec::with_capacity(block.modes.kernel_count());
         let taps = axes[1].kernel.tap_count();
         let mut weights = Vec::with_capacity(stars.len() * taps * block.modes.kernel_count());

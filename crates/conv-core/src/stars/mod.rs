@@ -20,11 +20,8 @@ mod phases;
 mod row_layout;
 mod spread;
 mod star_block;
-mod star_plan;
-mod star_vectors;
+mod star_drawer;
 
+pub(crate) use draw_blocks::Catalogue;
 pub use painter::StarPainter;
-pub(crate) use painter::check_stamps;
-pub(crate) use star_block::{BlockKey, block_of, region_of};
-pub use star_plan::StarPlan;
-pub(crate) use star_vectors::StarVectors;
+pub(crate) use star_drawer::StarDrawer;

@@ -8,6 +8,7 @@ use rayon::prelude::*;
 
 use super::phases::Star;
 use crate::overlap::{Piece, add_in_order, region};
+use crate::sources::check_stamps;
 use crate::stamp_interpolator::{Kernel, MOST_TAPS, StampInterpolator, Taps, edge_reach_of, grid_reaching};
 use crate::{ConvError, ConvReal};
 
@@ -19,12 +20,12 @@ const PAIRS_IN_MEMORY: usize = 1 << 21;
 const PIXELS_IN_MEMORY: usize = 1 << 25;
 
 /// Draws stars one by one in f64, each from all components of the model. It is the reference for
-/// [`crate::StarPlan`], and supports every model and anchoring.
+/// [`crate::SourcePlan`], and supports every model and anchoring.
 #[derive(Debug)]
 pub struct StarPainter<'a> {
     pub(super) model: &'a PsfModel,
     pub(super) frame: PixelRegion,
-    /// The painters of one [`crate::StarPlan`] share it.
+    /// The painters of one [`crate::SourcePlan`] share it.
     pub(super) stamps: Arc<StarStamps>,
 }
 
@@ -64,17 +65,6 @@ impl StarStamps {
         let first = [target.centre_x(), target.centre_y()].map(|centre| -(centre as i64));
         region(first[0], first[1], (target.nx(), target.ny()))
     }
-}
-
-/// Checks that stars and galaxies can be drawn with stamps, which may be truncated to a size.
-pub(crate) fn check_stamps(grid: StampGrid, size: Option<usize>) -> Result<(), ConvError> {
-    if !grid.pixel_response_included() {
-        return Err(ConvError::PixelResponse);
-    }
-    if size == Some(0) {
-        return Err(ConvError::StampSize);
-    }
-    Ok(())
 }
 
 impl<'a> StarPainter<'a> {
@@ -210,7 +200,7 @@ impl<'a> StarPainter<'a> {
 
     /// Gives the index of every source that may light some pixels `(column, row)` of the frame to `take`,
     /// with the indices of these pixels, and whether they lie on the source's stamp. The others lie up to
-    /// 6 pixels beyond it, where a [`StarPlan`](crate::StarPlan) may keep some light.
+    /// 6 pixels beyond it, where a [`SourcePlan`](crate::SourcePlan) may keep some light.
     pub fn lit_pixels(
         &self,
         sources: &[PointSource],

@@ -6,7 +6,6 @@ use super::phase_norms::{AlongMean, PhaseNorms};
 use super::phased_stamps::PhasedStamps;
 use super::row_layout::RowLayout;
 use crate::ConvReal;
-use crate::overlap::region;
 use crate::plan::local_modes::LocalModes;
 use crate::plan::psf_space::PsfSpace;
 use crate::simd::Aligned;
@@ -70,17 +69,4 @@ impl<T: ConvReal> StarBlock<T> {
             into.copy_from_slice(&values[first..first + into.len()]);
         }
     }
-}
-
-/// Row and column of a block of the field. The row is first, so that blocks are sorted by rows.
-pub(crate) type BlockKey = (i64, i64);
-
-/// The block that holds a pixel, if blocks have `side` pixels along each side.
-pub(crate) fn block_of((column, row): (i64, i64), side: i64) -> BlockKey {
-    (row.div_euclid(side), column.div_euclid(side))
-}
-
-/// The pixels of such a block.
-pub(crate) fn region_of((row, column): BlockKey, side: i64) -> PixelRegion {
-    region(column * side, row * side, (side as usize, side as usize))
 }

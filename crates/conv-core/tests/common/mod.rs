@@ -1,12 +1,14 @@
 //! Small models with PSFs that vary strongly, and the double sum in its simplest form.
 
+pub(crate) mod extended;
 pub(crate) mod grid_field;
 
+use std::slice::from_ref;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use conv_core::{
-    ConvError, ConvReal, ConvolutionMethod, Direct, Engine, Operation, Paths, Plan, PlanOptions, StarPlan,
+    ConvError, ConvReal, ConvolutionMethod, Direct, Engine, Operation, Paths, Plan, PlanOptions, SourcePlan,
     TileCounts,
 };
 use ndarray::{Array2, Array3, ArrayView2};
@@ -122,8 +124,8 @@ impl<T: ConvReal> Execute<T> for Engine<T> {
         let mut image = self.plan().zeros();
         let counts = self.execute(
             Operation::Convolve,
-            &scene.light.view(),
-            image.view_mut(),
+            from_ref(&scene.light.view()),
+            vec![image.view_mut()],
             progress,
         )?;
         Ok((Image::new(image).unwrap(), counts))
@@ -132,16 +134,25 @@ impl<T: ConvReal> Execute<T> for Engine<T> {
     fn adjoint_of(&self, image: &ImageView<'_, T>, progress: &dyn Progress) -> Result<Image<T>, ConvError> {
         let shape = self.plan().scene_shape();
         let mut light = Array2::zeros((shape.ny(), shape.nx()));
-        self.execute(Operation::Adjoint, image, light.view_mut(), progress)?;
+        self.execute(
+            Operation::Adjoint,
+            from_ref(image),
+            vec![light.view_mut()],
+            progress,
+        )?;
         Ok(Image::new(light).unwrap())
     }
 }
 
 /// Draws stars by a plan into a new image of a frame.
-pub(crate) fn drawn<T: ConvReal>(plan: &StarPlan<T>, stars: &[PointSource], frame: PixelRegion) -> Array2<T> {
+pub(crate) fn drawn<T: ConvReal>(
+    plan: &SourcePlan<T>,
+    stars: &[PointSource],
+    frame: PixelRegion,
+) -> Array2<T> {
     let mut image = Array2::zeros((frame.shape().ny(), frame.shape().nx()));
     let whole = frame.shape().region();
-    plan.draw_into(stars, frame, whole, image.view_mut(), &NoProgress)
+    plan.draw_stars_into(stars, frame, whole, image.view_mut(), &NoProgress)
         .unwrap();
     image
 }

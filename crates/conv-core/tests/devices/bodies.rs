@@ -1,5 +1,6 @@
 //! Tests that must pass on every device.
 
+use std::slice::from_ref;
 use std::sync::Arc;
 
 use conv_core::{ConvError, Operation, Paths, RowStream};
@@ -380,14 +381,19 @@ fn regions(device: &OnDevice) {
                 let into = image.slice_mut(s![y..y + ny, x..x + nx]);
                 part.execute(
                     Operation::Convolve,
-                    &ImageView::new(light).unwrap(),
-                    into,
+                    from_ref(&ImageView::new(light).unwrap()),
+                    vec![into],
                     &NoProgress,
                 )
                 .unwrap();
                 let of_part = ImageView::new(seen.pixels().slice_move(s![y..y + ny, x..x + nx])).unwrap();
-                part.execute(Operation::Adjoint, &of_part, back.view_mut(), &NoProgress)
-                    .unwrap();
+                part.execute(
+                    Operation::Adjoint,
+                    from_ref(&of_part),
+                    vec![back.view_mut()],
+                    &NoProgress,
+                )
+                .unwrap();
             }
             let engine = device.with(plan);
             let error = relative(

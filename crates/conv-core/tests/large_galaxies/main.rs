@@ -7,15 +7,13 @@ mod integral;
 
 use std::f64::consts::PI;
 
+use common::extended::extended;
 use common::model_of_stamp;
-use conv_core::{ConvReal, GalaxyPlan, PlanOptions};
+use conv_core::{ConvReal, PlanOptions, SourcePlan};
 use integral::{Cells, Shape, Truth};
 use ndarray::Array2;
-use psf_types::{
-    FrameShape, LightProfile, NoProgress, Position, PsfModel, SersicProfile, SersicSource, StampGrid,
-};
+use psf_types::{FrameShape, NoProgress, Position, PsfModel, SersicProfile, SersicSource, StampGrid};
 use rayon::prelude::*;
-use sersic::SersicLight;
 
 /// A PSF of unit flux: its model, and the same stamp for the integrals.
 struct Psf {
@@ -150,13 +148,13 @@ fn galaxy((re, n, q): (f64, f64, f64), angle_deg: f64) -> SersicSource {
 }
 
 fn drawn<T: ConvReal>(psf: &Psf, galaxy: SersicSource, tolerance: f64) -> Array2<T> {
-    let plan = GalaxyPlan::<T>::new(&psf.model, PlanOptions::new(tolerance).unwrap(), None).unwrap();
+    let plan = SourcePlan::<T>::new(&psf.model, PlanOptions::new(tolerance).unwrap(), None).unwrap();
     let frame = FrameShape::new(SIDE, SIDE).unwrap().region();
-    let light =
-        |galaxy: &SersicSource| -> Box<dyn LightProfile + Send + Sync> { Box::new(SersicLight::new(galaxy)) };
     let mut image = Array2::zeros((SIDE, SIDE));
-    plan.draw_into(&[galaxy], &light, frame, frame, image.view_mut(), &NoProgress)
-        .unwrap();
+    extended(&[galaxy], |sources| {
+        plan.draw_extended_into(sources, frame, frame, image.view_mut(), &NoProgress)
+    })
+    .unwrap();
     image
 }
 

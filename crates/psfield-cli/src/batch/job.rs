@@ -6,7 +6,8 @@ use std::path::{Path, PathBuf};
 
 use clap::{ArgAction, Args, Command, FromArgMatches};
 use psf_io::{Card, CardValue, IoError, OutputLock};
-use psfield::{JOB_KEYWORD, SpotCheck};
+use psfield::SpotCheck;
+use psfield::image_cards::JOB_KEYWORD;
 
 use crate::UsageError;
 use crate::batch::jobs_file::{JobsFile, Setting, Settings};
@@ -304,7 +305,7 @@ fn judge(file: &Path, digest: &str) -> Result<(), String> {
         format!(
             "{} exists and is not an image of this job: delete it, or run all jobs again with --overwrite ({})",
             file.display(),
-            psfield::error_text(&e)
+            psfield::error::error_text(&e)
         )
     })?;
     let text = |keyword: &str| match header.get(keyword).and_then(Card::value) {

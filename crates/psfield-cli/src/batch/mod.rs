@@ -190,7 +190,7 @@ fn report_of<'a>(
     let lock = if is_done { Ok(None) } else { job.lock() };
     let state = match &lock {
         _ if is_done => JobState::Done,
-        Err(error) => JobState::Refused(psfield::error_text(error)),
+        Err(error) => JobState::Refused(psfield::error::error_text(error)),
         Ok(None) => JobState::InProgress,
         Ok(Some(_)) if overwrite => JobState::Partial,
         Ok(Some(_)) => JobState::of(job),

@@ -267,7 +267,7 @@ impl BenchArgs {
         let options = self.bench_options(&settings);
         if options.device == Device::Gpu {
             // A missing GPU is reported before samples are drawn.
-            psfield::open_gpu(options.gpu_adapter.as_deref())?;
+            psfield::device::open_gpu(options.gpu_adapter.as_deref())?;
         }
         let mut scene = None;
         if let Some(path) = &self.scene {
@@ -369,7 +369,7 @@ impl BenchArgs {
         }
         let telescope = self.preset.telescope();
         for &grid in &settings.grids {
-            psfield::check_stack(grid * grid, telescope.grid())
+            psfield::stack_size::check_stack(grid * grid, telescope.grid())
                 .map_err(|e| UsageError(format!("--grids: {e}")))?;
         }
         Ok(Box::new(settings.grids.iter().map(move |&grid| {

@@ -7,7 +7,8 @@ use metrics::Summary;
 use ndarray::{Array2, ArrayView2, ArrayView3, s};
 use psf_io::{Card, HeaderCards};
 use psf_types::{FrameShape, Image, PointSource, Position, PsfModel};
-use psfield::{EvaluateOptions, MEASUREMENT_COLUMNS, MeasureOptions, Measurement, OutputGrid, evaluate};
+use psfield::evaluate::{EvaluateOptions, OutputGrid, evaluate};
+use psfield::measure::{MEASUREMENT_COLUMNS, MeasureOptions, Measurement};
 use psfield_lab::plot::{Figure, Picture, PictureAxes, Scale, pictures, positions_figure};
 
 use super::PATCH;

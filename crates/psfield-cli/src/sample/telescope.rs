@@ -249,7 +249,7 @@ impl TelescopeArgs {
         positions: &[Position],
         context: &Context,
     ) -> anyhow::Result<PsfSamples> {
-        psfield::check_stack(positions.len() * self.wavelengths.len(), telescope.grid())?;
+        psfield::stack_size::check_stack(positions.len() * self.wavelengths.len(), telescope.grid())?;
         let telescopes = self.wavelengths.iter().map(|&um| telescope.at_wavelength_um(um));
         let telescopes = telescopes.collect::<Result<Vec<_>, _>>()?;
         let sources: Vec<&dyn PsfSource> = telescopes.iter().map(|t| t as &dyn PsfSource).collect();
@@ -283,7 +283,7 @@ impl TelescopeArgs {
         context: &Context,
     ) -> anyhow::Result<Sampling> {
         if let Some((nx, ny)) = options.uniform {
-            psfield::check_stack(nx.saturating_mul(ny), telescope.grid())
+            psfield::stack_size::check_stack(nx.saturating_mul(ny), telescope.grid())
                 .map_err(|e| UsageError(format!("--uniform: {e}")))?;
         }
         let refused = |e: SampleError| match (&e, options.uniform) {

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use detector::{Detector, DetectorParams, ExposureReport};
 use psf_io::{Card, HeaderCards};
 use psf_types::{Image, Real};
-use psfield::ExposureFiles;
+use psfield::exposure_files::ExposureFiles;
 
 use super::super::context::Context;
 use super::super::expose::check_detector;

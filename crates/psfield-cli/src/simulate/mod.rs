@@ -13,9 +13,8 @@ use std::path::PathBuf;
 use conv_core::{ConvReal, PlanOptions, PlanSummary};
 use psf_io::Card;
 use psf_types::{Anchor, ToleranceOn};
-use psfield::{
-    ErrorKind, JOB_KEYWORD, Method, PSF_FILE_KEYWORD, Preparation, PsfieldError, SimulateOptions, Simulator,
-};
+use psfield::image_cards::{JOB_KEYWORD, PSF_FILE_KEYWORD};
+use psfield::{ErrorKind, Method, PsfieldError, SimulateOptions};
 use psfield_lab::{available_memory_bytes, peak_memory_bytes};
 
 use crate::UsageError;
@@ -23,12 +22,12 @@ use crate::context::{Context, message_of, signature, signature_of, with_option};
 use crate::devices::DeviceArgs;
 use crate::files::OutputFile;
 use crate::psf_args::PsfArgs;
-use crate::simulate::colour::ColourArgs;
-use crate::simulate::execute::Outcome;
+use crate::simulate::colour::{ColourArgs, check_spectra};
+use crate::simulate::execute::{Outcome, Ready};
 use crate::simulate::exposure_args::ExposureArgs;
 use crate::simulate::prepared::timed;
 use crate::simulate::report::Seconds;
-use crate::simulate::scene::{ReadScene, SceneArgs};
+use crate::simulate::scene::{ReadFiles, SceneArgs};
 use crate::values::{Frame, Precision, bytes, stamp_size, text_of_bytes, tolerance};
 
 pub(crate) use crate::simulate::prepared::Simulators;
@@ -312,35 +311,39 @@ impl SimulateArgs {
         self.open_gpu(context)?;
         let mut seconds = Seconds::default();
         let psf = self.psf(simulators, &mut seconds, context)?;
-        if let Some(bandpass) = &self.colour.bandpass {
-            // Plans of spectra are made for each run.
-            simulators.made += 1;
-            return self.simulate_in_colour::<T>(bandpass, &psf, exposing.as_ref(), seconds, context);
-        }
         let spinner = context.spinner("reading");
-        let ((read, rows), taken) =
-            timed(|| self.scene.read::<T>(self.is_streamed::<T>(), psf.field_shape()))?;
+        let by_rows = self.is_streamed::<T>();
+        let (mut read, taken) = timed(|| {
+            self.scene
+                .read::<T>(&self.colour, by_rows, psf.field_shape(), |options| options)
+        })?;
         seconds.read += taken;
         drop(spinner);
+        let outputs = std::iter::once(self.output.to_path_buf()).chain(self.exposure.outputs(&self.output));
+        check_spectra(read.light.spectra(), outputs)?;
+        self.note_of_scene(&read.files, context);
+        self.warn_of_empty_catalog(read.files.sources, context);
 
-        self.note_of_scene(&read, context);
-        let sources = (read.scene.stars().len(), read.scene.galaxies().len());
-        self.warn_of_empty_catalog(sources, context);
-        let simulator = self.simulator::<T>(&psf, read.shape, simulators)?;
-        let kind = (&read.scene, rows.is_some());
-        let made = self.prepare(&simulator, kind, simulators, &mut seconds, context)?;
-        Self::warn_of_scene(|| simulator.warnings(&read.scene), &mut seconds, context);
-        let (ready, streamed) = ((&*simulator, &made), rows.is_some());
-        let outcome = if let Some(reader) = rows {
-            let scene = (&*simulator, &read.scene);
-            self.by_bands((&scene, &made), &read, vec![reader], &mut seconds, context)?
+        let simulator = self.simulator::<T>(&psf, &read, simulators, context)?;
+        let readers = std::mem::take(&mut read.rows);
+        let light = read.light.into_scene()?;
+        let scene = &light;
+        let made = self.prepare(&simulator, scene, simulators, &mut seconds, context)?;
+        Self::warn_of_scene(|| simulator.warnings(scene), &mut seconds, context);
+        let (simulator, streamed) = (&*simulator, !readers.is_empty());
+        let ready = Ready {
+            simulator,
+            scene,
+            made,
+        };
+        let outcome = if streamed {
+            self.by_bands(&ready, &read.files, readers, &mut seconds, context)?
         } else {
-            let scene = (&*simulator, &read.scene);
-            self.in_memory((&scene, &made), &read, exposing.as_ref(), &mut seconds, context)?
+            self.in_memory(&ready, &read.files, exposing.as_ref(), &mut seconds, context)?
         };
         Ok(Report {
             streamed,
-            ..self.report(ready, &read, sources, outcome, seconds)
+            ..self.report(&ready, &read.files, outcome, seconds)
         })
     }
 
@@ -353,7 +356,7 @@ impl SimulateArgs {
 
     /// Notes the size of a frame that the user did not give, and warns of columns of the catalogue that
     /// change a source but are not read.
-    fn note_of_scene<T: ConvReal>(&self, read: &ReadScene<T>, context: &Context) {
+    fn note_of_scene(&self, read: &ReadFiles, context: &Context) {
         if let (Some(path), [_, ..]) = (&self.scene.catalog, &read.left_out.columns[..]) {
             context.warn(&format!(
                 "{}: not read, though they may change the sources: the columns {}",
@@ -370,12 +373,11 @@ impl SimulateArgs {
         }
     }
 
-    /// The report of an image that was not streamed. `sources` are the numbers of stars and galaxies.
+    /// The report of an image that was not streamed.
     fn report<T: ConvReal>(
         &self,
-        (simulator, made): (&Simulator<T>, &Preparation<'_>),
-        read: &ReadScene<T>,
-        sources: (usize, usize),
+        Ready { simulator, made, .. }: &Ready<'_, '_, T>,
+        read: &ReadFiles,
         outcome: Outcome,
         seconds: Seconds,
     ) -> Report {
@@ -396,8 +398,8 @@ impl SimulateArgs {
             modes: plan.map_or(made.model.stamp_count() as f64, PlanSummary::mean_modes),
             normalise: made.model.normalisation(),
             shape: [shape.nx(), shape.ny()],
-            sources: sources.0,
-            galaxies: sources.1,
+            sources: read.sources.0,
+            galaxies: read.sources.1,
             invalid_rows: read.left_out.invalid_rows,
             rows_off_projection: read.left_out.rows_off_projection,
             nan_pixels: outcome.nan_pixels,
@@ -464,8 +466,7 @@ impl SimulateArgs {
     /// Header cards with all that is needed to repeat the result.
     fn cards<T: ConvReal>(
         &self,
-        simulator: &Simulator<T>,
-        made: &Preparation<'_>,
+        Ready { simulator, made, .. }: &Ready<'_, '_, T>,
     ) -> anyhow::Result<Vec<Card>> {
         let mut cards = match &self.job {
             Some(mark) => {

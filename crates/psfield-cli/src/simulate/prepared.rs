@@ -5,12 +5,14 @@ use std::rc::Rc;
 use std::time::Instant;
 
 use conv_core::ConvReal;
-use psf_types::{FrameShape, NoProgress};
-use psfield::{Device, Placement, Preparation, Psf, PsfieldError, Scene, SimulationWarning, Simulator};
+use psf_types::NoProgress;
+use psfield::device::Placement;
+use psfield::{Device, Preparation, Psf, PsfieldError, Scene, SimulationWarning, Simulator};
 
 use crate::context::{Context, with_option};
 use crate::simulate::SimulateArgs;
 use crate::simulate::report::Seconds;
+use crate::simulate::scene::ReadScene;
 
 /// Simulators kept for later scenes with equal settings. The one that was used last comes first.
 #[derive(Default)]
@@ -43,7 +45,7 @@ impl Simulators {
     /// with the plans on it.
     pub(super) fn forget_gpus(&mut self) {
         self.kept.clear();
-        psfield::forget_gpus();
+        psfield::device::forget_gpus();
     }
 
     /// Returns the PSF that `key` describes. Reads it, unless it is the last PSF that was read.
@@ -63,8 +65,8 @@ impl Simulators {
     fn get<T: ConvReal>(
         &mut self,
         key: &str,
-        build: impl FnOnce() -> Result<Simulator<T>, PsfieldError>,
-    ) -> Result<Rc<Simulator<T>>, PsfieldError> {
+        build: impl FnOnce() -> anyhow::Result<Simulator<T>>,
+    ) -> anyhow::Result<Rc<Simulator<T>>> {
         if let Some(place) = self.kept.iter().position(|(k, _)| k == key) {
             let found = self.kept.remove(place);
             if let Ok(simulator) = Rc::clone(&found.1).downcast::<Simulator<T>>() {
@@ -109,7 +111,7 @@ impl SimulateArgs {
         let options = self.options();
         if options.device == Device::Gpu && needed {
             let _spinner = context.spinner("opening the GPU");
-            psfield::open_gpu(options.gpu_adapter.as_deref())?;
+            psfield::device::open_gpu(options.gpu_adapter.as_deref())?;
         }
         Ok(())
     }
@@ -130,36 +132,44 @@ impl SimulateArgs {
         })
     }
 
-    /// Returns the simulator for scenes of a shape: kept, or built anew.
+    /// Returns the simulator for scenes like one that has been read: kept, or built anew.
     pub(super) fn simulator<T: ConvReal>(
         &self,
         psf: &Psf,
-        shape: FrameShape,
+        read: &ReadScene<T>,
         simulators: &mut Simulators,
+        context: &Context,
     ) -> anyhow::Result<Rc<Simulator<T>>> {
-        let options = self.options();
+        let (options, shape) = (self.options(), read.files.shape);
         // Everything on which a simulator depends.
-        let key = format!("{:?}", (&self.psf, &self.fit, shape, &options, T::NAME));
-        let build = || psf.simulator((shape.ny(), shape.nx())).options(options).build();
-        simulators.get(&key, build).map_err(|e| self.explained(e))
+        let colour = (
+            &self.colour.bandpass,
+            &self.colour.dispersion,
+            read.light.spectra(),
+        );
+        let key = format!("{:?}", (&self.psf, &self.fit, colour, shape, &options, T::NAME));
+        simulators.get(&key, || {
+            let psf = self.psf_of(psf, &read.light, context)?;
+            let built = psf.simulator((shape.ny(), shape.nx())).options(options).build();
+            built.map_err(|error| self.explained(error))
+        })
     }
 
-    /// Makes the models and the plan that a scene needs, unless they exist. If `rows` is true, the
-    /// image of the scene is read by rows.
+    /// Makes the models and the plan that a scene needs, unless they exist.
     pub(super) fn prepare<'a, T: ConvReal>(
         &self,
         simulator: &'a Simulator<T>,
-        (scene, rows): (&Scene<'_, T>, bool),
+        scene: &Scene<'_, T>,
         simulators: &mut Simulators,
         seconds: &mut Seconds,
         context: &Context,
     ) -> anyhow::Result<Preparation<'a>> {
-        let new = !simulator.is_prepared(scene, rows);
-        if new && let Some(warning) = simulator.psf_warning(scene, rows)? {
+        let new = !simulator.is_prepared(scene);
+        if new && let Some(warning) = simulator.psf_warning(scene)? {
             context.warn(&warning.to_string());
         }
         let spinner = context.spinner("fitting and planning");
-        let made = simulator.prepare(scene, rows, &NoProgress);
+        let made = simulator.prepare(scene, &NoProgress);
         let made = made.map_err(|e| self.explained(e))?;
         drop(spinner);
         if new {

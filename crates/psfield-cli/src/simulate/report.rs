@@ -5,7 +5,8 @@ use std::path::{Path, PathBuf};
 use conv_core::{PlanSummary, TileCounts};
 use detector::ExposureReport;
 use psf_types::{Anchor, Normalisation, ToleranceOn};
-use psfield::{Placement, SpotCheck};
+use psfield::SpotCheck;
+use psfield::device::Placement;
 use serde::{Serialize, Serializer};
 
 use crate::context::object;

@@ -2,15 +2,17 @@
 
 use std::path::{Path, PathBuf};
 
+use anyhow::Context as _;
 use conv_core::ConvReal;
 use psf_io::{
     Card, CardValue, Catalog, CatalogOptions, HduChoice, HeaderCards, ImageReader, IoError, SkyCoordinates,
 };
-use psf_types::{FrameShape, Image};
-use psfield::{Scene, ScenePixels, SimulateOptions, Simulator};
+use psf_types::FrameShape;
+use psfield::{SceneLight, ScenePixels, SimulateOptions, Simulator};
 
 use crate::UsageError;
-use crate::context::with_nan_setting;
+use crate::context::{with_nan_setting, with_option};
+use crate::simulate::colour::{ColourArgs, folder_of};
 use crate::table_args::TableArgs;
 use crate::values::{Frame, Pair, number};
 
@@ -120,16 +122,43 @@ fn scene_pixels_help() -> String {
 
 /// A scene that has been read.
 pub(super) struct ReadScene<T: ConvReal> {
-    /// The scene. If its image is read by rows, the image is not part of it.
-    pub(super) scene: Scene<'static, T>,
+    /// The light.
+    pub(super) light: SceneLight<T>,
+    /// The images that are read by rows, with the numbers of their layers.
+    pub(super) rows: Vec<(usize, ImageReader)>,
+    pub(super) files: ReadFiles,
+}
+
+/// What the files of a scene say besides its light.
+#[derive(Debug, Clone)]
+pub(super) struct ReadFiles {
     /// The shape of the scene, in its own pixels.
     pub(super) shape: FrameShape,
     /// The header of the scene's image or of the file `--wcs`.
     pub(super) header: HeaderCards,
     /// Rows and columns that were left out of the catalogue.
     pub(super) left_out: LeftOut,
-    /// NaN pixels of the image that `--nan-as` has replaced. 0 if the image is read by rows.
+    /// NaN pixels of the images that `--nan-as` has replaced. 0 if the images are read by rows.
     pub(super) nan_pixels: usize,
+    /// The numbers of stars and galaxies.
+    pub(super) sources: (usize, usize),
+}
+
+impl<T: ConvReal> ReadScene<T> {
+    pub(super) fn new(light: SceneLight<T>, shape: FrameShape, header: HeaderCards) -> Self {
+        let files = ReadFiles {
+            shape,
+            header,
+            left_out: LeftOut::default(),
+            nan_pixels: 0,
+            sources: (0, 0),
+        };
+        Self {
+            light,
+            rows: Vec::new(),
+            files,
+        }
+    }
 }
 
 /// Rows and columns that were left out of a catalogue.
@@ -144,7 +173,7 @@ pub(super) struct LeftOut {
 }
 
 impl LeftOut {
-    pub(super) fn of(catalog: &Catalog) -> Self {
+    fn of(catalog: &Catalog) -> Self {
         Self {
             invalid_rows: catalog.invalid_rows(),
             rows_off_projection: catalog.rows_off_projection(),
@@ -199,48 +228,80 @@ impl SceneArgs {
             .unwrap_or(SimulateOptions::default().scene_pixels)
     }
 
-    /// Reads the scene. If `by_rows`, opens the scene's image, but does not read its pixels. `field`
+    /// Reads the scene. If `by_rows`, opens the scene's images, but does not read their pixels. `field`
     /// is the field of the PSF: the shape, in image pixels, of a scene without an image and without
-    /// `--shape`.
+    /// `--shape`. `more` chooses further columns of the catalogue.
     pub(super) fn read<T: ConvReal>(
         &self,
+        colour: &ColourArgs,
         by_rows: bool,
         field: Option<FrameShape>,
-    ) -> anyhow::Result<(ReadScene<T>, Option<ImageReader>)> {
-        let (mut scene, mut rows, mut nan_pixels) = (Scene::dark(), None, 0);
-        let (shape, header) = match (&self.scene, &self.wcs) {
-            (Some(path), _) if by_rows => {
-                let reader = self.open(path)?;
-                let of_image = (reader.shape(), reader.header().clone());
-                rows = Some(reader);
-                of_image
-            }
-            (Some(path), _) => {
-                let mut reader = self.open(path)?;
-                let shape = reader.shape();
-                let pixels = reader.read_rows(0..shape.ny());
-                let pixels = pixels.map_err(|error| with_nan_as(error, &reader))?;
-                nan_pixels = reader.nan_pixels();
-                scene = Scene::from(Image::<T>::new(pixels)?);
-                (shape, reader.header().clone())
-            }
-            (None, Some(path)) => {
-                let header = psf_io::read_cards(path, self.extension.as_ref())?;
-                (self.dark_shape::<T>(field)?, header)
-            }
-            (None, None) => (self.dark_shape::<T>(field)?, HeaderCards::new()),
+        more: fn(CatalogOptions) -> CatalogOptions,
+    ) -> anyhow::Result<ReadScene<T>> {
+        let in_colour = colour.bandpass.is_some();
+        let cube = if in_colour { self.read_cube(by_rows)? } else { None };
+        if in_colour && self.scene.is_some() && cube.is_none() && colour.sed.is_none() {
+            const NEEDED: &str = "--bandpass needs the spectrum of SCENE.fits: --sed SPECTRUM (or a cube with cards SED1, SED2, ...)";
+            return Err(UsageError(NEEDED.to_owned()).into());
+        }
+        let default = colour.sed.as_deref();
+        let mut read = match cube {
+            Some(cube) => cube,
+            None => self.read_image(default, by_rows, field)?,
         };
-        let catalog = self.read_catalog(&header, |options| options)?;
-        let left_out = LeftOut::of(&catalog);
-        let (stars, galaxies) = catalog.into_parts();
-        let read = ReadScene {
-            scene: scene.with_stars(stars).with_galaxies(galaxies),
-            shape,
-            header,
-            left_out,
-            nan_pixels,
+        self.read_layers(colour, by_rows, &mut read)?;
+        let catalog = self.read_catalog(&read.files.header, |options| {
+            more(options.with_colours(in_colour))
+        })?;
+        read.files.left_out = LeftOut::of(&catalog);
+        read.files.sources = (catalog.stars().len(), catalog.galaxies().len());
+        if !in_colour {
+            read.light.set_catalog(catalog);
+            return Ok(read);
+        }
+        let folder = folder_of(self.catalog.as_deref());
+        let set = read.light.set_catalog_with_spectra(catalog, default, folder);
+        let file = || {
+            let path = self.catalog.as_ref();
+            path.map_or_else(String::new, |path| path.display().to_string())
         };
-        Ok((read, rows))
+        set.map_err(|error| anyhow::anyhow!(with_option(&error, error.setting())))
+            .with_context(file)?;
+        Ok(read)
+    }
+
+    /// Reads the scene's image, whose light has a spectrum if one is given, or the shape and the header of a
+    /// scene without an image.
+    fn read_image<T: ConvReal>(
+        &self,
+        spectrum: Option<&str>,
+        by_rows: bool,
+        field: Option<FrameShape>,
+    ) -> anyhow::Result<ReadScene<T>> {
+        let Some(path) = &self.scene else {
+            let header = match &self.wcs {
+                Some(path) => psf_io::read_cards(path, self.extension.as_ref())?,
+                None => HeaderCards::new(),
+            };
+            return Ok(ReadScene::new(
+                SceneLight::new(),
+                self.dark_shape::<T>(field)?,
+                header,
+            ));
+        };
+        let mut reader = self.open(path)?;
+        let (shape, header) = (reader.shape(), reader.header().clone());
+        let mut read = ReadScene::new(SceneLight::new(), shape, header);
+        if by_rows {
+            let layer = read.light.add_streamed(spectrum);
+            read.rows.push((layer.expect("the first image"), reader));
+            return Ok(read);
+        }
+        let pixels = reader.read_rows(0..shape.ny());
+        let pixels = pixels.map_err(|error| with_nan_as(error, &reader))?;
+        read.files.nan_pixels = reader.nan_pixels();
+        read.light.add_image(spectrum, pixels)?;
+        Ok(read)
     }
 
     /// Opens the image of the scene for reading by rows.
@@ -264,31 +325,12 @@ impl SceneArgs {
         Ok(FrameShape::new(nx * s, ny * s)?)
     }
 
-    /// Reads the scene of a series: its image, and its catalogue with the velocities of the sources. The
-    /// scene in the first part of the result has the image only.
-    pub(super) fn read_series<T: ConvReal>(
-        &self,
-        field: Option<FrameShape>,
-    ) -> anyhow::Result<(ReadScene<T>, Catalog)> {
-        let mut read = self.without_catalog().read::<T>(false, field)?.0;
-        let catalog = self.read_catalog(&read.header, |options| options.with_velocities(true))?;
-        read.left_out = LeftOut::of(&catalog);
-        Ok((read, catalog))
-    }
-
-    pub(super) fn without_catalog(&self) -> Self {
-        Self {
-            catalog: None,
-            ..self.clone()
-        }
-    }
-
     /// Reads the catalogue, which may be missing. The positions that it returns are in pixels of the
     /// output image. `more` chooses further columns.
-    pub(super) fn read_catalog(
+    fn read_catalog(
         &self,
         header: &HeaderCards,
-        more: fn(CatalogOptions) -> CatalogOptions,
+        more: impl Fn(CatalogOptions) -> CatalogOptions,
     ) -> anyhow::Result<Catalog> {
         let Some(path) = &self.catalog else {
             return Ok(Catalog::default());

@@ -6,22 +6,23 @@ use std::time::{Instant, SystemTime};
 
 use anyhow::Context as _;
 use conv_core::ConvReal;
-use psf_io::Catalog;
-use psf_types::{Image, NoProgress, Progress};
-use psfield::{
-    Exposures, LightCurves, Motion, Pointing, PointingPath, Scene, Series, SeriesSimulator,
-    exposure_time_cards,
-};
+use psf_io::CatalogOptions;
+use psf_types::{NoProgress, Progress};
+use psfield::Motion;
+use psfield::colours::spectrum_file;
+use psfield::image_cards::exposure_time_cards;
+use psfield::series::{Exposures, LightCurves, Pointing, PointingPath, Series, SeriesFrames};
 use serde::Deserialize;
 
 use crate::UsageError;
 use crate::batch::{Settings, parsed, settings, simulate_command};
 use crate::context::{Context, object};
 use crate::files::{FileUses, OutputFile, OutputFolder, beside};
+use crate::simulate::execute::Ready;
 use crate::simulate::exposure_args::Exposing;
 use crate::simulate::prepared::warn_of_coarse_stamps;
 use crate::simulate::report::{Report, Seconds};
-use crate::simulate::scene::ReadScene;
+use crate::simulate::scene::ReadFiles;
 use crate::simulate::{SimulateArgs, Simulators};
 use crate::values::Precision;
 
@@ -111,7 +112,7 @@ struct PointingTable {
 /// Options of `simulate` that a series sets itself.
 const OF_SERIES: [&str; 2] = ["output", "truth"];
 /// Options of `simulate` that a series does not support.
-const UNSUPPORTED: [&str; 6] = ["bandpass", "sed", "layer", "dispersion", "quality", "stream"];
+const UNSUPPORTED: [&str; 2] = ["quality", "stream"];
 
 impl SeriesArgs {
     pub(crate) fn run(self, context: &Context) -> anyhow::Result<()> {
@@ -231,64 +232,57 @@ impl SeriesArgs {
         options.open_gpu(context)?;
         let psf = options.psf(&mut Simulators::default(), &mut Seconds::default(), context)?;
         let spinner = context.spinner("reading");
-        let (mut read, catalog) = options.scene.read_series::<T>(psf.field_shape())?;
+        let velocities = |catalog: CatalogOptions| catalog.with_velocities(true);
+        let field = psf.field_shape();
+        let read = options
+            .scene
+            .read::<T>(&options.colour, false, field, velocities)?;
         drop(spinner);
-        options.note_of_scene(&read, context);
+        options.note_of_scene(&read.files, context);
         if series.pointing != Pointing::default() {
             warn_of_coarse_stamps("the pointing", &psf, context);
         }
         let count = series.exposures.len();
-        let with_sources = !catalog.rows().is_empty();
-        if let (Some(path), false) = (&options.scene.catalog, with_sources) {
-            context.warn(&format!("{}: the catalogue has no sources", path.display()));
-        }
+        let with_sources = read.files.sources != (0, 0);
+        options.warn_of_empty_catalog(read.files.sources, context);
+        let spectra = read.light.spectra();
+        let of_spectra = spectra.iter().filter_map(|name| spectrum_file(name));
+        let inputs: Vec<PathBuf> = inputs
+            .iter()
+            .cloned()
+            .chain(of_spectra.map(PathBuf::from))
+            .collect();
         std::fs::create_dir_all(&*self.out)
             .with_context(|| format!("{}: the folder cannot be made", self.out.display()))?;
         let with_truth = exposing.as_ref().is_some_and(Exposing::writes_truth);
-        self.check_outputs(inputs, count, (with_truth, with_sources))?;
-        let sources = (catalog.stars().len(), catalog.galaxies().len());
-        let mut simulator = self.simulator(options, &psf, series, &mut read, catalog)?;
+        self.check_outputs(&inputs, count, (with_truth, with_sources))?;
+        let psf = options.psf_of(&psf, &read.light, context)?;
+        let shape = (read.files.shape.ny(), read.files.shape.nx());
+        let made = SeriesFrames::new(&psf, shape, options.options(), series, read.light);
+        let mut series =
+            made.map_err(|error| anyhow::Error::new(error).context(self.series.display().to_string()))?;
         let mut frames = Vec::with_capacity(count);
         let bar = context.bar("exposures");
         bar.start(count as u64);
         for number in 0..count {
-            let of_all = (options, exposing.as_ref(), &read, sources);
-            frames.push(self.expose(of_all, (&mut simulator, number, start), context)?);
+            let of_all = (options, exposing.as_ref(), &read.files);
+            frames.push(self.expose(of_all, (&mut series, number, start), context)?);
             bar.advance(1);
         }
         drop(bar);
         self.report(&frames, clock.elapsed().as_secs_f64(), context)
     }
 
-    fn simulator<T: ConvReal>(
-        &self,
-        options: &SimulateArgs,
-        psf: &psfield::Psf,
-        series: Series,
-        read: &mut ReadScene<T>,
-        catalog: Catalog,
-    ) -> anyhow::Result<SeriesSimulator<T>> {
-        // The series keeps the image, so it is not kept twice.
-        let scene = std::mem::replace(&mut read.scene, Scene::dark());
-        let image = match scene.image() {
-            Some(image) => Some(Image::new(image.pixels().to_owned())?),
-            None => None,
-        };
-        let shape = (read.shape.ny(), read.shape.nx());
-        let made = SeriesSimulator::new(psf, shape, options.options(), series, (image, catalog));
-        made.map_err(|error| anyhow::Error::new(error).context(self.series.display().to_string()))
-    }
-
     /// Simulates an exposure and writes its files.
     fn expose<T: ConvReal>(
         &self,
-        (options, exposing, read, sources): (&SimulateArgs, Option<&Exposing>, &ReadScene<T>, (usize, usize)),
-        (simulator, number, start): (&mut SeriesSimulator<T>, usize, SystemTime),
+        (options, exposing, read): (&SimulateArgs, Option<&Exposing>, &ReadFiles),
+        (frames, number, start): (&mut SeriesFrames<T>, usize, SystemTime),
         context: &Context,
     ) -> anyhow::Result<Report> {
         let context = &context.for_part(&format!("exposure {number}"));
-        let times = simulator.series().exposures.times(number);
-        let exposure_s = simulator.series().exposures.exposure_s();
+        let exposures = &frames.series().exposures;
+        let (times, exposure_s) = (exposures.times(number), exposures.exposure_s());
         let frame = self.frame(number);
         let seed = options.seed.wrapping_add(number as u64);
         let exposing = exposing
@@ -296,12 +290,12 @@ impl SeriesArgs {
             .transpose()?;
         let clock = Instant::now();
         let spinner = context.spinner("planning");
-        let exposure = simulator
+        let exposure = frames
             .exposure(number, &NoProgress)
             .map_err(|error| options.explained(error))?;
-        let simulator = exposure.simulator();
+        let (simulator, scene) = (&*exposure.simulator, &exposure.scene);
         let made = simulator
-            .prepare(exposure.scene(), false, &NoProgress)
+            .prepare(scene, &NoProgress)
             .map_err(|error| options.explained(error))?;
         drop(spinner);
         let mut seconds = Seconds {
@@ -310,13 +304,18 @@ impl SeriesArgs {
         };
         // Later exposures would repeat these warnings.
         if number == 0 {
-            if let Some(warning) = simulator.psf_warning(exposure.scene(), false)? {
+            if let Some(warning) = simulator.psf_warning(scene)? {
                 context.warn(&warning.to_string());
             }
             options.warn_of_placement(&made.placement, context);
-            SimulateArgs::warn_of_scene(|| simulator.warnings(exposure.scene()), &mut seconds, context);
+            SimulateArgs::warn_of_scene(|| simulator.warnings(scene), &mut seconds, context);
         }
-        let [dx, dy] = exposure.shift_px();
+        let ready = Ready {
+            simulator,
+            scene,
+            made,
+        };
+        let [dx, dy] = exposure.shift_px;
         let mut cards = exposure_time_cards(start, times)?.to_vec();
         cards.push(psf_io::Card::new(
             "SHIFTX",
@@ -337,22 +336,19 @@ impl SeriesArgs {
         };
         // The world coordinates move with the light.
         let s = options.scene.scene.as_ref().map_or(1, |_| options.scene.finer()) as f64;
-        let read = ReadScene {
-            scene: Scene::dark(),
+        let read = ReadFiles {
             header: read.header.shifted_origin(-dx * s, -dy * s),
-            left_out: read.left_out.clone(),
-            ..*read
+            ..read.clone()
         };
         // The table of sources waits for the image.
         let outcome = psf_io::write_together(|| {
-            if sources != (0, 0) {
+            if read.sources != (0, 0) {
                 let (path, columns) = (self.sources(number), ["row", "x", "y", "flux"]);
-                psf_io::write_csv(path, &columns, exposure.sources(), self.overwrite)?;
+                psf_io::write_csv(path, &columns, &exposure.sources, self.overwrite)?;
             }
-            let scene = (&exposure, &made);
-            of_frame.in_memory(scene, &read, exposing.as_ref(), &mut seconds, context)
+            of_frame.in_memory(&ready, &read, exposing.as_ref(), &mut seconds, context)
         })?;
-        Ok(of_frame.report((simulator, &made), &read, sources, outcome, seconds))
+        Ok(of_frame.report(&ready, &read, outcome, seconds))
     }
 
     fn report(&self, frames: &[Report], seconds: f64, context: &Context) -> anyhow::Result<()> {
@@ -388,7 +384,7 @@ impl SeriesFile {
             toml::Value::Datetime(time) => time.to_string(),
             other => other.to_string(),
         };
-        psfield::parse_utc(&text).ok_or_else(|| {
+        psfield::image_cards::parse_utc(&text).ok_or_else(|| {
             format!("start: a date and time (UTC) is needed, as in \"2026-11-27T21:00:00\", not {text:?}")
         })
     }

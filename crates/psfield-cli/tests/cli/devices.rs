@@ -118,7 +118,7 @@ fn options_that_exclude_each_other() {
 #[cfg(not(feature = "gpu"))]
 fn a_build_without_gpus_says_how_to_get_one_with() {
     // Another package of this build may have enabled the feature `gpu` of the library.
-    let refused = psfield::open_gpu(Some("no such GPU")).unwrap_err();
+    let refused = psfield::device::open_gpu(Some("no such GPU")).unwrap_err();
     if !refused.to_string().contains("without GPU support") {
         return;
     }

@@ -2,13 +2,12 @@
 
 use ndarray::Array2;
 use psfield::conv_core::ConvReal;
+use psfield::evaluate::{EvaluateOptions, OutputGrid, evaluate, evaluate_stamps};
+use psfield::image_cards::{PSF_FILE_KEYWORD, provenance_cards};
 use psfield::psf_basis::RankSelection;
 use psfield::psf_io::{self, Card, CatalogOptions, HeaderCards};
 use psfield::psf_types::{Anchor, FrameShape, NoProgress, PixelRegion, PointSource, Position, PsfSamples};
-use psfield::{
-    Device, ErrorKind, EvaluateOptions, FitOptions, Method, OutputGrid, PSF_FILE_KEYWORD, Psf, PsfieldError,
-    Scene, SimulateOptions, evaluate, evaluate_stamps, provenance_cards,
-};
+use psfield::{Device, ErrorKind, FitOptions, Method, Psf, PsfieldError, Scene, SimulateOptions};
 
 use crate::desk::{Desk, NX, NY, STAMP, samples};
 
@@ -113,7 +112,7 @@ impl Asked {
         let mut cards = provenance_cards(command);
         cards[1] = Card::new("DATE", "1970-01-01T00:00:00", &cards[1].comment_text()).unwrap();
         cards.push(Card::new(PSF_FILE_KEYWORD, "samples.fits", "file of the PSF").unwrap());
-        let made = simulator.prepare(&scene, false, &NoProgress).unwrap();
+        let made = simulator.prepare(&scene, &NoProgress).unwrap();
         cards.extend(simulator.cards(&made).unwrap());
         if self.spot_check > 0 {
             let pixels = (self.spot_check, SEED);

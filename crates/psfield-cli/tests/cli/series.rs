@@ -178,9 +178,9 @@ fn wrong_series_say_what_to_do() {
         ),
         (
             "shape = [61, 51]\n",
-            "shape = [61, 51]\nbandpass = \"a.csv\"\n",
+            "shape = [61, 51]\nstream = true\n",
             2,
-            "bandpass",
+            "stream",
         ),
         ("shape = [61, 51]\n", "shaped = [61, 51]\n", 2, "shaped"),
         (

@@ -360,6 +360,54 @@ fn images_of_several_spectra_are_streamed() {
     );
 }
 
+/// A batch keeps the plans of spectra, and a series gives each source the PSF of its spectrum.
+#[test]
+fn jobs_and_exposures_may_be_in_colour() {
+    let desk = Desk::new();
+    desk.write_samples("colour.fits", &coloured());
+    desk.done("fit colour.fits -o colour_model.fits --rank full");
+    desk.write(
+        "band.csv",
+        "wavelength_nm,throughput\n500,0\n600,1\n800,1\n900,0\n",
+    );
+    desk.write("teff.csv", "x,y,flux,teff\n20,20,1000,3000\n40,30,500,20000\n");
+    desk.write("swapped.csv", "x,y,flux,teff\n20,20,1000,20000\n40,30,500,3000\n");
+    let alone = |catalog: &str, name: &str| {
+        desk.done(&format!(
+            "simulate --catalog {catalog} --shape 61,51 --psf colour_model.fits --bandpass band.csv -o {name}"
+        ));
+        desk.image(name)
+    };
+    let (first, swapped) = (alone("teff.csv", "a.fits"), alone("swapped.csv", "b.fits"));
+    assert!(difference(&first, &swapped) > 1e-3);
+    desk.write(
+        "jobs.csv",
+        "catalog,output\nteff.csv,c.fits\nswapped.csv,d.fits\n",
+    );
+    let run =
+        desk.done("batch jobs.csv --set psf=colour_model.fits --set shape=61,51 --set bandpass=band.csv");
+    let reused: Vec<bool> = run
+        .stdout
+        .lines()
+        .map(|line| serde_json::from_str::<serde_json::Value>(line).unwrap()["reused"] == true)
+        .collect();
+    assert_eq!(reused, [false, true]);
+    assert!(difference(&desk.image("c.fits"), &first) == 0.0);
+    assert!(difference(&desk.image("d.fits"), &swapped) < SINGLE);
+
+    desk.write(
+        "series.toml",
+        "start = \"2026-12-31T23:59:00\"\nexposure_s = 1.0\ncount = 2\n[simulate]\npsf = \"colour_model.fits\"\n\
+         catalog = \"teff.csv\"\nshape = [61, 51]\nbandpass = \"band.csv\"\nspot-check = 50\n",
+    );
+    desk.done("series series.toml --out frames");
+    assert!(difference(&desk.image("frames/frame_0001.fits"), &first) < SINGLE);
+    // Without a bandpass, a PSF of several wavelengths has no spectrum.
+    let plain = std::fs::read_to_string(desk.path("series.toml")).unwrap();
+    desk.write("plain.toml", plain.replace("bandpass = \"band.csv\"\n", ""));
+    desk.refused("series plain.toml --out plain", 1, &["give a bandpass"]);
+}
+
 #[test]
 fn the_planes_of_a_cube_have_spectra() {
     let desk = Desk::new();

@@ -3,9 +3,10 @@
 use ndarray::{Array2, Array3};
 use psfield::conv_core::gpu::{AdapterKind, adapters};
 use psfield::conv_core::{ConvReal, Plan, PlanOptions};
+use psfield::device::{CpuReason, MIN_SECONDS_FOR_GPU, Placement};
 use psfield::psf_io::{Card, CardValue};
 use psfield::psf_types::NoProgress;
-use psfield::{CpuReason, Device, MIN_SECONDS_FOR_GPU, Placement, Psf, Scene, SimulateOptions, Simulator};
+use psfield::{Device, Psf, Scene, SimulateOptions, Simulator};
 use serde_json::Value;
 
 use crate::desk::{Desk, Run, assert_keys, difference};
@@ -259,7 +260,7 @@ pub(crate) fn double() {
         ..SimulateOptions::default()
     };
     let simulator = simulator::<f64>(40, options);
-    let error = simulator.prepare(&Scene::dark(), true, &NoProgress).unwrap_err();
+    let error = simulator.prepare(&Scene::streamed(), &NoProgress).unwrap_err();
     assert!(
         error.kind() == psfield::ErrorKind::Gpu && error.to_string().contains("f32"),
         "{error}"
@@ -276,7 +277,7 @@ pub(crate) fn auto() {
     let scene = Scene::<f32>::new(light).unwrap();
     let simulator = simulator::<f32>;
     let of_auto = simulator(LARGE, SimulateOptions::default());
-    let made = one_thread.install(|| of_auto.prepare(&scene, false, &NoProgress).unwrap());
+    let made = one_thread.install(|| of_auto.prepare(&scene, &NoProgress).unwrap());
     let cpu = made.plan.unwrap().predicted_seconds;
     assert!(cpu > MIN_SECONDS_FOR_GPU, "a larger frame is needed: {cpu}");
     let first = &adapters()[0];
@@ -306,7 +307,7 @@ pub(crate) fn auto() {
         ..SimulateOptions::default()
     };
     let of_unknown = simulator(LARGE, unknown);
-    let made = one_thread.install(|| of_unknown.prepare(&scene, false, &NoProgress).unwrap());
+    let made = one_thread.install(|| of_unknown.prepare(&scene, &NoProgress).unwrap());
     of_unknown.simulate(&scene).unwrap();
     assert!(of_unknown.gpu_seconds().is_none());
     let placement = made.placement;

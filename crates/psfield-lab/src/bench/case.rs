@@ -146,7 +146,8 @@ mod tests {
     use super::*;
     use ndarray::Array3;
     use psf_types::{PsfSamples, StampGrid};
-    use psfield::{FitOptions, fit, model_of};
+    use psfield::FitOptions;
+    use psfield::fit::{fit, model_of};
 
     #[test]
     fn every_pixel_is_lit_and_the_seed_decides() {

@@ -5,7 +5,9 @@ use std::time::Instant;
 use conv_core::{ConvReal, PlanSummary};
 use ndarray::Array2;
 use psf_types::{FrameShape, NoProgress, Position, PsfModelRecord};
-use psfield::{Device, GpuSeconds, Method, Psf, PsfieldError, Scene, SimulateOptions, Simulator, model_of};
+use psfield::device::GpuSeconds;
+use psfield::fit::model_of;
+use psfield::{Device, Method, Psf, PsfieldError, Scene, SimulateOptions, Simulator};
 
 use crate::bench::case::constant;
 use crate::bench::{BenchCase, BenchOptions, BenchRow};
@@ -156,7 +158,7 @@ impl<T: ConvReal> PlannedContender<T> {
     ) -> Result<Self, PsfieldError> {
         let frame = case.scene.shape();
         let simulator = contender.simulator(&case.record, psf, frame, options)?;
-        let made = simulator.prepare(&Scene::from(&case.scene), false, &NoProgress)?;
+        let made = simulator.prepare(&Scene::from(&case.scene), &NoProgress)?;
         let plan = made.plan.as_ref();
         let (modes, tile) = match contender {
             Contender::Patch { size } => (Some(1.0), Some([size, size])),

@@ -24,7 +24,7 @@
 //! # });
 //! # let samples = PsfSamples::new(stamps, SamplePositions::new(positions, None)?, StampGrid::new(9, 9)?)?;
 //! let frame = FrameShape::new(48, 40)?;
-//! let fitted = psfield::fit(samples, &Default::default())?;
+//! let fitted = psfield::fit::fit(samples, &Default::default())?;
 //! let case = BenchCase::new(stretched(fitted.record(), frame)?, lit_scene::<f32>(frame, 1)?);
 //! let outcome = run(&case, &[Contender::LowRank { tolerance: 1e-4 }], &BenchOptions::default(), &NoProgress)?;
 //! assert_eq!(outcome.rows.len(), 2); // the single PSF comes first

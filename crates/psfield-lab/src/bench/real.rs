@@ -4,7 +4,7 @@
 use std::time::Instant;
 
 use psf_types::{FrameShape, NoProgress, Progress, PsfModelRecord};
-use psfield::{ColourSimulator, Psf, PsfieldError};
+use psfield::{Psf, PsfieldError};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use serde::Serialize;
@@ -149,20 +149,14 @@ fn planned(
     scenes: &Scenes,
     (frame, options): (FrameShape, &BenchOptions),
 ) -> Result<CaseSimulator, PsfieldError> {
-    if case.group == RealGroup::Colours {
-        let settings = AUTO.settings(options);
-        let simulator = ColourSimulator::new(psf, (frame.ny(), frame.nx()), &settings)?;
-        simulator.prepare(&scenes.of_spectra()?, &[], &NoProgress)?;
-        return Ok(CaseSimulator::Colours(Box::new(simulator)));
-    }
     if is_series(case.group) {
         let scene = (&scenes.get(0)?, (frame.ny(), frame.nx()));
         let series = SeriesCase::new(psf, scene, AUTO.settings(options), case.amount as usize)?;
         return Ok(CaseSimulator::Series(Box::new(series)));
     }
     let simulator = AUTO.simulator(record, psf, frame, options)?;
-    simulator.prepare(&scenes.get(scenes.count - 1)?, false, &NoProgress)?;
-    Ok(CaseSimulator::OneSpectrum(Box::new(simulator)))
+    simulator.prepare(&scenes.get(scenes.count - 1)?, &NoProgress)?;
+    Ok(CaseSimulator::Images(Box::new(simulator)))
 }
 
 /// The direct sum for the last image of a case, at some pixels.
@@ -173,23 +167,15 @@ fn exact(
     pixels: &[(usize, usize)],
 ) -> Result<Vec<f64>, PsfieldError> {
     match simulator {
-        CaseSimulator::OneSpectrum(simulator) => {
+        CaseSimulator::Images(simulator) => {
             let last = scenes.get(scenes.count - 1)?;
             match of_frame(fields, scenes.count - 1) {
                 None => simulator.exact_at(&last, pixels, &NoProgress),
                 Some(psf) => {
-                    let simulator = simulator.for_other_field(psf, &NoProgress)?;
+                    let simulator = simulator.with_psf(psf, &NoProgress)?;
                     simulator.exact_at(&last, pixels, &NoProgress)
                 }
             }
-        }
-        CaseSimulator::Colours(simulator) => {
-            let mut sums = vec![0.0; pixels.len()];
-            for (simulator, scene) in simulator.spectra().iter().zip(scenes.of_spectra()?) {
-                let exact = simulator.exact_at(&scene, pixels, &NoProgress)?;
-                sums.iter_mut().zip(exact).for_each(|(sum, value)| *sum += value);
-            }
-            Ok(sums)
         }
         CaseSimulator::Series(series) => series.exact(pixels),
     }
@@ -243,7 +229,7 @@ fn measured(
         let series = CaseSimulator::Series(Box::new(series));
         let first = scenes.seconds(&series, &[], &mut image)?;
         all.push(timed(series, &[], first));
-    } else if scenes.get(0)?.image().is_some() {
+    } else if scenes.get(0)?.has_image() {
         let psf = match case.group {
             RealGroup::Colours => psf.at_state(0.0)?,
             _ => psf,
@@ -254,7 +240,7 @@ fn measured(
         }
         for other in others {
             let simulator = Box::new(other.simulator(record, &psf, frame, options)?);
-            let simulator = CaseSimulator::OneSpectrum(simulator);
+            let simulator = CaseSimulator::Images(simulator);
             let first = scenes.seconds(&simulator, &[], &mut image)?;
             all.push(timed(simulator, &[], first));
         }

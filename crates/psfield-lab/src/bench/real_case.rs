@@ -4,8 +4,10 @@ use std::fmt;
 
 use psf_types::{FrameShape, Interpolation, PsfModelRecord, named};
 use psfield::convert::to_psfex;
+use psfield::evaluate::EvaluateOptions;
+use psfield::psf::record_of_psfex;
 use psfield::psf_basis::RankSelection;
-use psfield::{EvaluateOptions, FitOptions, Psf, PsfieldError, record_of_psfex};
+use psfield::{FitOptions, Psf, PsfieldError};
 use rand_chacha::ChaCha8Rng;
 use serde::Serialize;
 

@@ -6,7 +6,7 @@ use ndarray::{Array2, s};
 use psf_types::{
     FrameShape, ImageView, NoProgress, PointSource, Position, PsfModelRecord, SersicProfile, SersicSource,
 };
-use psfield::{ColourSimulator, Psf, PsfieldError, Scene, Simulator};
+use psfield::{Psf, PsfieldError, Scene, Simulator};
 use rand::seq::IndexedRandom;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -44,12 +44,10 @@ pub(super) fn of_frame(fields: &[Psf], k: usize) -> Option<Psf> {
 /// The number of frames that are simulated in one call.
 const AT_ONCE: usize = 128;
 
-/// The simulator of a case.
+/// Makes the images of a case.
 pub(super) enum CaseSimulator {
-    /// All light has the spectrum for which the PSF was made.
-    OneSpectrum(Box<Simulator<f32>>),
-    /// One scene for each spectrum, added up in one image.
-    Colours(Box<ColourSimulator<f32>>),
+    /// Images of one PSF, or of several spectra.
+    Images(Box<Simulator<f32>>),
     /// Exposures, each with its own plan.
     Series(Box<SeriesCase>),
 }
@@ -62,8 +60,8 @@ pub(super) struct Scenes {
     frame: FrameShape,
     /// The number of images.
     pub(super) count: usize,
-    /// The number of scenes that are added up in each image, one for each spectrum.
-    spectra: usize,
+    /// The number of layers of each scene, one for each spectrum.
+    layers: usize,
     /// Scene `k` has the rows of this image from `k` on.
     image: Option<Array2<f32>>,
     stars: Vec<PointSource>,
@@ -76,7 +74,7 @@ impl Scenes {
         let mut scenes = Self {
             frame,
             count: 1,
-            spectra: 1,
+            layers: 1,
             image: None,
             stars: Vec::new(),
             galaxies: Vec::new(),
@@ -110,15 +108,22 @@ impl Scenes {
                 scenes.image = Some(lit_scene(rows, seed)?.into_pixels());
             }
             RealGroup::Colours => {
-                scenes.spectra = sources.len();
-                let rows = FrameShape::new(frame.nx(), frame.ny() + scenes.spectra - 1)?;
+                scenes.layers = sources.len();
+                let rows = FrameShape::new(frame.nx(), frame.ny() + scenes.layers - 1)?;
                 scenes.image = Some(lit_scene(rows, seed)?.into_pixels());
             }
         }
         Ok(scenes)
     }
 
+    /// Scene `k`.
     pub(super) fn get(&self, k: usize) -> Result<Scene<'_, f32>, PsfieldError> {
+        let layers = (k..k + self.layers).map(|k| self.layer(k));
+        Ok(Scene::of_layers(layers.collect::<Result<Vec<_>, _>>()?))
+    }
+
+    /// A scene of one layer, with the rows of the image from `k` on.
+    pub(super) fn layer(&self, k: usize) -> Result<Scene<'_, f32>, PsfieldError> {
         let scene = match &self.image {
             Some(image) => ImageView::new(image.slice(s![k..k + self.frame.ny(), ..]))?.into(),
             None => Scene::dark(),
@@ -126,11 +131,6 @@ impl Scenes {
         Ok(scene
             .with_stars(&self.stars[..])
             .with_galaxies(&self.galaxies[..]))
-    }
-
-    /// The scenes of the spectra of the first image.
-    pub(super) fn of_spectra(&self) -> Result<Vec<Scene<'_, f32>>, PsfieldError> {
-        (0..self.spectra).map(|k| self.get(k)).collect()
     }
 
     /// Chooses the pixels `(column, row)` at which the image of a scene is compared.
@@ -164,18 +164,15 @@ impl Scenes {
         image: &mut Array2<f32>,
     ) -> Result<f64, PsfieldError> {
         let simulator = match simulator {
-            CaseSimulator::OneSpectrum(simulator) => simulator,
-            CaseSimulator::Colours(simulator) => {
-                image.fill(0.0);
-                let scenes = self.of_spectra()?;
-                let clock = Instant::now();
-                simulator.simulate_into(&scenes, image.view_mut(), &NoProgress)?;
-                return Ok(clock.elapsed().as_secs_f64());
-            }
+            CaseSimulator::Images(simulator) => simulator,
             CaseSimulator::Series(series) => return series.seconds(image),
         };
         if self.count == 1 {
-            return Ok(timed_run(simulator, &self.get(0)?, image)?.seconds);
+            let scene = match simulator.layer_count() {
+                1 => self.layer(0)?,
+                _ => self.get(0)?,
+            };
+            return Ok(timed_run(simulator, &scene, image)?.seconds);
         }
         let mut seconds = 0.0;
         if !fields.is_empty() {
@@ -183,7 +180,7 @@ impl Scenes {
                 let (scene, psf) = (self.get(k)?, of_frame(fields, k).expect("a PSF"));
                 let clock = Instant::now();
                 image.fill(0.0);
-                let simulator = simulator.for_other_field(psf, &NoProgress)?;
+                let simulator = simulator.with_psf(psf, &NoProgress)?;
                 simulator.simulate_into(&scene, image.view_mut(), &NoProgress)?;
                 seconds += clock.elapsed().as_secs_f64();
             }
@@ -258,11 +255,17 @@ mod tests {
         assert_eq!(scenes(RealGroup::Stars, 7.0).stars.len(), 7);
         assert_eq!(scenes(RealGroup::Galaxies, 5.0).galaxies.len(), 5);
         let frames = scenes(RealGroup::Frames, 3.0);
-        let pixels = |k| frames.get(k).unwrap().image().unwrap().pixels().to_owned();
+        let pixels = |k| {
+            frames.get(k).unwrap().layers()[0]
+                .image()
+                .unwrap()
+                .pixels()
+                .to_owned()
+        };
         assert_eq!((frames.count, pixels(2).dim()), (3, (60, 60)));
         assert_ne!(pixels(0), pixels(2));
         let colours = scenes(RealGroup::Colours, 5.0);
-        assert_eq!((colours.count, colours.of_spectra().unwrap().len()), (1, 5));
+        assert_eq!((colours.count, colours.get(0).unwrap().layers().len()), (1, 5));
     }
 
     #[test]

@@ -4,11 +4,10 @@ use std::time::Instant;
 
 use ndarray::Array2;
 use psf_optics::Telescope;
-use psf_types::{Image, NoProgress, PsfModelRecord, StateKind};
+use psf_types::{NoProgress, PsfModelRecord, StateKind};
 use psfield::psf_io::Catalog;
-use psfield::{
-    Exposures, LightCurves, Pointing, Psf, PsfieldError, Scene, Series, SeriesSimulator, SimulateOptions,
-};
+use psfield::series::{Exposures, LightCurves, Pointing, Series, SeriesFrames};
+use psfield::{Psf, PsfieldError, Scene, SceneLight, SimulateOptions};
 
 use crate::bench::real_colours::psf_of_states;
 
@@ -46,8 +45,7 @@ pub(super) struct SeriesCase {
     shape: (usize, usize),
     options: SimulateOptions,
     series: Series,
-    image: Option<Image<f32>>,
-    catalog: Catalog,
+    light: SceneLight<f32>,
 }
 
 impl SeriesCase {
@@ -58,7 +56,11 @@ impl SeriesCase {
         options: SimulateOptions,
         exposures: usize,
     ) -> Result<Self, PsfieldError> {
-        let image = scene.image().map(|image| Image::new(image.pixels().to_owned()));
+        let mut light = SceneLight::new();
+        if let Some(image) = scene.layers()[0].image() {
+            light.add_image(None, image.pixels().to_owned())?;
+        }
+        light.set_catalog(Catalog::new(scene.stars().copied().collect(), Vec::new()));
         Ok(Self {
             psf: psf.clone(),
             shape,
@@ -72,8 +74,7 @@ impl SeriesCase {
                 },
                 light_curves: LightCurves::default(),
             },
-            image: image.transpose()?,
-            catalog: Catalog::new(scene.stars().to_vec(), Vec::new()),
+            light,
         })
     }
 
@@ -84,40 +85,34 @@ impl SeriesCase {
         Ok(Self {
             psf: self.psf.at_state(0.0)?,
             series,
-            image: self.image.clone(),
             options: self.options.clone(),
-            catalog: self.catalog.clone(),
+            light: self.light.clone(),
             ..*self
         })
     }
 
-    fn simulator(&self) -> Result<SeriesSimulator<f32>, PsfieldError> {
-        let light = (self.image.clone(), self.catalog.clone());
-        SeriesSimulator::new(
-            &self.psf,
-            self.shape,
-            self.options.clone(),
-            self.series.clone(),
-            light,
-        )
+    fn frames(&self) -> Result<SeriesFrames<f32>, PsfieldError> {
+        let (options, series) = (self.options.clone(), self.series.clone());
+        SeriesFrames::new(&self.psf, self.shape, options, series, self.light.clone())
     }
 
     /// Makes all images, the last in the array `image`. Returns the seconds of all plans and images.
     pub(super) fn seconds(&self, image: &mut Array2<f32>) -> Result<f64, PsfieldError> {
         let clock = Instant::now();
-        let mut simulator = self.simulator()?;
+        let mut frames = self.frames()?;
         for number in 0..self.series.exposures.len() {
             image.fill(0.0);
-            let exposure = simulator.exposure(number, &NoProgress)?;
-            exposure.simulate_into(image.view_mut(), &NoProgress)?;
+            let exposure = frames.exposure(number, &NoProgress)?;
+            let (scene, image) = (&exposure.scene, image.view_mut());
+            exposure.simulator.simulate_into(scene, image, &NoProgress)?;
         }
         Ok(clock.elapsed().as_secs_f64())
     }
 
     /// The direct sum for the last exposure, at some pixels.
     pub(super) fn exact(&self, pixels: &[(usize, usize)]) -> Result<Vec<f64>, PsfieldError> {
-        let mut simulator = self.simulator()?;
-        let last = simulator.exposure(self.series.exposures.len() - 1, &NoProgress)?;
-        last.simulator().exact_at(last.scene(), pixels, &NoProgress)
+        let mut frames = self.frames()?;
+        let last = frames.exposure(self.series.exposures.len() - 1, &NoProgress)?;
+        last.simulator.exact_at(&last.scene, pixels, &NoProgress)
     }
 }

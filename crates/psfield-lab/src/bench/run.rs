@@ -3,7 +3,10 @@
 use conv_core::{ConvReal, Direct};
 use ndarray::Array2;
 use psf_types::{Anchor, Image, NoProgress, Progress, PsfModel, ToleranceOn};
-use psfield::{Device, GpuSeconds, Psf, PsfieldError, Scene, check_frame_on_field, model_of, open_gpu};
+use psfield::device::{GpuSeconds, open_gpu};
+use psfield::evaluate::check_frame_on_field;
+use psfield::fit::model_of;
+use psfield::{Device, Psf, PsfieldError, Scene};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde::Serialize;

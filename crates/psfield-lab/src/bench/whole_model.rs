@@ -5,7 +5,8 @@ use std::time::Instant;
 use metrics::{Comparison, Summary};
 use psf_sample::{Refinement, SampleError, SamplingMethod, SamplingOptions};
 use psf_types::{Progress, PsfModel, PsfSamples, PsfSource};
-use psfield::{FitOptions, PsfieldError, fit};
+use psfield::fit::fit;
+use psfield::{FitOptions, PsfieldError};
 use serde::Serialize;
 
 /// A way to sample a PSF.

@@ -5,7 +5,8 @@
 use psf_optics::Telescope;
 use psf_sample::{SamplingMethod, UniformSampling};
 use psf_types::{Interpolation, NoProgress, PsfModel, PsfModelRecord};
-use psfield::{Fit, FitOptions, fit, model_of};
+use psfield::FitOptions;
+use psfield::fit::{Fit, fit, model_of};
 use rayon::prelude::*;
 use serde::Serialize;
 

@@ -8,7 +8,8 @@ use serde::Serialize;
 
 use crate::LabError;
 use crate::bench::{BenchCase, BenchOptions, BenchOutcome, Contender, lit_scene, run, stretched};
-use psfield::{Device, Method, Psf, Scene, model_of};
+use psfield::fit::model_of;
+use psfield::{Device, Method, Psf, Scene};
 
 /// Run time and error at several sizes of the image, as in Table 1 of the paper.
 #[derive(Debug, Clone, PartialEq, Serialize)]

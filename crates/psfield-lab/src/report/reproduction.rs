@@ -9,7 +9,8 @@ use psf_sample::{
     AdaptiveSampling, DifferenceMeasure, InterpolationError, SampleError, SamplingMethod, UniformSampling,
 };
 use psf_types::{FrameShape, Interpolation, NoProgress, Position, Progress, PsfSource};
-use psfield::{FitOptions, FitReport, fit, model_of};
+use psfield::FitOptions;
+use psfield::fit::{FitReport, fit, model_of};
 use serde::Serialize;
 
 use crate::LabError;
@@ -106,7 +107,7 @@ pub struct Reproduction {
 pub struct BasisFigures {
     /// Number of components kept, the mean not counted.
     pub rank: usize,
-    /// Number of components at the elbow of the cumulative weights ([`psfield::FitReport::elbow`]).
+    /// Number of components at the elbow of the cumulative weights ([`psfield::fit::FitReport::elbow`]).
     pub elbow: Option<usize>,
     /// Largest truncation error over the samples, relative L2: the largest change of a sample when
     /// the other components are left out.
@@ -174,7 +175,7 @@ impl Reproduction {
     /// [`LabError`] if any stage fails. [`LabError::ObjectsTooClose`] if the frame has no room for
     /// the objects.
     pub fn run(options: &ReproductionOptions, progress: &dyn Progress) -> Result<Self, LabError> {
-        let (started, load, start) = (psfield::utc_now(), load(), Instant::now());
+        let (started, load, start) = (psfield::image_cards::utc_now(), load(), Instant::now());
         let mut tolerances = options.tolerances.clone();
         let default = PlanOptions::DEFAULT_TOLERANCE;
         if !tolerances.contains(&default) {

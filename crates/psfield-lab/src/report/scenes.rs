@@ -77,7 +77,7 @@ impl Scenes {
             .tolerance(tolerance)
             .device(Device::Cpu)
             .build::<f32>()?;
-        simulator.prepare(&Scene::dark(), true, &NoProgress)?;
+        simulator.prepare(&Scene::streamed(), &NoProgress)?;
         let (grid, frame) = (model.grid(), Some(self.frame));
         let centre = grid.whole_centre().unwrap_or((grid.nx() / 2, grid.ny() / 2));
         // Copies the window around an object. It has the size of a stamp.

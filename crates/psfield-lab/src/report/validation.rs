@@ -4,7 +4,7 @@ use conv_core::StampInterpolator;
 use ndarray::{Array2, Zip, s};
 use psf_stars::StarSampling;
 use psf_types::{FrameShape, Normalisation, Position, PsfModel, PsfSamples};
-use psfield::{check_frame_on_field, check_on_field};
+use psfield::evaluate::{check_frame_on_field, check_on_field};
 use rayon::prelude::*;
 use serde::Serialize;
 

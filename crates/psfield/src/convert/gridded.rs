@@ -5,7 +5,8 @@ use ndarray::{Array2, Zip};
 use psf_types::{Interpolation, Position, PsfSamples, StampGrid, StampInterpolation};
 
 use super::samples::{SamplesAt, to_samples, with_centre_in_the_middle};
-use crate::{ErrorKind, Psf, PsfieldError};
+use crate::error::{ErrorKind, PsfieldError};
+use crate::psf::Psf;
 
 const FORMAT: &str = "a gridded library";
 /// The smallest number of nodes along each axis of a grid for which the caller gives no size.
@@ -192,7 +193,8 @@ fn is_centred(grid: StampGrid) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{FitOptions, record_of_psfex};
+    use crate::fit::FitOptions;
+    use crate::psf::record_of_psfex;
     use ndarray::Array3;
     use psf_io::{PsfexAxis, PsfexModel, PsfexPolynomial};
     use psf_types::{Normalisation, SamplePositions};

@@ -9,7 +9,10 @@ use psf_types::{
 };
 
 use super::samples::{SamplesAt, to_samples, with_centre_in_the_middle};
-use crate::{ErrorKind, EvaluateOptions, Psf, PsfieldError, evaluate, model_of};
+use crate::error::{ErrorKind, PsfieldError};
+use crate::evaluate::{EvaluateOptions, evaluate};
+use crate::fit::model_of;
+use crate::psf::Psf;
 
 const FORMAT: &str = "a PSFEx file";
 /// The names of the coordinates in the file.
@@ -225,7 +228,8 @@ fn max_error(model: &PsfexModel, samples: &PsfSamples) -> Result<f64, PsfieldErr
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{FitOptions, record_of_psfex};
+    use crate::fit::FitOptions;
+    use crate::psf::record_of_psfex;
     use psf_types::{FrameShape, SamplePositions, StampGrid};
 
     /// Error of a sum of values that were rounded to single precision, relative to the peak.

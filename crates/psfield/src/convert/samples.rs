@@ -3,7 +3,10 @@
 use ndarray::{Array3, s};
 use psf_types::{Normalisation, Position, PsfSamples, StampGrid};
 
-use crate::{ErrorKind, EvaluateOptions, Psf, PsfieldError, check_stack};
+use crate::error::{ErrorKind, PsfieldError};
+use crate::evaluate::EvaluateOptions;
+use crate::psf::Psf;
+use crate::stack_size::check_stack;
 
 /// Chooses the positions at which a PSF is evaluated.
 #[derive(Debug, Clone, PartialEq, Default)]

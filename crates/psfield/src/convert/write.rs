@@ -6,7 +6,9 @@ use psf_io::{Card, Precision};
 use psf_types::StampGrid;
 
 use super::{SamplesAt, to_gridded, to_psfex, to_samples};
-use crate::{Fit, Psf, PsfieldError};
+use crate::error::PsfieldError;
+use crate::fit::Fit;
+use crate::psf::Psf;
 
 /// The format of a PSF file, with its settings.
 #[derive(Debug, Clone, PartialEq)]

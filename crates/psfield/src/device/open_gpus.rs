@@ -6,7 +6,8 @@ use conv_core::gpu::{Adapter, AdapterKind, GpuDevice, GpuError, GpuOptions, adap
 use conv_core::{ConvError, ConvReal, Engine, Plan};
 
 use super::{CpuReason, Placement, PredictedSeconds};
-use crate::{PsfieldError, SimulateOptions};
+use crate::error::PsfieldError;
+use crate::simulate_options::SimulateOptions;
 
 #[derive(Debug)]
 struct OpenGpus {

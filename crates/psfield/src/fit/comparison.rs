@@ -5,7 +5,7 @@ use psf_types::{Interpolation, PsfSamples, SamplePositions};
 use serde::Serialize;
 
 use super::{Fit, FitOptions, LeaveOneOutReport, fit_basis, shifted_copies};
-use crate::PsfieldError;
+use crate::error::PsfieldError;
 
 /// The leave-one-out errors of samples with one interpolation.
 #[derive(Debug, Clone, PartialEq, Serialize)]

@@ -6,7 +6,7 @@ use psf_types::{
     CoefficientField, Interpolation, OutsidePolicy, PsfModel, PsfModelRecord, SampleCoefficients,
 };
 
-use crate::PsfieldError;
+use crate::error::PsfieldError;
 
 /// Makes the model that a record describes. Interpolates the record's coefficients by the method
 /// that the record names.

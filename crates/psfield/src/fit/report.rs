@@ -6,7 +6,7 @@ use psf_types::{Interpolation, Normalisation, OutsidePolicy};
 use serde::Serialize;
 
 use super::Fit;
-use crate::PsfieldError;
+use crate::error::PsfieldError;
 
 /// The errors of a fit, and the choices that it made. Errors are relative L2 errors of stamps.
 #[derive(Debug, Clone, PartialEq, Serialize)]

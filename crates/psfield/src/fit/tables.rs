@@ -11,7 +11,7 @@ use psf_types::{
 
 use super::Fit;
 use super::report::LeaveOneOutReport;
-use crate::{ErrorKind, PsfieldError};
+use crate::error::{ErrorKind, PsfieldError};
 
 /// An interpolation of the caller's own: any smooth function of the position, made from the coefficients
 /// of samples. It need not be linear in the coefficients.
@@ -259,7 +259,7 @@ mod tests {
         let fitted = fit(samples(), &FitOptions::default()).unwrap();
         let record = fitted.record();
         let a = record.coefficients().values();
-        let model = crate::model_of(record.clone()).unwrap();
+        let model = crate::fit::model_of(record.clone()).unwrap();
         let size = RelativeError::new(record.basis(), a, Normalisation::Unit);
         let error: Vec<f64> = (0..a.ncols()).map(|k| 1e-6 / (k + 1) as f64).collect();
         let psf = |shift: &[f64]| {

@@ -8,7 +8,8 @@ use psf_types::{
     SamplePositions, StateKind,
 };
 
-use crate::{ErrorKind, FitOptions, PsfieldError, fit};
+use crate::error::{ErrorKind, PsfieldError};
+use crate::fit::{FitOptions, fit};
 
 /// Turns a PSFEx model into a basis and polynomial coefficient fields. They reproduce the PSFs of
 /// the model to rounding, before the scaling to unit flux.
@@ -94,7 +95,7 @@ fn full_basis(samples: PsfSamples, interpolation: Interpolation) -> Result<PsfMo
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::model_of;
+    use crate::fit::model_of;
     use psf_io::{PsfexAxis, PsfexPolynomial};
     use psf_types::Position;
 

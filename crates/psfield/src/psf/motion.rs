@@ -7,8 +7,8 @@ use rustfft::num_complex::Complex64;
 
 use super::Psf;
 use super::resample::{StampChange, native_picks};
+use crate::error::{ErrorKind, PsfieldError};
 use crate::stamp_plane::{Line, StampPlane, margin_of, widened};
-use crate::{ErrorKind, PsfieldError};
 
 /// The motion of light over the frame during an exposure: by how far it is shifted, and for which
 /// part of the time. It is the density `p(d)` of the shift `d`, in frame pixels.

@@ -9,7 +9,7 @@ use rustfft::num_complex::Complex64;
 use super::motion::{Motion, Moving};
 use super::resample::{native_grid_of, native_picks, on_basis};
 use super::{Origin, Psf};
-use crate::PsfieldError;
+use crate::error::PsfieldError;
 use crate::stack_size::check_stack;
 use crate::stamp_plane::StampPlane;
 

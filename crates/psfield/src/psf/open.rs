@@ -11,7 +11,8 @@ use psf_types::{
 
 use super::format_records::{record_of_psfex, record_of_scopesim};
 use super::{Note, Origin, Psf, SourceFile};
-use crate::{ErrorKind, FitOptions, PsfieldError};
+use crate::error::{ErrorKind, PsfieldError};
+use crate::fit::FitOptions;
 
 /// Settings that a PSF file does not state, or leaves to the user. Each setting applies to some
 /// formats. It is an error to give a setting for a file of another format.

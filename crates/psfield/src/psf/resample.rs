@@ -9,7 +9,7 @@ use psf_types::{
 use rayon::prelude::*;
 
 use super::{Origin, Psf, SourceFile};
-use crate::PsfieldError;
+use crate::error::PsfieldError;
 use crate::stack_size::check_stack;
 
 impl Psf {
@@ -20,7 +20,7 @@ impl Psf {
     ///
     /// # Errors
     /// [`PsfieldError`] when `size` is 0, resampled samples hold no flux, or the stamps would fill more
-    /// memory than [`check_stack`](crate::check_stack) allows. The errors of [`record`](Self::record).
+    /// memory than [`check_stack`] allows. The errors of [`record`](Self::record).
     pub fn native(&self, size: Option<usize>) -> Result<Self, PsfieldError> {
         let target = self.native_target(size)?;
         if target == self.grid() {

@@ -4,8 +4,8 @@ use ndarray::{Array2, ArrayView2, Axis, concatenate};
 use psf_types::{DataError, PsfSamples, SamplePositions, SampleStates, StateKind};
 
 use super::Psf;
+use crate::error::{ErrorKind, PsfieldError};
 use crate::fit::models_on;
-use crate::{ErrorKind, PsfieldError};
 
 impl Psf {
     /// The wavelengths, times or frames of the PSF: its *states*. None if the PSF depends on the
@@ -120,7 +120,7 @@ impl Psf {
     }
 
     /// The error where a PSF that depends on the position only is needed.
-    pub(super) fn several_states(&self) -> PsfieldError {
+    pub(crate) fn several_states(&self) -> PsfieldError {
         let states = self.states().expect("a PSF with several models has states");
         let kind = states.kind();
         let message = self.in_file(&format!(
@@ -274,9 +274,9 @@ mod tests {
         let samples = join_samples(&[&frame(0), &frame(1), &frame(2)], &names(3)).unwrap();
         let psf = Psf::new(
             samples.clone(),
-            crate::FitOptions {
+            crate::fit::FitOptions {
                 rank: psf_basis::RankSelection::Full,
-                ..crate::FitOptions::default()
+                ..crate::fit::FitOptions::default()
             },
         );
         let unit = samples.into_unit_flux();

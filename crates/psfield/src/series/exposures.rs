@@ -1,6 +1,6 @@
 //! The times of a series' exposures.
 
-use crate::{ErrorKind, PsfieldError};
+use crate::error::{ErrorKind, PsfieldError};
 
 /// The most exposures of a series.
 const MOST: usize = 1_000_000;
@@ -9,7 +9,7 @@ const MOST: usize = 1_000_000;
 /// all of them last.
 ///
 /// ```
-/// use psfield::Exposures;
+/// use psfield::series::Exposures;
 /// let exposures = Exposures::regular(100, 30.0, 40.0)?;
 /// assert_eq!(exposures.times(2), (80.0, 110.0));
 /// assert!(Exposures::regular(100, 30.0, 20.0).is_err()); // they would overlap

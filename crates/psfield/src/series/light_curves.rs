@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use super::exposures::check_covered;
 use super::pointing::ascending;
-use crate::{ErrorKind, PsfieldError};
+use crate::error::{ErrorKind, PsfieldError};
 
 /// Light curves: by which factor the flux of a source differs from that of the catalogue, as a function
 /// of time. Between the times of a curve, the factor is linear. Sources without a curve are constant.
@@ -19,7 +19,7 @@ impl LightCurves {
     /// time in seconds after the start of the series, and the factor.
     ///
     /// ```
-    /// use psfield::LightCurves;
+    /// use psfield::series::LightCurves;
     /// let curves = LightCurves::new(&[4.0, 4.0], &[0.0, 100.0], &[1.0, 3.0])?;
     /// assert_eq!(curves.mean_factor(4, (0.0, 50.0))?, 1.5);
     /// assert_eq!(curves.mean_factor(5, (0.0, 50.0))?, 1.0);

@@ -1,6 +1,7 @@
 //! Where the telescope points during a series.
 
-use crate::{ErrorKind, Motion, PsfieldError};
+use crate::error::{ErrorKind, PsfieldError};
+use crate::psf::Motion;
 
 use super::exposures::{check_covered, cut_at};
 

@@ -5,17 +5,19 @@ use std::hint::black_box;
 
 use conv_core::ConvReal;
 
-use super::{Simulator, SimulatorBuilder};
+use super::Simulator;
 
 /// Uses every function that is marked `#[inline(never)]`, so that this crate compiles it.
 fn of<T: ConvReal>() {
-    black_box(SimulatorBuilder::build_by::<T> as fn(_, _) -> _);
+    black_box(Simulator::<T>::new as fn(_, _, _, _) -> _);
     black_box(Simulator::<T>::simulate_into as fn(_, _, _, _) -> _);
+    black_box(Simulator::<T>::simulate_many_into as fn(_, _, _, _) -> _);
     black_box(Simulator::<T>::adjoint as fn(_, _, _) -> _);
     black_box(Simulator::<T>::for_region as fn(_, _, _) -> _);
-    black_box(Simulator::<T>::prepare as fn(_, _, _, _) -> _);
+    black_box(Simulator::<T>::with_psf as fn(_, _, _) -> _);
+    black_box(Simulator::<T>::prepare as fn(_, _, _) -> _);
     black_box(Simulator::<T>::exact_at as fn(_, _, _, _) -> _);
-    black_box(Simulator::<T>::convolver as fn(_, _) -> _);
+    black_box(Simulator::<T>::convolver as fn(_, _, _) -> _);
     black_box(Simulator::<T>::draw_sources_into as fn(_, _, _, _, _) -> _);
 }
 

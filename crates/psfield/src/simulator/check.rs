@@ -1,17 +1,20 @@
 //! Checks images against the direct sum.
 
-use conv_core::{ConvError, ConvReal, Direct, GalaxyErrors, RowStream, ScenePixelFilter};
-use ndarray::{Array2, ArrayView2, s};
+use std::ops::Range;
+
+use conv_core::{ConvError, ConvReal, Direct, ExtendedSources, GalaxyErrors, RowStream, ScenePixelFilter};
+use ndarray::{Array2, ArrayView2, ArrayViewMut2, s};
 use psf_types::{Anchor, Image, PointSource, Position, Progress};
 use rand::seq::IteratorRandom;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use super::Simulator;
-use super::sources::{has_sources, light_of};
-use super::stream::SceneRows;
-use crate::spot_check::{Allowed, rounding_of};
-use crate::{Method, PixelPicker, PsfieldError, Scene, ScenePixels, SpotCheck};
+use super::sources::Extended;
+use crate::error::{ErrorKind, PsfieldError};
+use crate::scene::{Layer, Scene};
+use crate::simulate_options::{Method, ScenePixels};
+use crate::spot_check::{Allowed, PixelPicker, SpotCheck, rounding_of};
 
 /// A spot check compares the pixels around at most this many stars, galaxies, and pixels of the
 /// scene's image.
@@ -37,79 +40,50 @@ impl<T: ConvReal> Simulator<T> {
         (count, seed): (usize, u64),
         progress: &dyn Progress,
     ) -> Result<SpotCheck, PsfieldError> {
-        let mut picker = self.picker(scene, false, (count, seed));
-        for row in image.pixels().outer_iter() {
-            picker.pass(row.iter().map(|v| v.as_f64()));
-        }
-        SpotCheck::of_picked::<T>(picker, |pixels| {
-            let exact = self.exact_at(scene, pixels, progress)?;
-            let mut allowed = self.promised(scene.image().is_some(), pixels.len());
-            if let Some(allowed) = &mut allowed {
-                if let Some(image) = scene.image() {
-                    let (light, first) = self.light(image, progress)?;
-                    self.add_errors_of_image((light.pixels(), first), pixels, allowed)?;
-                }
-                self.add_errors_of_sources(scene, pixels, allowed)?;
-            }
-            Ok((exact, allowed))
-        })
+        let mut picker = self.picker(scene, (count, seed));
+        picker.pass_rows(image.pixels());
+        self.checked(scene, picker, &mut NoRows, progress)
     }
 
-    /// Compares pixels that the [`picker`](Self::picker) has chosen from the rows of a streamed
-    /// image ([`stream`](Self::stream)) with the direct sum. Reads the necessary rows of the scene
-    /// again.
-    ///
-    /// # Errors
-    /// The errors of the stream and of [`exact_at`](Self::exact_at).
-    pub fn spot_check_stream<R: RowStream<T, Error = PsfieldError>>(
+    /// Compares the picked pixels with the direct sum. Reads the images that the scene does not hold from
+    /// `rows`.
+    pub(super) fn checked<R: RowStream<T>>(
         &self,
         scene: &Scene<'_, T>,
-        rows: &mut R,
         picker: PixelPicker,
+        rows: &mut R,
         progress: &dyn Progress,
-    ) -> Result<SpotCheck, PsfieldError> {
-        SpotCheck::of_picked::<T>(picker, |pixels| {
-            let mut allowed = self.promised(true, pixels.len());
-            let mut rows = SceneRows::new(vec![(self, scene.sources())], rows, progress);
-            let exact = self.exact_by_rows(scene, &mut rows, pixels, allowed.as_deref_mut(), progress)?;
-            if let Some(allowed) = &mut allowed {
-                self.add_errors_of_sources(scene, pixels, allowed)?;
-            }
+    ) -> Result<SpotCheck, R::Error>
+    where
+        R::Error: From<PsfieldError>,
+    {
+        SpotCheck::of_picked::<T, R::Error>(picker, |pixels| {
+            let mut allowed = self.promised(scene, pixels.len());
+            let exact = self.exact_by_rows(scene, rows, pixels, allowed.as_deref_mut(), progress)?;
             Ok((exact, allowed))
         })
     }
 
     /// Picks the pixels that a check of an image of `scene` compares: `count` random pixels, and
-    /// the pixels around random sources. `seed` chooses them. `rows` has the meaning that it has in
-    /// [`prepare`](Self::prepare). If it is true, the pixels of the scene's image are chosen without
-    /// regard to their light.
-    pub fn picker(&self, scene: &Scene<'_, T>, rows: bool, (count, seed): (usize, u64)) -> PixelPicker {
-        let shape = self.image_shape();
-        let (frame, region) = (self.geometry.frame, self.geometry.region);
+    /// the pixels around random sources. `seed` chooses them. The pixels of an image that is read by rows are
+    /// chosen without regard to their light.
+    pub(super) fn picker(&self, scene: &Scene<'_, T>, (count, seed): (usize, u64)) -> PixelPicker {
+        let (shape, geometry) = (self.image_shape(), &self.setup.geometry);
+        let (frame, region) = (geometry.frame, geometry.region);
         let (x0, y0) = (frame.x0() + region.x0(), frame.y0() + region.y0());
         let inside =
             |&(x, y): &(i64, i64)| (0..shape.nx() as i64).contains(&x) && (0..shape.ny() as i64).contains(&y);
         let pixel = |at: Position| (at.x().round() as i64 - x0, at.y().round() as i64 - y0);
-        let stars = scene.stars().iter().map(|star| pixel(star.position()));
-        let galaxies = scene.galaxies().iter().map(|galaxy| pixel(galaxy.position()));
+        let stars = scene.stars().map(|star| pixel(star.position()));
+        let profiles = scene.profiles().map(|source| source.point.position());
+        let galaxies = scene.galaxies().map(|galaxy| galaxy.position());
+        let galaxies = galaxies.chain(profiles).map(pixel);
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let mut sources = stars.filter(inside).sample(&mut rng, SOURCES);
         sources.extend(galaxies.filter(inside).sample(&mut rng, SOURCES));
-        if let Some(image) = scene.image().filter(|image| image.shape() == self.geometry.shape) {
-            // Half of these are chosen by their light.
-            let mut of_scene = PixelPicker::new(image.shape(), SOURCES, seed);
-            for row in image.pixels().outer_iter() {
-                of_scene.pass(row.iter().map(|v| v.as_f64()));
-            }
-            let place = |v: usize, first: i64| (v / self.geometry.oversample) as i64 - first;
-            let picked = of_scene.finish().0;
-            sources.extend(
-                picked
-                    .iter()
-                    .map(|p| (place(p.column, x0), place(p.row, y0)))
-                    .filter(inside),
-            );
-        } else if rows {
+        let images = scene.layers().iter().filter_map(Layer::image);
+        let whole = images.filter(|image| image.shape() == geometry.shape).next();
+        if scene.layers().iter().any(Layer::is_streamed) {
             let any = |_| {
                 (
                     rng.random_range(0..shape.nx()) as i64,
@@ -117,6 +91,18 @@ impl<T: ConvReal> Simulator<T> {
                 )
             };
             sources.extend((0..SOURCES).map(any));
+        } else if let Some(image) = whole {
+            // Half of these are chosen by their light.
+            let mut of_scene = PixelPicker::new(image.shape(), SOURCES, seed);
+            of_scene.pass_rows(image.pixels());
+            let place = |v: usize, first: i64| (v / geometry.oversample) as i64 - first;
+            let picked = of_scene.finish().0;
+            sources.extend(
+                picked
+                    .iter()
+                    .map(|p| (place(p.column, x0), place(p.row, y0)))
+                    .filter(inside),
+            );
         }
         PixelPicker::new(shape, count, seed).with_sources(&sources, shape)
     }
@@ -134,91 +120,118 @@ impl<T: ConvReal> Simulator<T> {
         pixels: &[(usize, usize)],
         progress: &dyn Progress,
     ) -> Result<Vec<f64>, PsfieldError> {
-        self.check_sources(scene, false)?;
-        let mut sums = vec![0.0; pixels.len()];
-        if let Some(image) = scene.image() {
-            let (light, first) = self.light(image, progress)?;
-            sums = self.image_sums((light.pixels(), first), pixels, progress)?;
-        }
-        self.add_source_sums(scene, pixels, &mut sums, progress)?;
-        Ok(sums)
+        self.exact_by_rows(scene, &mut NoRows, pixels, None, progress)
     }
 
-    /// Computes pixels of the image of a streamed scene. The pixels are sorted by rows. Only the
-    /// scene's rows that they need are in memory. If `allowed` is given, adds the errors that the
-    /// scene's image may have in these pixels.
-    pub(super) fn exact_by_rows<R: RowStream<T, Error = PsfieldError>>(
+    /// Computes pixels by the direct sum. Reads the images that the scene does not hold from `rows`: then the
+    /// pixels are sorted by rows, and only the scene's rows that they need are in memory. If `allowed` is
+    /// given, adds the errors that the scene may have in these pixels.
+    fn exact_by_rows<R: RowStream<T>>(
         &self,
         scene: &Scene<'_, T>,
         rows: &mut R,
         pixels: &[(usize, usize)],
         mut allowed: Option<&mut [Allowed]>,
         progress: &dyn Progress,
-    ) -> Result<Vec<f64>, PsfieldError> {
-        let shape = self.geometry.shape;
-        let frame = self.geometry.fine(self.geometry.frame)?;
-        let reach = self.image_model()?.0.grid().ny();
-        let mut sums = Vec::with_capacity(pixels.len());
-        let mut rest = pixels;
-        while let Some(&(_, first)) = rest.first() {
-            let count = rest.partition_point(|&(_, row)| row < first + BAND);
-            let of_scene = |row: usize| frame.y0() as usize + self.geometry.sampled_pixel((0, row)).1;
-            let from = of_scene(first).saturating_sub(reach);
-            let to = (of_scene(rest[count - 1].1 + 1) + reach).min(shape.ny());
-            let mut light = Array2::zeros((to - from, shape.nx()));
-            rows.read(0, from..to, light.view_mut())?;
-            let part = (light.view(), (0, from));
-            if let Some(allowed) = &mut allowed {
-                let of_band = &mut allowed[sums.len()..sums.len() + count];
-                self.add_errors_of_image(part, &rest[..count], of_band)?;
+    ) -> Result<Vec<f64>, R::Error>
+    where
+        R::Error: From<PsfieldError>,
+    {
+        self.check_scene(scene)?;
+        let mut sums = vec![0.0; pixels.len()];
+        for (number, layer) in scene.layers().iter().enumerate() {
+            if let Some(image) = layer.image() {
+                let (light, first) = self.light(image, scene, progress)?;
+                let part = (light.pixels(), first);
+                self.add_image(number, part, pixels, &mut sums, allowed.as_deref_mut(), progress)?;
+            } else if layer.is_streamed() {
+                self.add_streamed(number, rows, pixels, &mut sums, allowed.as_deref_mut(), progress)?;
             }
-            sums.extend(self.image_sums(part, &rest[..count], progress)?);
-            rest = &rest[count..];
+            if layer.has_sources() {
+                self.add_source_sums((number, layer), pixels, &mut sums, progress)?;
+                if let Some(allowed) = &mut allowed {
+                    self.add_errors_of_sources((number, layer), pixels, allowed)?;
+                }
+            }
         }
-        self.add_source_sums(scene, pixels, &mut sums, progress)?;
         Ok(sums)
     }
 
-    /// Returns the direct sums at pixels of the image. `light` is a part of the scene's image,
-    /// and the column and row at which it begins.
-    fn image_sums(
+    /// Adds the light of a layer's image that is read by rows.
+    fn add_streamed<R: RowStream<T>>(
         &self,
+        layer: usize,
+        rows: &mut R,
+        pixels: &[(usize, usize)],
+        sums: &mut [f64],
+        mut allowed: Option<&mut [Allowed]>,
+        progress: &dyn Progress,
+    ) -> Result<(), R::Error>
+    where
+        R::Error: From<PsfieldError>,
+    {
+        let geometry = &self.setup.geometry;
+        let shape = geometry.shape;
+        let frame = geometry.fine(geometry.frame).map_err(PsfieldError::from)?;
+        let reach = self.image_models()?.0[layer].grid().ny();
+        let mut done = 0;
+        while let Some(&(_, first)) = pixels.get(done) {
+            let count = pixels[done..].partition_point(|&(_, row)| row < first + BAND);
+            let band = done..done + count;
+            let of_scene = |row: usize| frame.y0() as usize + geometry.sampled_pixel((0, row)).1;
+            let from = of_scene(first).saturating_sub(reach);
+            let to = (of_scene(pixels[band.end - 1].1 + 1) + reach).min(shape.ny());
+            let mut light = Array2::zeros((to - from, shape.nx()));
+            rows.read(layer, from..to, light.view_mut())?;
+            let (part, sums) = ((light.view(), (0, from)), &mut sums[band.clone()]);
+            let allowed = allowed.as_mut().map(|allowed| &mut allowed[band.clone()]);
+            self.add_image(layer, part, &pixels[band], sums, allowed, progress)?;
+            done += count;
+        }
+        Ok(())
+    }
+
+    /// Adds the direct sums of a layer's image at pixels of the image, and the errors that it may have there.
+    /// `light` is a part of the layer's image, and the column and row at which it begins.
+    fn add_image(
+        &self,
+        layer: usize,
         light: (ArrayView2<'_, T>, (usize, usize)),
         pixels: &[(usize, usize)],
+        sums: &mut [f64],
+        allowed: Option<&mut [Allowed]>,
         progress: &dyn Progress,
-    ) -> Result<Vec<f64>, PsfieldError> {
-        let (shape, frame) = (self.geometry.shape, self.geometry.fine(self.geometry.frame)?);
+    ) -> Result<(), PsfieldError> {
+        if let Some(allowed) = allowed {
+            self.add_errors_of_image(layer, light, pixels, allowed)?;
+        }
+        let geometry = &self.setup.geometry;
+        let (shape, frame) = (geometry.shape, geometry.fine(geometry.frame)?);
         let fine: Vec<_> = pixels
             .iter()
-            .map(|&pixel| self.geometry.sampled_pixel(pixel))
+            .map(|&pixel| geometry.sampled_pixel(pixel))
             .collect();
-        let (direct, area) = (Direct::new(self.options.anchor), self.geometry.pixel_area());
-        let mut sums = direct.at_pixels(self.image_model()?.0, light, shape, frame, &fine, progress)?;
-        for sum in &mut sums {
-            *sum *= area;
+        let (direct, area) = (Direct::new(self.options().anchor), geometry.pixel_area());
+        let model = &self.image_models()?.0[layer];
+        let found = direct.at_pixels(model, light, shape, frame, &fine, progress)?;
+        for (sum, value) in sums.iter_mut().zip(found) {
+            *sum += value * area;
         }
-        Ok(sums)
+        Ok(())
     }
 
-    /// Adds the light of stars and galaxies in pixels of the image.
+    /// Adds the light of a layer's stars and galaxies in pixels of the image.
     fn add_source_sums(
         &self,
-        scene: &Scene<'_, T>,
+        (number, layer): (usize, &Layer<'_, T>),
         pixels: &[(usize, usize)],
         sums: &mut [f64],
         progress: &dyn Progress,
     ) -> Result<(), PsfieldError> {
-        if !has_sources(scene) {
-            return Ok(());
-        }
-        let (of_frame, sources) = (self.of_frame(pixels), self.sources()?);
-        let stars = self
-            .painter(&sources.model)?
-            .at_pixels(scene.stars(), &of_frame)?;
-        let (galaxies, frame) = (scene.galaxies(), self.geometry.frame);
-        let galaxies = sources
-            .galaxies
-            .at_pixels(galaxies, &light_of, frame, &of_frame, progress)?;
+        let (of_frame, plan, frame) = (self.of_frame(pixels), self.sources(number)?, self.frame());
+        let stars = plan.painter(frame).at_pixels(layer.stars(), &of_frame)?;
+        let galaxies = Extended::of(layer)?
+            .with(|sources| plan.extended_at_pixels(sources, frame, &of_frame, progress))?;
         for ((sum, star), galaxy) in sums.iter_mut().zip(stars).zip(galaxies) {
             *sum += star + galaxy;
         }
@@ -228,35 +241,39 @@ impl<T: ConvReal> Simulator<T> {
     /// The errors that the method promises for some pixels, before any source is added. None for
     /// patches and for the caller's own method if the scene has an image, because they promise
     /// nothing for it.
-    pub(super) fn promised(&self, of_image: bool, pixels: usize) -> Option<Vec<Allowed>> {
-        let nothing = of_image && matches!(self.options.method, Method::Patch(_) | Method::Own);
+    pub(super) fn promised(&self, scene: &Scene<'_, T>, pixels: usize) -> Option<Vec<Allowed>> {
+        let method = self.options().method;
+        let nothing = scene.has_image() && matches!(method, Method::Patch(_) | Method::Own);
         (!nothing).then(|| vec![Allowed::default(); pixels])
     }
 
     /// The tolerance of a plan. 0 for methods without a plan.
     fn tolerance(&self) -> Result<f64, PsfieldError> {
-        Ok(self.planned()?.map_or(0.0, |options| options.tolerance()))
+        let options = self.options().plan_options()?;
+        Ok(options.map_or(0.0, |options| options.tolerance()))
     }
 
-    /// Adds the largest errors that the scene's image may have in pixels of the image. `light` is a
-    /// part of the scene's image, and the column and row at which it begins.
-    pub(super) fn add_errors_of_image(
+    /// Adds the largest errors that a layer's image may have in pixels of the image. `light` is a
+    /// part of the layer's image, and the column and row at which it begins.
+    fn add_errors_of_image(
         &self,
+        layer: usize,
         (light, (x0, y0)): (ArrayView2<'_, T>, (usize, usize)),
         pixels: &[(usize, usize)],
         allowed: &mut [Allowed],
     ) -> Result<(), PsfieldError> {
-        let (tolerance, grid) = (self.tolerance()?, self.image_model()?.0.grid());
+        let (tolerance, grid) = (self.tolerance()?, self.image_models()?.0[layer].grid());
+        let geometry = &self.setup.geometry;
         if tolerance == 0.0 {
             return Ok(());
         }
-        let galaxies = &self.sources()?.galaxies;
+        let plan = self.sources(layer)?;
         // The filter that takes the scene's pixels out increases the norm of the PSF.
-        let of_filter = match self.options.scene_pixels {
+        let of_filter = match self.options().scene_pixels {
             ScenePixels::Point => 1.0,
             ScenePixels::Integrated => ScenePixelFilter::LARGEST_FACTOR,
         };
-        let (frame, oversample) = (self.geometry.fine(self.geometry.frame)?, self.geometry.oversample);
+        let (frame, oversample) = (geometry.fine(geometry.frame)?, geometry.oversample);
         let near = |at: usize, first: i64, start: usize, reach: usize, length: usize| {
             let at = at as i64 + first - start as i64;
             let within = |v: i64| v.clamp(0, length as i64) as usize;
@@ -264,11 +281,11 @@ impl<T: ConvReal> Simulator<T> {
         };
         let of_frame = self.of_frame(pixels);
         for ((&pixel, &of_frame), allowed) in pixels.iter().zip(&of_frame).zip(allowed) {
-            let (column, row) = self.geometry.sampled_pixel(pixel);
+            let (column, row) = geometry.sampled_pixel(pixel);
             let columns = near(column, frame.x0(), x0, grid.nx(), light.ncols());
             let rows = near(row, frame.y0(), y0, grid.ny(), light.nrows());
             // Where the PSF is not known, nothing is promised.
-            let norm = galaxies
+            let norm = plan
                 .psf_norm(Position::of_pixel(of_frame.0 as i64, of_frame.1 as i64))
                 .unwrap_or(f64::INFINITY);
             // An error in one pixel of the frame may be all of the error on the finer pixels.
@@ -286,57 +303,57 @@ impl<T: ConvReal> Simulator<T> {
         Ok(())
     }
 
-    /// Adds the largest errors that stars and galaxies may have in pixels of the image.
+    /// Adds the largest errors that a layer's stars and galaxies may have in pixels of the image.
     pub(super) fn add_errors_of_sources(
         &self,
-        scene: &Scene<'_, T>,
+        (number, layer): (usize, &Layer<'_, T>),
         pixels: &[(usize, usize)],
         allowed: &mut [Allowed],
     ) -> Result<(), PsfieldError> {
-        if !has_sources(scene) {
-            return Ok(());
-        }
-        let (of_frame, sources, tolerance) = (self.of_frame(pixels), self.sources()?, self.tolerance()?);
-        let (galaxies, frame, rounding) = (&sources.galaxies, self.geometry.frame, rounding_of::<T>());
-        let places = stars_by_place(scene.stars());
+        let (of_frame, plan) = (self.of_frame(pixels), self.sources(number)?);
+        let tolerance = self.tolerance()?;
+        let (frame, rounding) = (self.frame(), rounding_of::<T>());
+        let places = stars_by_place(layer.stars());
         let first_stars: Vec<PointSource> = places.iter().map(|place| place.first).collect();
         let mut roots = vec![0.0; pixels.len()];
         let mut failed = None;
-        let painter = self.painter(&sources.model)?;
-        painter.lit_pixels(&first_stars, &of_frame, |number, lit| {
-            let place = &places[number];
-            let (x, y) = (place.first.position().x(), place.first.position().y());
-            let at = Position::new(x - frame.x0() as f64, y - frame.y0() as f64);
-            match at.map_err(ConvError::Result).and_then(|at| galaxies.psf_norm(at)) {
-                Ok(norm) => {
-                    // Numbers of equal size that are added in one pixel may all be rounded in one
-                    // direction.
-                    let added = 0.25 * self.additions(place.count) as f64 * T::epsilon().as_f64();
-                    let error = (tolerance + rounding + added) * norm * place.light;
-                    for (pixel, is_on_stamp) in lit {
-                        if is_on_stamp {
-                            allowed[pixel].add_psf(error, &mut roots[pixel]);
-                        } else if tolerance > 0.0 {
-                            let left = (BEYOND_STAMPS * place.light).min(error);
-                            allowed[pixel].add_psf(left, &mut roots[pixel]);
+        plan.painter(frame)
+            .lit_pixels(&first_stars, &of_frame, |number, lit| {
+                let place = &places[number];
+                let (x, y) = (place.first.position().x(), place.first.position().y());
+                let at = Position::new(x - frame.x0() as f64, y - frame.y0() as f64);
+                match at.map_err(ConvError::Result).and_then(|at| plan.psf_norm(at)) {
+                    Ok(norm) => {
+                        // Numbers of equal size that are added in one pixel may all be rounded in one
+                        // direction.
+                        let added = 0.25 * self.additions(place.count) as f64 * T::epsilon().as_f64();
+                        let error = (tolerance + rounding + added) * norm * place.light;
+                        for (pixel, is_on_stamp) in lit {
+                            if is_on_stamp {
+                                allowed[pixel].add_psf(error, &mut roots[pixel]);
+                            } else if tolerance > 0.0 {
+                                let left = (BEYOND_STAMPS * place.light).min(error);
+                                allowed[pixel].add_psf(left, &mut roots[pixel]);
+                            }
                         }
                     }
+                    Err(error) => failed = Some(error),
                 }
-                Err(error) => failed = Some(error),
-            }
-        });
+            });
         failed.map_or(Ok(()), Err)?;
         for (allowed, root) in allowed.iter_mut().zip(roots) {
             allowed.root += root;
         }
         let of_pixels = (frame, of_frame.as_slice());
         let take = |pixel: usize, errors: GalaxyErrors| allowed[pixel].add_galaxy(errors);
-        Ok(galaxies.errors_at_pixels(scene.galaxies(), &light_of, of_pixels, rounding, take)?)
+        let errors =
+            |sources: ExtendedSources<'_>| plan.errors_of_extended(sources, of_pixels, rounding, take);
+        Ok(Extended::of(layer)?.with(errors)?)
     }
 
     /// The most numbers that are added one by one for so many stars in one pixel.
     fn additions(&self, stars: usize) -> usize {
-        match self.options.anchor {
+        match self.options().anchor {
             Anchor::Output => stars,
             _ => stars.min(GROUP),
         }
@@ -344,7 +361,7 @@ impl<T: ConvReal> Simulator<T> {
 
     /// Converts pixels of the image to pixels of the frame.
     fn of_frame(&self, pixels: &[(usize, usize)]) -> Vec<(usize, usize)> {
-        let region = self.geometry.region;
+        let region = self.setup.geometry.region;
         let (x0, y0) = (region.x0() as usize, region.y0() as usize);
         pixels.iter().map(|&(x, y)| (x + x0, y + y0)).collect()
     }
@@ -378,49 +395,20 @@ fn stars_by_place(stars: &[PointSource]) -> Vec<Place> {
         .collect()
 }
 
-/// A scene with the stars and galaxies of several scenes.
-pub(super) fn with_all_sources<'a, 's, 'l: 's, T: ConvReal>(
-    all: Scene<'a, T>,
-    scenes: impl Iterator<Item = &'s Scene<'l, T>> + Clone,
-) -> Scene<'a, T> {
-    let stars: Vec<_> = scenes.clone().flat_map(Scene::stars).copied().collect();
-    let galaxies: Vec<_> = scenes.flat_map(Scene::galaxies).copied().collect();
-    all.with_stars(stars).with_galaxies(galaxies)
-}
+/// No rows: all images are in memory.
+struct NoRows;
 
-/// Compares the sum of the images of several scenes, each by its own simulator, with the direct sum, as
-/// [`Simulator::spot_check`]. The simulators have equal settings.
-pub(crate) fn spot_check_layers<'a, T: ConvReal>(
-    layers: &[(&'a Simulator<T>, &'a Scene<'_, T>)],
-    image: &Image<T>,
-    pixels: (usize, u64),
-    progress: &dyn Progress,
-) -> Result<SpotCheck, PsfieldError> {
-    let scenes = layers.iter().map(|(_, scene)| *scene);
-    let any_image = scenes.clone().find_map(Scene::image);
-    let all = any_image.map_or_else(Scene::dark, |image| Scene::from(image.view()));
-    let all = with_all_sources(all, scenes);
-    let first = layers[0].0;
-    let mut picker = first.picker(&all, false, pixels);
-    for row in image.pixels().outer_iter() {
-        picker.pass(row.iter().map(|v| v.as_f64()));
+impl<T> RowStream<T> for NoRows {
+    type Error = PsfieldError;
+
+    fn read(&mut self, _: usize, _: Range<usize>, _: ArrayViewMut2<'_, T>) -> Result<(), PsfieldError> {
+        Err(PsfieldError::new(
+            ErrorKind::Data,
+            "the image of this scene is read row by row: it is checked by stream",
+        ))
     }
-    SpotCheck::of_picked::<T>(picker, |pixels| {
-        let mut exact = vec![0.0; pixels.len()];
-        let mut allowed = first.promised(any_image.is_some(), pixels.len());
-        for (simulator, scene) in layers {
-            let of_layer = simulator.exact_at(scene, pixels, progress)?;
-            exact
-                .iter_mut()
-                .zip(of_layer)
-                .for_each(|(sum, value)| *sum += value);
-            if let Some(allowed) = &mut allowed {
-                if let Some(image) = scene.image() {
-                    simulator.add_errors_of_image((image.pixels(), (0, 0)), pixels, allowed)?;
-                }
-                simulator.add_errors_of_sources(scene, pixels, allowed)?;
-            }
-        }
-        Ok((exact, allowed))
-    })
+
+    fn write(&mut self, _: ArrayView2<'_, T>) -> Result<(), PsfieldError> {
+        Ok(())
+    }
 }

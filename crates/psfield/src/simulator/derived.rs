@@ -1,15 +1,21 @@
 //! Simulators that share tiles with another one: for other regions, or for another PSF.
 
-use std::sync::{Arc, OnceLock};
+use std::sync::{Arc, Mutex, OnceLock};
 use std::time::Instant;
 
 use conv_core::ConvReal;
-use psf_types::{PixelRegion, Progress};
+use psf_types::{PixelRegion, Progress, PsfModel};
 
+use super::convolver::{Convolver, OfLayers, image_models_of};
 use super::flux::check_flux;
 use super::geometry::Geometry;
-use super::{Convolver, REGION, Simulator};
-use crate::{Method, Psf, PsfieldError, SimulateOptions};
+use super::part::Part;
+use super::setup::{REGION, Setup};
+use super::{Shared, Simulator};
+use crate::error::PsfieldError;
+use crate::psf::Psf;
+use crate::psf::get_or_make;
+use crate::simulate_options::{Method, SimulateOptions};
 
 impl<T: ConvReal> Simulator<T> {
     /// Returns a simulator for another region of the same frame. `region` is in frame pixels
@@ -23,61 +29,100 @@ impl<T: ConvReal> Simulator<T> {
     pub fn for_region(&self, region: PixelRegion, progress: &dyn Progress) -> Result<Self, PsfieldError> {
         let options = SimulateOptions {
             region: Some(region),
-            ..self.options.clone()
+            ..self.options().clone()
         };
-        let geometry = Geometry::new(self.geometry.shape, &options)?;
-        let chosen = self.convolver(progress)?;
-        let engine = chosen.engine_for(REGION)?;
-        let clock = Instant::now();
-        let plan = engine.plan().for_other_region(geometry.fine(region)?, progress)?;
-        let convolver = Convolver::of_plan(plan, &options, clock)?;
+        let geometry = Geometry::new(self.setup.geometry.shape, &options)?;
+        let mut planned = self.kept_convolvers();
+        if planned.is_empty() {
+            let layers = self.shared.layers_of_images();
+            planned.push((layers.clone(), self.convolver(&layers, progress)?));
+        }
+        let mut convolvers = Vec::with_capacity(planned.len());
+        for (layers, whole) in planned {
+            let engine = whole.engine_for(REGION)?;
+            let clock = Instant::now();
+            let plan = engine.plan().for_other_region(geometry.fine(region)?, progress)?;
+            let convolver = Convolver::of_plan(plan, &options, clock)?;
+            convolvers.push((layers, Arc::new(convolver)));
+        }
         Ok(Self {
             shared: Arc::clone(&self.shared),
-            options,
-            geometry,
-            convolver: OnceLock::from(convolver),
+            setup: Setup { options, geometry },
+            convolvers: Mutex::new(convolvers),
         })
     }
 
     /// Returns a simulator with the same settings for another PSF, such as other coefficients of the
     /// same basis. If the new stamps have the shape and the centre of the old ones, it uses the tiles
-    /// that were chosen for this simulator, which is much faster than a new plan. The tolerance holds
+    /// of the plans that this simulator has made, which is much faster than new plans. The tolerance holds
     /// in any case.
     ///
     /// # Errors
     /// [`ErrorKind::Setting`](crate::ErrorKind::Setting) for a method of your own, and the errors of
     /// [`SimulatorBuilder::build`](crate::SimulatorBuilder::build) and of [`prepare`](Self::prepare).
     #[inline(never)]
-    pub fn for_other_field(&self, psf: Psf, progress: &dyn Progress) -> Result<Self, PsfieldError> {
-        if self.options.method == Method::Own {
-            return Err(PsfieldError::needs_plan("the PSF can be replaced"));
-        }
-        let shape = (self.geometry.shape.ny(), self.geometry.shape.nx());
-        let other = psf.simulator(shape).options(self.options.clone()).build::<T>()?;
-        if self.options.method.has_plan() {
-            other.plan_as(self, progress)?;
-        }
-        Ok(other)
+    pub fn with_psf(&self, psf: Psf, progress: &dyn Progress) -> Result<Self, PsfieldError> {
+        self.with_parts(vec![Arc::new(Part::new(psf))], None, progress)
     }
 
-    /// Plans the convolution of images with the tiles of another simulator, if the stamps have the same
-    /// shape and centre.
-    pub(super) fn plan_as(&self, before: &Self, progress: &dyn Progress) -> Result<(), PsfieldError> {
-        let clock = Instant::now();
-        let (model, _) = self.image_model()?;
-        let (Some(engine), Some(options)) = (&before.convolver(progress)?.engine, self.planned_for(model)?)
-        else {
-            return Ok(());
-        };
-        check_flux(self.psf(), model, &options)?;
-        let models = std::slice::from_ref(model);
-        let plan = engine
-            .plan()
-            .for_other_fields(models, options.memory_bytes(), progress)?;
-        if let Some(plan) = plan {
-            let convolver = Convolver::of_plan(plan, &self.options, clock)?;
-            self.convolver.get_or_init(|| convolver);
+    /// As [`with_psf`](Self::with_psf), for the PSFs of several parts. `images` is the PSF on the pixels of
+    /// the scenes' images, if it is made in another way.
+    pub(crate) fn with_parts(
+        &self,
+        parts: Vec<Arc<Part<T>>>,
+        images: Option<Psf>,
+        progress: &dyn Progress,
+    ) -> Result<Self, PsfieldError> {
+        let (options, shape) = (self.options(), self.setup.geometry.shape);
+        if options.method == Method::Own {
+            return Err(PsfieldError::needs_plan("the PSF can be replaced"));
         }
-        Ok(())
+        let psf = parts[0].psf();
+        let setup = Setup::new(psf, (shape.ny(), shape.nx()), options.clone())?;
+        let (image_models, mut convolvers) = (OnceLock::new(), Vec::new());
+        for before in self.kept_convolvers() {
+            let (models, _) = get_or_make(&image_models, || image_models_of(psf, images.as_ref(), &setup))?;
+            convolvers.extend(planned_as(before, (psf, models), &setup, progress)?);
+        }
+        let method = options.method.without_plan(options.anchor)?;
+        Ok(Self {
+            shared: Arc::new(Shared {
+                parts,
+                images,
+                method,
+                image_models,
+                sampling_errors: OnceLock::new(),
+            }),
+            setup,
+            convolvers: Mutex::new(convolvers),
+        })
     }
+}
+
+/// Plans the convolution of images with the tiles of another plan. None if the stamps have another shape or
+/// centre, or for layers that do not exist.
+fn planned_as<T: ConvReal>(
+    (layers, before): OfLayers<T>,
+    (psf, all): (&Psf, &[PsfModel]),
+    setup: &Setup,
+    progress: &dyn Progress,
+) -> Result<Option<OfLayers<T>>, PsfieldError> {
+    let clock = Instant::now();
+    let models: Option<Vec<PsfModel>> = layers.iter().map(|&layer| all.get(layer).cloned()).collect();
+    let (Some(engine), Some(models)) = (&before.engine, models) else {
+        return Ok(None);
+    };
+    let Some(options) = setup.plan_options::<T>(&models[0])? else {
+        return Ok(None);
+    };
+    for model in &models {
+        check_flux(psf, model, &options)?;
+    }
+    let plan = engine
+        .plan()
+        .for_other_fields(&models, options.memory_bytes(), progress)?;
+    let convolver = plan.map(|plan| Convolver::of_plan(plan, &setup.options, clock));
+    Ok(convolver
+        .transpose()?
+        .map(|convolver| (layers, Arc::new(convolver))))
 }

@@ -3,7 +3,8 @@
 use conv_core::PlanOptions;
 use psf_types::{PsfModel, ToleranceOn};
 
-use crate::{ErrorKind, Psf, PsfieldError};
+use crate::error::{ErrorKind, PsfieldError};
+use crate::psf::Psf;
 
 /// PSFs have no flux if their values nearly cancel: their sum is at most this part of the sum of
 /// their absolute values.

@@ -5,7 +5,8 @@ use conv_core::{ConvError, ConvReal};
 use ndarray::{Array2, ArrayView2, ArrayViewMut2, Ix2, SliceInfo, SliceInfoElem, s};
 use psf_types::{DataError, FrameShape, Image, ImageView, PixelRegion, Position};
 
-use crate::{ErrorKind, PsfieldError, SimulateOptions};
+use crate::error::{ErrorKind, PsfieldError};
+use crate::simulate_options::SimulateOptions;
 
 /// The geometry of scenes of one shape, of the frame and of the computed region.
 ///
@@ -14,7 +15,7 @@ use crate::{ErrorKind, PsfieldError, SimulateOptions};
 /// response of a frame pixel. For even `s`, they also include a shift of half a scene pixel. The
 /// frame's image is therefore every `s`-th pixel of the convolved scene, times `s^2`.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Geometry {
+pub(crate) struct Geometry {
     /// The scene, in its own pixels.
     pub(super) shape: FrameShape,
     /// Pixels of the scene along each side of a frame pixel.

@@ -5,19 +5,20 @@ use ndarray::{Array2, ArrayViewMut2};
 use psf_types::{Image, NoProgress, Progress, Uncounted};
 
 use super::Simulator;
-use crate::{PsfieldError, Scene};
+use crate::error::PsfieldError;
+use crate::scene::Scene;
 
 impl<T: ConvReal> Simulator<T> {
     /// Returns the images of many scenes. They are equal, bit by bit, to those of
-    /// [`simulate`](Self::simulate). For many small scenes this is faster, because threads work on
-    /// different scenes. Stars and galaxies are drawn scene by scene.
+    /// [`simulate`](Self::simulate). For many small scenes of one layer this is faster, because threads work
+    /// on different scenes. Stars and galaxies are drawn scene by scene.
     ///
     /// # Errors
     /// The errors of [`simulate_into`](Self::simulate_into).
     pub fn simulate_many(&self, scenes: &[Scene<'_, T>]) -> Result<Vec<Image<T>>, PsfieldError> {
         // Check the scenes before memory is allocated.
         for scene in scenes {
-            self.check_sources(scene, false)?;
+            self.check_scene(scene)?;
         }
         let mut images: Vec<Array2<T>> = scenes.iter().map(|_| self.zeros()).collect();
         let views = images.iter_mut().map(|image| image.view_mut()).collect();
@@ -42,13 +43,10 @@ impl<T: ConvReal> Simulator<T> {
         progress: &dyn Progress,
     ) -> Result<(), PsfieldError> {
         assert_eq!(scenes.len(), images.len(), "an image for each scene");
-        let with_images = scenes.iter().all(|scene| scene.image().is_some());
-        let engine = if with_images && self.geometry.oversample == 1 && !scenes.is_empty() {
-            self.convolver(progress)?.engine.as_ref()
-        } else {
-            None
-        };
-        let Some(engine) = engine else {
+        let alone = |scene: &Scene<'_, T>| scene.layers().len() == 1 && scene.has_image();
+        let at_once = self.setup.geometry.oversample == 1 && !scenes.is_empty() && scenes.iter().all(alone);
+        let convolver = at_once.then(|| self.convolver(&[0], progress)).transpose()?;
+        let Some(engine) = convolver.as_ref().and_then(|convolver| convolver.engine.as_ref()) else {
             progress.start(scenes.len() as u64);
             for (scene, image) in scenes.iter().zip(images) {
                 self.simulate_into(scene, image, &Uncounted(progress))?;
@@ -58,15 +56,15 @@ impl<T: ConvReal> Simulator<T> {
         };
         let mut lights = Vec::with_capacity(scenes.len());
         for (scene, image) in scenes.iter().zip(&images) {
-            self.check_sources(scene, false)?;
+            self.check_scene(scene)?;
             self.check_image(image)?;
-            let of_scene = scene.image().expect("every scene has an image");
-            lights.push(self.light(of_scene, progress)?.0);
+            let light = self.lights(scene, progress)?;
+            lights.extend(light.into_iter().map(|(light, _)| light));
         }
         let views = images.iter_mut().map(|image| image.view_mut()).collect();
         engine.execute_many(Operation::Convolve, &lights, views, progress)?;
         for (scene, image) in scenes.iter().zip(images) {
-            self.draw_sources_into(scene.sources(), self.geometry.region, image, &Uncounted(progress))?;
+            self.draw_sources_into(scene, self.setup.geometry.region, image, &Uncounted(progress))?;
         }
         Ok(())
     }

@@ -1,162 +1,148 @@
-//! Draws the stars and galaxies of scenes.
+//! Draws the stars, galaxies and other sources of scenes.
 
+use std::sync::Arc;
 use std::time::Instant;
 
-use conv_core::{ConvReal, GalaxyPlan, PlanOptions, StarPainter, StarPlan};
+use conv_core::{ConvReal, ExtendedSources, Light, PlanOptions, SourcePlan};
 use ndarray::ArrayViewMut2;
-use psf_types::{LightProfile, PixelRegion, Progress, PsfModel, SersicSource};
+use psf_types::{PixelRegion, PointSource, Progress, PsfModel, SersicSource};
 use sersic::SersicLight;
 
 use super::Simulator;
 use super::flux::check_flux;
-use crate::psf::get_or_make;
-use crate::scene::SceneSources;
-use crate::{PsfieldError, Scene};
+use super::setup::Setup;
+use crate::error::PsfieldError;
+use crate::psf::Psf;
+use crate::scene::{Layer, ProfileSource, Scene};
 
-/// Draws stars and galaxies.
+/// The plans for the sources of all layers of a [`Part`](super::Part). The layers share their local bases.
 #[derive(Debug)]
-pub(super) struct Sources<T: ConvReal> {
-    pub(super) model: PsfModel,
-    /// If None, stars are drawn one by one from all components, in f64.
-    pub(super) stars: Option<StarPlan<T>>,
-    pub(super) galaxies: GalaxyPlan<T>,
+pub(super) struct PartSources<T: ConvReal> {
+    pub(super) of_layers: Vec<SourcePlan<T>>,
     pub(super) fit_seconds: f64,
     pub(super) plan_seconds: f64,
 }
 
-impl<T: ConvReal> Sources<T> {
-    /// Draws sources through another model with the local bases of this one. None if the model has other
-    /// stamps.
-    pub(super) fn for_other_field(&self, model: &PsfModel) -> Option<Self> {
-        self.planned_as(
-            model,
-            |plan| plan.for_other_field(model),
-            |plan| plan.for_other_field(model),
-        )
-    }
-
-    /// Draws sources through the first of some other models, with local bases that represent the PSFs of
-    /// all. None if they have other stamps.
-    pub(super) fn for_other_layers(
-        &self,
-        simulator: &Simulator<T>,
-        models: &[PsfModel],
-    ) -> Result<Option<Self>, PsfieldError> {
-        simulator.check_fluxes(models)?;
-        Ok(self.planned_as(
-            &models[0],
-            |plan| plan.for_other_layers(models),
-            |plan| plan.for_other_layers(models),
-        ))
-    }
-
-    fn planned_as(
-        &self,
-        model: &PsfModel,
-        stars: impl FnOnce(&StarPlan<T>) -> Option<StarPlan<T>>,
-        galaxies: impl FnOnce(&GalaxyPlan<T>) -> Option<GalaxyPlan<T>>,
-    ) -> Option<Self> {
-        let stars = match &self.stars {
-            Some(plan) => Some(stars(plan)?),
-            None => None,
-        };
-        Some(Self {
-            model: model.clone(),
-            stars,
-            galaxies: galaxies(&self.galaxies)?,
-            fit_seconds: 0.0,
-            plan_seconds: 0.0,
-        })
-    }
-}
-
-impl<T: ConvReal> Simulator<T> {
-    pub(super) fn sources(&self) -> Result<&Sources<T>, PsfieldError> {
-        get_or_make(&self.shared.sources, || {
-            let clock = Instant::now();
-            let psf = self.psf().with_pixel_response()?;
-            let models = std::slice::from_ref(psf.model()?);
-            self.sources_of_layers(models, clock.elapsed().as_secs_f64())
-        })
-    }
-
-    /// Draws sources through the first of these models. The local bases represent the PSFs of all.
-    pub(super) fn sources_of_layers(
-        &self,
-        models: &[PsfModel],
-        fit_seconds: f64,
-    ) -> Result<Sources<T>, PsfieldError> {
+impl<T: ConvReal> PartSources<T> {
+    /// Plans the drawing with the PSFs of all states.
+    pub(super) fn new(psf: &Psf, setup: &Setup) -> Result<Self, PsfieldError> {
         let clock = Instant::now();
-        let size = self.options.stamp_size;
-        let planned = self.planned_for(&models[0])?;
-        self.check_fluxes(models)?;
-        let stars = planned
-            .map(|options| StarPlan::of_layers(models, options, size))
-            .transpose()?;
-        let exact = PlanOptions::new(TOLERANCE_WITHOUT_PLAN)?.with_anchor(self.options.anchor);
-        let galaxies = GalaxyPlan::of_layers(models, planned.unwrap_or(exact), size)?;
-        Ok(Sources {
-            model: models[0].clone(),
-            stars,
-            galaxies,
+        let psf = psf.with_pixel_response()?;
+        let models = psf.models()?;
+        let fit_seconds = clock.elapsed().as_secs_f64();
+        let clock = Instant::now();
+        let (planned, size) = (setup.plan_options::<T>(&models[0])?, setup.options.stamp_size);
+        check_fluxes(&psf, models, planned.as_ref())?;
+        let first = match planned {
+            Some(options) => SourcePlan::of_layers(models, options, size)?,
+            None => SourcePlan::exact(models, setup.options.anchor, size)?,
+        };
+        let others = models[1..].iter().map(|model| first.for_other_field(model));
+        let others: Option<Vec<_>> = others.collect();
+        let mut of_layers = vec![first];
+        of_layers.extend(others.expect("the states of a PSF share their stamps"));
+        Ok(Self {
+            of_layers,
             fit_seconds,
             plan_seconds: clock.elapsed().as_secs_f64(),
         })
     }
 
-    /// The error of PSFs whose flux is too small for the tolerance of apertures.
-    fn check_fluxes(&self, models: &[PsfModel]) -> Result<(), PsfieldError> {
-        let planned = self.planned_for(&models[0])?;
-        let check = |options| {
-            models
-                .iter()
-                .try_for_each(|model| check_flux(self.psf(), model, options))
-        };
-        planned.as_ref().map_or(Ok(()), check)
+    /// Draws sources with the PSFs of another PSF, one for each of its states, with the local bases of this
+    /// one. None if it has other stamps.
+    pub(super) fn for_other_field(&self, psf: &Psf) -> Result<Option<Self>, PsfieldError> {
+        let psf = psf.with_pixel_response()?;
+        let each = psf.models()?.iter();
+        let made = each.map(|model| self.of_layers[0].for_other_field(model));
+        Ok(made.collect::<Option<_>>().map(Self::at_once))
     }
 
-    /// Adds stars and galaxies to `image`, which holds the pixels of a region of the frame.
+    /// Draws sources with local bases that represent the PSFs of all states of another PSF. None if it has
+    /// other stamps.
+    pub(super) fn representing(&self, psf: &Psf, setup: &Setup) -> Result<Option<Self>, PsfieldError> {
+        let psf = psf.with_pixel_response()?;
+        let models = psf.models()?;
+        check_fluxes(&psf, models, setup.plan_options::<T>(&models[0])?.as_ref())?;
+        let made = self.of_layers[0].for_other_layers(models);
+        Ok(made.map(|made| Self::at_once(vec![made])))
+    }
+
+    fn at_once(of_layers: Vec<SourcePlan<T>>) -> Self {
+        Self {
+            of_layers,
+            fit_seconds: 0.0,
+            plan_seconds: 0.0,
+        }
+    }
+}
+
+/// The error of PSFs whose flux is too small for the tolerance of apertures.
+fn check_fluxes(psf: &Psf, models: &[PsfModel], planned: Option<&PlanOptions>) -> Result<(), PsfieldError> {
+    let mut models = models.iter();
+    planned.map_or(Ok(()), |options| {
+        models.try_for_each(|model| check_flux(psf, model, options))
+    })
+}
+
+/// The extended sources of a layer: galaxies, then sources with profiles of the caller's own.
+pub(super) struct Extended<'a> {
+    points: Vec<PointSource>,
+    galaxies: &'a [SersicSource],
+    profiles: &'a [ProfileSource],
+}
+
+impl<'a> Extended<'a> {
+    pub(super) fn of<T: ConvReal>(layer: &'a Layer<'_, T>) -> Result<Self, PsfieldError> {
+        let (galaxies, profiles) = (layer.galaxies(), layer.profiles());
+        let point = |galaxy: &SersicSource| PointSource::new(galaxy.position(), galaxy.flux());
+        let mut points: Vec<PointSource> = galaxies.iter().map(point).collect::<Result<_, _>>()?;
+        points.extend(profiles.iter().map(|source| source.point));
+        Ok(Self {
+            points,
+            galaxies,
+            profiles,
+        })
+    }
+
+    /// Gives the sources to `work`.
+    pub(super) fn with<R>(&self, work: impl FnOnce(ExtendedSources<'_>) -> R) -> R {
+        let light = |index: usize| -> Light {
+            match self.galaxies.get(index) {
+                Some(galaxy) => Arc::new(SersicLight::new(galaxy)),
+                None => Arc::clone(&self.profiles[index - self.galaxies.len()].light),
+            }
+        };
+        work(ExtendedSources {
+            points: &self.points,
+            light: &light,
+        })
+    }
+}
+
+impl<T: ConvReal> Simulator<T> {
+    /// Adds the sources of all layers to `image`, which holds the pixels of a region of the frame.
     #[inline(never)]
     pub(super) fn draw_sources_into(
         &self,
-        (stars, galaxies): SceneSources<'_>,
+        scene: &Scene<'_, T>,
         region: PixelRegion,
         mut image: ArrayViewMut2<'_, T>,
         progress: &dyn Progress,
     ) -> Result<(), PsfieldError> {
-        if stars.is_empty() && galaxies.is_empty() {
-            return Ok(());
-        }
-        let (sources, frame) = (self.sources()?, self.geometry.frame);
-        if !galaxies.is_empty() {
-            let image = image.view_mut();
-            sources
-                .galaxies
-                .draw_into(galaxies, &light_of, frame, region, image, progress)?;
-        }
-        match &sources.stars {
-            Some(plan) => plan.draw_into(stars, frame, region, image, progress)?,
-            None => self
-                .painter(&sources.model)?
-                .draw_into(stars, region, image, progress)?,
+        let frame = self.frame();
+        let drawn = scene.layers().iter().enumerate();
+        for (number, layer) in drawn.filter(|(_, layer)| layer.has_sources()) {
+            let plan = self.sources(number)?;
+            let (extended, into) = (Extended::of(layer)?, image.view_mut());
+            extended.with(|sources| plan.draw_extended_into(sources, frame, region, into, progress))?;
+            plan.draw_stars_into(layer.stars(), frame, region, image.view_mut(), progress)?;
         }
         Ok(())
     }
 
-    pub(super) fn painter<'a>(&self, model: &'a PsfModel) -> Result<StarPainter<'a>, PsfieldError> {
-        let (frame, anchor) = (self.geometry.frame, self.options.anchor);
-        Ok(StarPainter::new(model, frame, anchor, self.options.stamp_size)?)
+    /// The plan for the sources of a layer.
+    pub(super) fn sources(&self, layer: usize) -> Result<&SourcePlan<T>, PsfieldError> {
+        let (part, state) = self.shared.part_of(layer);
+        Ok(&part.sources(&self.setup)?.of_layers[state])
     }
-}
-
-/// The tolerance for galaxies with a method that has no tolerance.
-const TOLERANCE_WITHOUT_PLAN: f64 = 1e-7;
-
-pub(super) fn has_sources<T: ConvReal>(scene: &Scene<'_, T>) -> bool {
-    !scene.stars().is_empty() || !scene.galaxies().is_empty()
-}
-
-/// The light of a galaxy.
-pub(super) fn light_of(galaxy: &SersicSource) -> Box<dyn LightProfile + Send + Sync> {
-    Box::new(SersicLight::new(galaxy))
 }

@@ -59,7 +59,8 @@ impl SamplingErrors {
         Ok(largest)
     }
 
-    fn max(self, other: Self) -> Self {
+    /// The larger of each error.
+    pub(super) fn max(self, other: Self) -> Self {
         Self {
             flux: self.flux.max(other.flux),
             fitted_flux: self.fitted_flux.max(other.fitted_flux),

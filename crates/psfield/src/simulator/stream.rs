@@ -3,18 +3,23 @@
 use std::ops::Range;
 
 use conv_core::{ConvError, ConvReal, RowStream, TileCounts};
-use ndarray::{ArrayView2, ArrayViewMut2};
+use ndarray::{ArrayView2, ArrayViewMut2, s};
 use psf_types::{FrameShape, Image, PixelRegion, Progress};
 
 use super::Simulator;
-use crate::scene::SceneSources;
-use crate::{PsfieldError, Scene};
+use crate::error::PsfieldError;
+use crate::scene::Scene;
+use crate::spot_check::{PixelPicker, SpotCheck};
 
 impl<T: ConvReal> Simulator<T> {
-    /// Makes the image of a scene row by row. Reads the rows of the scene's image, in scene pixels,
-    /// from `rows`, and writes the rows of the frame or of the region to `rows`. Takes only the
-    /// stars and galaxies from `scene`, and ignores the image in `scene`. The pixels are equal, bit
-    /// by bit, to the pixels of the image that [`simulate`](Self::simulate) returns.
+    /// Makes the image of a scene row by row. Reads the rows of the images that the scene does not hold
+    /// ([`Scene::streamed`]), in scene pixels, from `rows`, and writes the rows of the frame or of the region
+    /// to `rows`. [`RowStream::read`] gets the number of the layer. The pixels are equal, bit by bit, to the
+    /// pixels of the image that [`simulate`](Self::simulate) returns.
+    ///
+    /// Afterwards, `count` pixels, chosen by `seed`, are compared with the direct sum, as by
+    /// [`spot_check`](Self::spot_check). For this, some rows are read again. For a `count` of 0, there is no
+    /// check.
     ///
     /// # Errors
     /// The errors of the stream and of [`simulate_into`](Self::simulate_into), and
@@ -23,26 +28,48 @@ impl<T: ConvReal> Simulator<T> {
         &self,
         scene: &Scene<'_, T>,
         rows: &mut R,
+        (count, seed): (usize, u64),
         progress: &dyn Progress,
-    ) -> Result<TileCounts, R::Error>
+    ) -> Result<(TileCounts, Option<SpotCheck>), R::Error>
     where
         R::Error: From<PsfieldError>,
     {
-        self.check_sources(scene, true)?;
-        let convolver = self.convolver(progress)?;
+        self.check_scene(scene)?;
+        let layers = scene.layers_with_image();
+        if layers.is_empty() {
+            const NO_IMAGE: &str = "a scene without an image has no rows to be streamed";
+            return Err(PsfieldError::new(crate::error::ErrorKind::Data, NO_IMAGE).into());
+        }
+        let convolver = self.convolver(&layers, progress)?;
         let engine = convolver.engine_for("rows can be streamed")?;
-        let mut rows = SceneRows::new(vec![(self, scene.sources())], rows, progress);
-        engine.stream(&mut rows, progress)
+        let mut passed = SceneRows {
+            simulator: self,
+            scene,
+            layers,
+            inner: rows,
+            picker: (count > 0).then(|| self.picker(scene, (count, seed))),
+            progress,
+            fine_rows: 0,
+            image_rows: 0,
+        };
+        let counts = engine.stream(&mut passed, progress)?;
+        let picker = passed.picker;
+        let check = picker.map(|picker| self.checked(scene, picker, rows, progress));
+        Ok((counts, check.transpose()?))
     }
 }
 
 /// Passes rows between the caller's stream and the engine. When the engine writes rows of the fine
 /// image (the convolved scene, in scene pixels), the adapter samples them once per frame pixel. It
 /// adds stars and galaxies, and writes the result to the caller's stream.
-pub(super) struct SceneRows<'a, T: ConvReal, R> {
-    /// The simulators of all spectra, which differ only in their PSFs, and their sources.
-    spectra: Vec<(&'a Simulator<T>, SceneSources<'a>)>,
+struct SceneRows<'a, 's, T: ConvReal, R> {
+    simulator: &'a Simulator<T>,
+    scene: &'a Scene<'s, T>,
+    /// The numbers of the layers with an image, which are the engine's layers.
+    layers: Vec<usize>,
     inner: &'a mut R,
+    /// Picks pixels of the image for a check.
+    picker: Option<PixelPicker>,
     progress: &'a dyn Progress,
     /// Number of rows of the fine image that the engine has written.
     fine_rows: usize,
@@ -50,23 +77,7 @@ pub(super) struct SceneRows<'a, T: ConvReal, R> {
     image_rows: usize,
 }
 
-impl<'a, T: ConvReal, R: RowStream<T>> SceneRows<'a, T, R> {
-    pub(super) fn new(
-        spectra: Vec<(&'a Simulator<T>, SceneSources<'a>)>,
-        inner: &'a mut R,
-        progress: &'a dyn Progress,
-    ) -> Self {
-        Self {
-            spectra,
-            inner,
-            progress,
-            fine_rows: 0,
-            image_rows: 0,
-        }
-    }
-}
-
-impl<T: ConvReal, R: RowStream<T>> RowStream<T> for SceneRows<'_, T, R>
+impl<T: ConvReal, R: RowStream<T>> RowStream<T> for SceneRows<'_, '_, T, R>
 where
     R::Error: From<PsfieldError>,
 {
@@ -76,13 +87,25 @@ where
         &mut self,
         layer: usize,
         rows: Range<usize>,
-        light: ArrayViewMut2<'_, T>,
+        mut light: ArrayViewMut2<'_, T>,
     ) -> Result<(), R::Error> {
-        self.inner.read(layer, rows, light)
+        let number = self.layers[layer];
+        let Some(image) = self.scene.layers()[number].image() else {
+            return self.inner.read(number, rows, light);
+        };
+        // The engine reads rows of the whole scene.
+        let (whole, got) = (self.simulator.scene_shape(), image.shape());
+        if whole != got {
+            let (expected, got) = ((whole.ny(), whole.nx()), image.pixels().dim());
+            let error = psf_types::DataError::ImageShape { expected, got };
+            return Err(PsfieldError::from(error).into());
+        }
+        light.assign(&image.pixels().slice(s![rows, ..]));
+        Ok(())
     }
 
     fn write(&mut self, rows: ArrayView2<'_, T>) -> Result<(), R::Error> {
-        let geometry = &self.spectra[0].0.geometry;
+        let geometry = &self.simulator.setup.geometry;
         let mut sampled = geometry.sampled_rows(rows, self.fine_rows);
         self.fine_rows += rows.nrows();
         if sampled.nrows() > 0 {
@@ -92,11 +115,14 @@ where
                 geometry.region.y0() + self.image_rows as i64,
             );
             let region = PixelRegion::new(x0, y0, shape);
-            for &(simulator, sources) in &self.spectra {
-                simulator.draw_sources_into(sources, region, sampled.view_mut(), self.progress)?;
-            }
+            let image = sampled.view_mut();
+            self.simulator
+                .draw_sources_into(self.scene, region, image, self.progress)?;
             self.image_rows += sampled.nrows();
             let sampled = Image::new(sampled).map_err(ConvError::Result)?;
+            if let Some(picker) = &mut self.picker {
+                picker.pass_rows(sampled.pixels());
+            }
             self.inner.write(sampled.pixels())?;
         }
         Ok(())

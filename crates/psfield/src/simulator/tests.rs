@@ -7,8 +7,8 @@ use psf_types::{
 };
 
 use super::*;
-use crate::ErrorKind;
-use crate::Method;
+use crate::scene::ProfileSource;
+use crate::simulate_options::{Device, Method, ScenePixels};
 
 fn shape(nx: usize, ny: usize) -> FrameShape {
     FrameShape::new(nx, ny).unwrap()
@@ -74,7 +74,7 @@ fn stars_and_galaxies_are_in_frame_pixels_of_the_scene() {
     let simulator = built::<f64>((60, 45), options).unwrap();
     // Pixel (3, 1) of the frame has its centre at pixel (10, 4) of the scene, counted from the
     // frame's first pixel.
-    assert_eq!(simulator.geometry.sampled_pixel((3, 1)), (10, 4));
+    assert_eq!(simulator.setup.geometry.sampled_pixel((3, 1)), (10, 4));
     let stars = Scene::dark().with_stars(vec![star(5.0, 2.0, 7.0)]);
     let image = simulator.simulate(&stars).unwrap();
     let mut expected = Array2::zeros((8, 10));
@@ -104,21 +104,43 @@ fn stars_and_galaxies_are_in_frame_pixels_of_the_scene() {
 }
 
 #[test]
+fn a_profile_of_the_callers_own_is_drawn_and_checked_as_a_galaxy() {
+    let simulator: Simulator<f64> = psfex(2.0, 1.4).simulator((90, 60)).build().unwrap();
+    let galaxies = [galaxy(20.3, 31.8, 2.5), galaxy(40.1, 60.7, 1.2)];
+    let own = galaxies.map(|galaxy| ProfileSource {
+        point: PointSource::new(galaxy.position(), galaxy.flux()).unwrap(),
+        light: Arc::new(sersic::SersicLight::new(&galaxy)),
+    });
+    let own = Scene::dark().with_profiles(own.to_vec());
+    let image = simulator.simulate(&own).unwrap();
+    let expected = simulator
+        .simulate(&Scene::dark().with_galaxies(&galaxies[..]))
+        .unwrap();
+    assert_eq!(image.pixels(), expected.pixels());
+    let check = simulator.spot_check(&own, &image, (100, 1), &NoProgress).unwrap();
+    assert_eq!((check.passed, check.sources), (Some(true), 2));
+    assert!(
+        !simulator
+            .warnings(&own)
+            .iter()
+            .any(|w| matches!(w, SimulationWarning::NoSourceInFrame { .. }))
+    );
+}
+
+#[test]
 fn the_light_of_a_region_is_a_part_of_the_image() {
     let options = SimulateOptions {
         region: Some(PixelRegion::new(7, 2, shape(5, 6))),
         ..SimulateOptions::default()
     };
     let simulator = built::<f64>((20, 15), options).unwrap();
-    let image = Image::new(ramp(20, 15)).unwrap();
-    let (whole, first) = simulator
-        .light(&image.view(), &NoProgress)
-        .map(|(l, f)| (l.pixels().to_owned(), f))
-        .unwrap();
-    assert_eq!((whole, first), (ramp(20, 15), (0, 0)));
+    let whole = Scene::new(ramp(20, 15)).unwrap();
+    let light = simulator.lights(&whole, &NoProgress).unwrap();
+    assert_eq!((light[0].0.pixels(), light[0].1), (ramp(20, 15).view(), (0, 0)));
     let part = simulator.light_region(&NoProgress).unwrap();
     let light = Image::new(Array2::zeros((part.shape().ny(), part.shape().nx()))).unwrap();
-    let (_, first) = simulator.light(&light.view(), &NoProgress).unwrap();
+    let at_hand = Scene::from(light);
+    let (_, first) = simulator.lights(&at_hand, &NoProgress).unwrap().remove(0);
     assert_eq!(first, (part.x0() as usize, part.y0() as usize));
 }
 
@@ -193,7 +215,7 @@ fn sizes_are_checked_before_memory_is_taken() {
     let with_a_star = |nx: usize, ny: usize, s: usize| {
         let simulator = built::<f32>((nx.saturating_mul(s), ny.saturating_mul(s)), finer(s))?;
         let scene = Scene::dark().with_stars(vec![star(1.0, 1.0, 1.0)]);
-        simulator.check_sources(&scene, false)?;
+        simulator.check_scene(&scene)?;
         Ok::<_, PsfieldError>((simulator, scene))
     };
     let side = 1 << 15;
@@ -301,7 +323,7 @@ fn psfex(sampling: f64, sigma_px: f64) -> Psf {
         [0.2, 0.02, -0.01][term] * (-0.5 * r2 / (sigma * sigma)).exp()
     });
     let model = psf_io::PsfexModel::new(planes, sampling, Some(polynomial)).unwrap();
-    crate::record_of_psfex(&model).unwrap().into()
+    crate::psf::record_of_psfex(&model).unwrap().into()
 }
 
 #[test]
@@ -318,7 +340,7 @@ fn frames_beyond_the_polynomials_of_the_psf_are_warned_of() {
         (60, 90, [33.0 / 53.0, 3.0 / 83.0]),
         (100, 60, [3.0 / 53.0, 13.0 / 83.0]),
     ] {
-        let [SimulationWarning::BeyondPolynomial(crate::Extrapolation { beyond, used, .. })] =
+        let [SimulationWarning::BeyondPolynomial(crate::psf::Extrapolation { beyond, used, .. })] =
             &warnings(&psf, ny, nx)[..]
         else {
             panic!("{ny} x {nx}: no warning");
@@ -355,7 +377,7 @@ fn a_plan_beyond_its_memory_is_said_to_be_slow() {
         let builder = psfex(2.0, 1.0).simulator((90, 60)).options(options);
         let simulator: Simulator<f64> = builder.build().unwrap();
         let scene = Scene::new(Array2::from_elem((90, 60), 1.0)).unwrap();
-        simulator.prepare(&scene, false, &NoProgress).unwrap();
+        simulator.prepare(&scene, &NoProgress).unwrap();
         simulator.warnings(&scene)
     };
     let [
@@ -418,9 +440,9 @@ fn varying_halo(rank: psf_basis::RankSelection) -> Psf {
         .collect();
     let positions = SamplePositions::new(positions, None).unwrap();
     let samples = PsfSamples::new(stamps, positions, StampGrid::new(SIDE, SIDE).unwrap()).unwrap();
-    let options = crate::FitOptions {
+    let options = crate::fit::FitOptions {
         rank,
-        ..crate::FitOptions::default()
+        ..crate::fit::FitOptions::default()
     };
     Psf::new(samples, options)
 }
@@ -435,7 +457,7 @@ fn a_model_that_does_not_keep_the_flux_in_circles_is_warned_of() {
             .tolerance_on(tolerance_on);
         let simulator: Simulator<f64> = builder.device(Device::Cpu).build().unwrap();
         let scene = Scene::dark().with_stars(vec![star(7.0, 4.0, 1.0)]);
-        simulator.prepare(&scene, false, &NoProgress).unwrap();
+        simulator.prepare(&scene, &NoProgress).unwrap();
         simulator.warnings(&scene)
     };
     let narrow = varying_halo(RankSelection::Fixed(1));
@@ -495,9 +517,9 @@ fn preparation_counts_the_seconds_of_this_call() {
     let scene = Scene::new(ramp(40, 30))
         .unwrap()
         .with_stars(vec![star(5.0, 2.0, 7.0)]);
-    let first = simulator.prepare(&scene, false, &NoProgress).unwrap();
+    let first = simulator.prepare(&scene, &NoProgress).unwrap();
     assert!(first.plan_seconds > 0.0);
-    let second = simulator.prepare(&scene, false, &NoProgress).unwrap();
+    let second = simulator.prepare(&scene, &NoProgress).unwrap();
     assert_eq!((second.fit_seconds, second.plan_seconds), (0.0, 0.0));
 }
 
@@ -550,7 +572,7 @@ fn the_spot_check_fails_wrong_images() {
     // The error of a source: its own image, scaled to an L2 norm.
     let wrong = |image: &Array2<f64>, alone: Scene<'_, f64>, flux: f64, position| {
         let own = simulator.simulate(&alone).unwrap().into_pixels();
-        let norm = simulator.sources().unwrap().galaxies.psf_norm(position).unwrap();
+        let norm = simulator.sources(0).unwrap().psf_norm(position).unwrap();
         let size = own.mapv(|v| v * v).sum().sqrt();
         image + &(own * (10.0 * TOLERANCE * flux * norm / size))
     };
@@ -574,20 +596,18 @@ fn the_spot_check_fails_wrong_images() {
         "{check:?}"
     );
 
-    let mut picker = simulator.picker(scene, false, (PIXELS, 7));
-    image
-        .outer_iter()
-        .for_each(|row| picker.pass(row.iter().copied()));
+    let mut picker = simulator.picker(scene, (PIXELS, 7));
+    picker.pass_rows(image.view());
     let brightest = picker
         .finish()
         .0
         .into_iter()
         .max_by(|a, b| a.value.total_cmp(&b.value))
         .unwrap();
-    let mut allowed = simulator.promised(false, 1).unwrap();
+    let mut allowed = simulator.promised(&Scene::dark(), 1).unwrap();
     let place = [(brightest.column, brightest.row)];
     simulator
-        .add_errors_of_sources(scene, &place, &mut allowed)
+        .add_errors_of_sources((0, &scene.layers()[0]), &place, &mut allowed)
         .unwrap();
     let mut pixels = image;
     pixels[[brightest.row, brightest.column]] += 10.0 * allowed[0].sum;
@@ -674,7 +694,7 @@ fn light_integrated_over_scene_pixels_is_convolved_with_the_pixel_once() {
                 .unwrap();
             assert_eq!(check.passed, Some(true));
             let (of_image, random) = (image.pixels().mapv(|v| v * v).sum(), image.view());
-            let adjoint = simulator.adjoint(&random, &NoProgress).unwrap();
+            let adjoint = simulator.adjoint(&random, &NoProgress).unwrap().remove(0);
             let of_scene = (&adjoint.pixels() * &light).sum();
             assert!(
                 (of_image - of_scene).abs() < 1e-12 * of_image,
@@ -778,7 +798,7 @@ fn a_simulator_for_another_psf_keeps_the_tolerance() {
     let scene = Scene::new(ramp(60, 90)).unwrap();
     let image = |simulator: &Simulator<f64>| simulator.simulate(&scene).unwrap().into_pixels();
     let first = of(psfex(1.0, 1.4));
-    let kept = first.for_other_field(psfex(1.0, 2.0), &NoProgress).unwrap();
+    let kept = first.with_psf(psfex(1.0, 2.0), &NoProgress).unwrap();
     let (kept, new, old) = (image(&kept), image(&of(psfex(1.0, 2.0))), image(&first));
     let largest = |a: &Array2<f64>, b: &Array2<f64>| (a - b).fold(0.0, |m: f64, d| m.max(d.abs()));
     let peak = new.fold(0.0, |m: f64, v| m.max(v.abs()));

@@ -6,11 +6,12 @@ use std::fmt;
 use conv_core::ConvReal;
 use psf_types::{PointSource, Position, ToleranceOn};
 
+use super::Simulator;
 use super::stamp_sampling::SamplingErrors;
-use super::{Convolver, Simulator};
 use crate::device::Placement;
-use crate::psf::get_or_make;
-use crate::{Extrapolation, PsfieldError, Scene};
+use crate::error::PsfieldError;
+use crate::psf::{Extrapolation, get_or_make};
+use crate::scene::Scene;
 
 /// The largest error of a star's total flux by the interpolation of stamps that is not warned of: the
 /// default tolerance, which bounds the flux in every circle.
@@ -30,29 +31,25 @@ const ON_PIXEL: f64 = 1e-9;
 const HALF_LIGHT_RADII: f64 = 100.0;
 
 impl<T: ConvReal> Simulator<T> {
-    /// Returns a warning if the image of scenes like `scene` is convolved with
+    /// Returns a warning if the images of scenes like `scene` are convolved with
     /// stamps that are interpolated between their own pixels. There is no warning for scenes finer
-    /// than the frame. `rows` has the meaning that it has in [`prepare`](Self::prepare).
+    /// than the frame.
     ///
     /// # Errors
     /// No error occurs. The type allows the error of
     /// [`native_is_exact`](crate::Psf::native_is_exact) for a stamp size of 0, which the builder
     /// refuses.
-    pub fn psf_warning(
-        &self,
-        scene: &Scene<'_, T>,
-        rows: bool,
-    ) -> Result<Option<SimulationWarning>, PsfieldError> {
-        let (options, sources_alone) = (&self.options, !rows && scene.image().is_none());
+    pub fn psf_warning(&self, scene: &Scene<'_, T>) -> Result<Option<SimulationWarning>, PsfieldError> {
+        let options = self.options();
         let picked =
-            sources_alone || options.oversample > 1 || self.psf().native_is_exact(options.stamp_size)?;
+            !scene.has_image() || options.oversample > 1 || self.psf().native_is_exact(options.stamp_size)?;
         Ok((!picked).then_some(SimulationWarning::InterpolatedStamps))
     }
 
     /// Measures the errors of stars by the interpolation of stamps, in the middle and the corners of the
-    /// frame. Zero if the PSF is not known there.
+    /// frame: the largest of all layers. Zero if the PSF is not known there.
     fn sampling_errors(&self) -> SamplingErrors {
-        let shape = self.geometry.frame.shape();
+        let shape = self.frame().shape();
         let (last_x, last_y) = (shape.nx() as i64 - 1, shape.ny() as i64 - 1);
         let pixels = [
             (last_x / 2, last_y / 2),
@@ -62,16 +59,17 @@ impl<T: ConvReal> Simulator<T> {
             (last_x, last_y),
         ];
         let positions = pixels.map(|(x, y)| Position::of_pixel(x, y));
-        let of_model = |model| SamplingErrors::of_model(model, &positions).ok();
-        let measured = self.sources().ok().and_then(|sources| of_model(&sources.model));
-        measured.unwrap_or_default()
+        let layers = 0..self.layer_count();
+        let models = layers.filter_map(|layer| Some(self.sources(layer).ok()?.model()));
+        let measured = models.filter_map(|model| SamplingErrors::of_model(model, &positions).ok());
+        measured.fold(SamplingErrors::default(), SamplingErrors::max)
     }
 
     /// Returns a warning if the components that the model leaves out change the flux in circles by more
     /// than the tolerance allows.
     fn circle_warning(&self) -> Option<SimulationWarning> {
-        let (on, tolerance) = (self.options.tolerance_on, self.options.tolerance);
-        let bounded = on == ToleranceOn::Aperture && self.options.method.has_plan() && tolerance > 0.0;
+        let (on, tolerance) = (self.options().tolerance_on, self.options().tolerance);
+        let bounded = on == ToleranceOn::Aperture && self.options().method.has_plan() && tolerance > 0.0;
         let error = self.psf().record_if_fitted()?.circle_error()?;
         let warning = SimulationWarning::FluxInCircles { error, tolerance };
         (bounded && error > tolerance).then_some(warning)
@@ -80,26 +78,32 @@ impl<T: ConvReal> Simulator<T> {
     /// Returns warnings about a scene's stars and galaxies, about the PSF at them, and about the plan if
     /// it is made.
     pub fn warnings(&self, scene: &Scene<'_, T>) -> Vec<SimulationWarning> {
-        let shape = self.geometry.frame.shape();
+        let shape = self.frame().shape();
         let last = Position::of_pixel(shape.nx() as i64 - 1, shape.ny() as i64 - 1);
         let extrapolation = self.psf().extrapolation(&[Position::of_pixel(0, 0), last]);
         let beyond = extrapolation.map(SimulationWarning::BeyondPolynomial);
         let mut warnings: Vec<_> = beyond.into_iter().collect();
         let grid = self.psf().grid();
         let stamp = grid.nx().max(grid.ny()) as f64 / grid.oversampling();
-        let stars = scene.stars().iter().map(|star| (star.position(), stamp));
-        let galaxies = scene.galaxies().iter().map(|galaxy| {
+        let stars = scene.stars().map(|star| (star.position(), stamp));
+        let galaxies = scene.galaxies().map(|galaxy| {
             let radius = galaxy.profile().half_light_radius_px();
             (galaxy.position(), stamp + HALF_LIGHT_RADII * radius)
         });
-        let sources = scene.stars().len() + scene.galaxies().len();
-        let mut reaching = stars.chain(galaxies);
-        if sources > 0 && !reaching.any(|(position, reach)| self.geometry.is_near_frame(position, reach)) {
+        // The light of other profiles may reach far.
+        let profiles = scene
+            .profiles()
+            .map(|source| (source.point.position(), f64::INFINITY));
+        let sources = scene.points().count();
+        let mut reaching = stars.chain(galaxies).chain(profiles);
+        if sources > 0
+            && !reaching.any(|(position, reach)| self.setup.geometry.is_near_frame(position, reach))
+        {
             warnings.push(SimulationWarning::NoSourceInFrame { count: sources });
         }
         let off = |v: f64| (v - v.round()).abs() > ON_PIXEL;
         let between = |star: &PointSource| off(star.position().x()) || off(star.position().y());
-        let interpolated = scene.stars().iter().any(between) || !scene.galaxies().is_empty();
+        let interpolated = scene.stars().any(between) || sources > scene.stars().count();
         if interpolated {
             // Computed once, because every simulated scene asks for warnings.
             let errors = || Ok::<_, Infallible>(self.sampling_errors());
@@ -111,11 +115,12 @@ impl<T: ConvReal> Simulator<T> {
         warnings.extend(self.circle_warning());
         let of_fit = self.psf().fit_warnings().iter().cloned();
         warnings.extend(of_fit.map(SimulationWarning::Fit));
-        let on_cpu = |convolver: &&Convolver<T>| matches!(convolver.placement, Placement::Cpu { .. });
-        let convolver = self.convolver.get().filter(on_cpu);
-        let engine = convolver.and_then(|convolver| convolver.engine.as_ref());
-        let plan = engine.map(|engine| engine.plan().summary());
-        warnings.extend(plan.and_then(|plan| {
+        let kept = self.kept_convolvers();
+        let on_cpu = kept
+            .iter()
+            .filter(|(_, convolver)| matches!(convolver.placement, Placement::Cpu { .. }));
+        let plans = on_cpu.filter_map(|(_, convolver)| Some(convolver.engine.as_ref()?.plan().summary()));
+        warnings.extend(plans.filter_map(|plan| {
             let made_anew = plan.made_anew.0.max(plan.made_anew.1);
             (made_anew > 0).then_some(SimulationWarning::MadeAnew {
                 made_anew,

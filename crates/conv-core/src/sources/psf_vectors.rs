@@ -1,4 +1,4 @@
-//! The PSFs of single stars and galaxies, as vectors.
+//! The PSFs of single sources, as vectors.
 
 use ndarray::Array1;
 use psf_types::{FieldError, Position, PsfModel};
@@ -6,10 +6,10 @@ use psf_types::{FieldError, Position, PsfModel};
 use crate::plan::local_modes::LocalModes;
 use crate::plan::psf_space::PsfSpace;
 
-/// Computes the vectors of stars' PSFs in [`PsfSpace`], one star at a time. All stars use the same
+/// Computes the vectors of sources' PSFs in [`PsfSpace`], one source at a time. All sources use the same
 /// memory.
 #[derive(Debug)]
-pub(crate) struct StarVectors<'a> {
+pub(crate) struct PsfVectors<'a> {
     model: &'a PsfModel,
     space: &'a PsfSpace,
     coefficients: Vec<f64>,
@@ -17,7 +17,7 @@ pub(crate) struct StarVectors<'a> {
     flux: f64,
 }
 
-impl<'a> StarVectors<'a> {
+impl<'a> PsfVectors<'a> {
     /// The model has the stamps of the space.
     pub(crate) fn new(model: &'a PsfModel, space: &'a PsfSpace) -> Self {
         Self {

@@ -1,9 +1,9 @@
-//! Plans for galaxies.
+//! Draws the extended sources of a catalogue, such as galaxies.
 
 use std::sync::{Arc, OnceLock};
 
 use ndarray::{Array1, ArrayViewMut2, Axis, s};
-use psf_types::{Anchor, LightProfile, PixelRegion, Position, Progress, PsfModel, SersicSource};
+use psf_types::{Anchor, LightProfile, PixelRegion, PointSource, Position, Progress};
 use rayon::prelude::*;
 
 use super::extent::{Extent, truncate};
@@ -15,41 +15,23 @@ use crate::image_memory::{check_shape, with_rows_in_memory};
 use crate::kept::Kept;
 use crate::overlap::{self, Piece, add_pieces, shared};
 use crate::plan::local_modes::LocalModes;
-use crate::plan::psf_space::PsfSpace;
-use crate::plan::{PlanOptions, check_layers, share_stamps};
-use crate::stars::{BlockKey, StarVectors, block_of, check_stamps, region_of};
+use crate::sources::{BlockKey, SourcePsfs, block_of, region_of};
 use crate::{ConvError, ConvReal};
 
-/// A galaxy's light, made when it is drawn.
-pub(super) type Light = Box<dyn LightProfile + Send + Sync>;
+/// The light of an extended source, made when it is drawn.
+pub type Light = Arc<dyn LightProfile + Send + Sync>;
 
-/// A plan for drawing galaxies through one model. A galaxy is a function on the sky, convolved with
-/// the PSF of its own position. With [`Anchor::Output`] it is convolved with the PSF of each pixel,
-/// but for its outskirts.
-///
-/// If the plan is source-anchored, the PSFs come from local bases of blocks of the field, and the
-/// relative L2 error of a galaxy's PSF is at most the tolerance. Every galaxy is tested, and a
-/// galaxy that would exceed the tolerance is drawn with the PSF of all components. Beside that
-/// error, a pixel of a galaxy has an error of at most about the tolerance times the galaxy's peak, and
-/// usually of a third of that. Below a tolerance of 1e-6 it does not shrink further, because light is
-/// computed in single precision.
-///
-/// The image is the same, bit by bit, for any number of threads.
+/// Draws galaxies from local bases, and those beyond the tolerance from all components.
 #[derive(Debug)]
-pub struct GalaxyPlan<T> {
-    pub(super) model: PsfModel,
+pub(crate) struct GalaxyDrawer<T> {
+    pub(super) psfs: SourcePsfs,
     pub(super) shared: Arc<Shared<T>>,
 }
 
-/// The parts of a plan that do not depend on the coefficient field.
+/// The parts of a drawer that do not depend on the coefficient field.
 #[derive(Debug)]
 pub(super) struct Shared<T> {
-    /// The models whose PSFs the local bases represent.
-    models: Vec<PsfModel>,
-    pub(super) options: PlanOptions,
-    pub(super) size: Option<usize>,
     /// Made when the first galaxy is drawn.
-    space: OnceLock<PsfSpace>,
     stamps: Arc<OnceLock<Stamps>>,
     pub(super) tolerance: f64,
     pub(super) extent: Extent,
@@ -101,147 +83,104 @@ struct Placed {
 /// A galaxy's window: first column and row, and its side.
 pub(super) type Window = (i64, i64, usize);
 
-/// Galaxies with positions in pixels of a scene, and the frame, which is a region of the scene.
+/// Extended sources: the positions and fluxes of all, and the light of each by its index, for a flux of 1.
 #[derive(Clone, Copy)]
-pub(super) struct Catalogue<'a> {
-    pub(super) galaxies: &'a [SersicSource],
-    pub(super) light: &'a (dyn Fn(&SersicSource) -> Light + Sync),
-    pub(super) frame: PixelRegion,
-    pub(super) progress: &'a dyn Progress,
+pub struct ExtendedSources<'a> {
+    /// Positions and fluxes. Positions are in pixels of the scene.
+    pub points: &'a [PointSource],
+    /// Returns the light of the source with an index.
+    pub light: &'a (dyn Fn(usize) -> Light + Sync),
+}
+
+impl std::fmt::Debug for ExtendedSources<'_> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let points = &self.points;
+        f.debug_struct("ExtendedSources")
+            .field("points", points)
+            .finish_non_exhaustive()
+    }
+}
+
+/// Extended sources, and the frame, which is a region of the scene.
+#[derive(Clone, Copy)]
+pub(crate) struct Catalogue<'a> {
+    pub(crate) sources: ExtendedSources<'a>,
+    pub(crate) frame: PixelRegion,
+    pub(crate) progress: &'a dyn Progress,
 }
 
 impl Catalogue<'_> {
     /// A galaxy's position in pixels of the frame.
     pub(super) fn position(&self, index: usize) -> (f64, f64) {
-        let at = self.galaxies[index].position();
+        let at = self.sources.points[index].position();
         (at.x() - self.frame.x0() as f64, at.y() - self.frame.y0() as f64)
+    }
+
+    pub(super) fn flux(&self, index: usize) -> f64 {
+        self.sources.points[index].flux()
+    }
+
+    pub(super) fn light(&self, index: usize) -> Light {
+        (self.sources.light)(index)
     }
 }
 
-impl<T: ConvReal> GalaxyPlan<T> {
-    /// Plans the drawing of galaxies with the PSFs of a model. If `size` is given, stamps are
-    /// truncated to `size` frame pixels along each side.
-    ///
-    /// # Errors
-    /// [`ConvError::PixelResponse`] if the stamps do not include the pixel response,
-    /// [`ConvError::StampSize`] if `size` is 0.
-    pub fn new(model: &PsfModel, options: PlanOptions, size: Option<usize>) -> Result<Self, ConvError> {
-        Self::of_layers(std::slice::from_ref(model), options, size)
+impl<T: ConvReal> GalaxyDrawer<T> {
+    pub(crate) fn new(psfs: &SourcePsfs) -> Self {
+        let extent = Extent::new(&psfs.model, psfs.size(), psfs.options().tolerance_in::<T>());
+        Self::on_stamps(psfs, extent, Arc::default())
     }
 
-    /// Plans the drawing of galaxies with the PSFs of several models that share their stamps, as
-    /// [`StarPlan::of_layers`](crate::StarPlan::of_layers) does for stars.
-    ///
-    /// # Errors
-    /// As for [`new`](Self::new), and [`ConvError::Layers`] without models, or if their stamps or their
-    /// scaling to unit flux differ.
-    #[inline(never)]
-    pub fn of_layers(
-        models: &[PsfModel],
-        options: PlanOptions,
-        size: Option<usize>,
-    ) -> Result<Self, ConvError> {
-        check_layers(models)?;
-        check_stamps(models[0].grid(), size)?;
-        let extent = Extent::new(&models[0], size, options.tolerance_in::<T>());
-        Ok(Self::on_stamps(models, (options, size), (extent, Arc::default())))
-    }
-
-    /// A plan on stamps, with local bases of its own.
-    fn on_stamps(
-        models: &[PsfModel],
-        (options, size): (PlanOptions, Option<usize>),
-        (extent, stamps): (Extent, Arc<OnceLock<Stamps>>),
-    ) -> Self {
+    /// A drawer on stamps, with local bases of its own.
+    fn on_stamps(psfs: &SourcePsfs, extent: Extent, stamps: Arc<OnceLock<Stamps>>) -> Self {
+        let options = psfs.options();
         let shared = Shared {
-            size,
-            space: OnceLock::new(),
             stamps,
             tolerance: options.tolerance_in::<T>(),
             extent,
             blocks: Kept::new(usize::MAX),
             spectra: Kept::new(options.memory_bytes()),
-            models: models.to_vec(),
-            options,
         };
         Self {
-            model: models[0].clone(),
+            psfs: psfs.clone(),
             shared: Arc::new(shared),
         }
     }
 
-    /// Returns a plan that draws galaxies with the PSFs of another model, as
-    /// [`StarPlan::for_other_field`](crate::StarPlan::for_other_field) does for stars.
-    pub fn for_other_field(&self, model: &PsfModel) -> Option<Self> {
-        share_stamps(&self.model, model).then(|| Self {
-            model: model.clone(),
+    /// A drawer with the same local bases, for PSFs that share them.
+    pub(crate) fn with_same_bases(&self, psfs: &SourcePsfs) -> Self {
+        Self {
+            psfs: psfs.clone(),
             shared: Arc::clone(&self.shared),
-        })
+        }
     }
 
-    /// Returns a plan for other models with local bases of its own, as
-    /// [`StarPlan::for_other_layers`](crate::StarPlan::for_other_layers) does for stars.
-    pub fn for_other_layers(&self, models: &[PsfModel]) -> Option<Self> {
-        let is_possible = check_layers(models).is_ok() && share_stamps(&self.model, &models[0]);
-        is_possible.then(|| {
-            let Shared {
-                options,
-                size,
-                extent,
-                ref stamps,
-                ..
-            } = *self.shared;
-            Self::on_stamps(models, (options, size), (extent, Arc::clone(stamps)))
-        })
-    }
-
-    pub(super) fn space(&self) -> &PsfSpace {
-        let shared = &self.shared;
-        let make = || PsfSpace::new(&shared.models, shared.options.tolerance_on());
-        shared.space.get_or_init(make)
+    /// A drawer with local bases of its own, for other models with these stamps.
+    pub(crate) fn with_own_bases(&self, psfs: &SourcePsfs) -> Self {
+        Self::on_stamps(psfs, self.shared.extent, Arc::clone(&self.shared.stamps))
     }
 
     pub(super) fn stamps(&self) -> &Stamps {
         self.shared.stamps.get_or_init(|| {
-            let (grid, mut stamps) = (self.model.grid(), self.space().stamps());
-            if let Some(size) = self.shared.size {
+            let psfs = &self.psfs;
+            let (grid, mut stamps) = (psfs.model.grid(), psfs.space().stamps());
+            if let Some(size) = psfs.size() {
                 stamps
                     .outer_iter_mut()
                     .for_each(|stamp| truncate(stamp, grid, size));
             }
-            Stamps::new(stamps, grid, self.shared.options.memory_bytes() / PARTS_OF_MEMORY)
+            Stamps::new(stamps, grid, psfs.options().memory_bytes() / PARTS_OF_MEMORY)
         })
     }
 
-    /// Adds galaxies to a part of an image. `image` holds the pixels `[y, x]` of `region`, which is
-    /// in pixels of the frame. `light` returns the light of a galaxy, for a flux of 1.
-    ///
-    /// Galaxies are given in pixels of the scene, and `frame` is a region of the scene. Galaxies
-    /// outside the frame contribute light as far as they reach. The light of a pixel does not
-    /// depend on the region. `progress` is polled and may cancel the work. No steps are reported to
-    /// it.
-    ///
-    /// # Errors
-    /// [`ConvError::FrameShape`] for an image of another shape than the region,
-    /// [`ConvError::Cancelled`], and [`ConvError`] if the PSF has no value at a galaxy that reaches
-    /// the region. After an error the image may hold some of the galaxies.
-    #[inline(never)]
-    pub fn draw_into(
+    /// Adds galaxies to a part of an image.
+    pub(crate) fn draw_into(
         &self,
-        galaxies: &[SersicSource],
-        light: &(dyn Fn(&SersicSource) -> Light + Sync),
-        frame: PixelRegion,
+        catalogue: Catalogue<'_>,
         region: PixelRegion,
         image: ArrayViewMut2<'_, T>,
-        progress: &dyn Progress,
     ) -> Result<(), ConvError> {
         check_shape(region.shape(), image.dim())?;
-        let catalogue = Catalogue {
-            galaxies,
-            light,
-            frame,
-            progress,
-        };
         with_rows_in_memory(image, |image| self.draw_catalogue(catalogue, region, image))
     }
 
@@ -251,20 +190,18 @@ impl<T: ConvReal> GalaxyPlan<T> {
         region: PixelRegion,
         mut image: ArrayViewMut2<'_, T>,
     ) -> Result<(), ConvError> {
-        let mut placed: Vec<Placed> = (0..catalogue.galaxies.len())
+        let mut placed: Vec<Placed> = (0..catalogue.sources.points.len())
             .into_par_iter()
             .map(|index| -> Result<_, ConvError> {
                 catalogue.progress.check_cancelled()?;
-                let galaxy = &catalogue.galaxies[index];
-                let light = (catalogue.light)(galaxy);
+                let (flux, light) = (catalogue.flux(index), catalogue.light(index));
                 let (x, y) = catalogue.position(index);
                 let (side, reach) = self.shared.extent.side_and_reach(light.as_ref());
-                if galaxy.flux() == 0.0 || !is_near((x, y), self.shared.extent.farthest(side, reach), region)
-                {
+                if flux == 0.0 || !is_near((x, y), self.shared.extent.farthest(side, reach), region) {
                     return Ok(None);
                 }
                 let block = block_of((x.round() as i64, y.round() as i64), BLOCK);
-                let outline = match self.shared.options.anchor() {
+                let outline = match self.psfs.options().anchor() {
                     Anchor::Output => Outline::default(),
                     _ => self.block(block).kernels.power.outline(light.as_ref()),
                 };
@@ -313,19 +250,19 @@ impl<T: ConvReal> GalaxyPlan<T> {
     ) -> Result<(Vec<Piece<T>>, Vec<FarLight>), ConvError> {
         let key = group[0].key;
         let (side, ..) = key;
-        let local = (self.shared.options.anchor() != Anchor::Output).then(|| self.local(key));
+        let local = (self.psfs.options().anchor() != Anchor::Output).then(|| self.local(key));
         let (mut pieces, mut far) = (Vec::new(), Vec::new());
         let mut drawer = WindowDrawer::new(side);
         let weights = BlockWeights::<T>::new(side);
         for placed in group {
             catalogue.progress.check_cancelled()?;
-            let galaxy = &catalogue.galaxies[placed.index];
+            let flux = catalogue.flux(placed.index);
             let (x, y) = catalogue.position(placed.index);
             let position = Position::new(x, y).map_err(ConvError::Result)?;
             let window = window_at((x, y), side);
             let centre = (x - window.0 as f64, y - window.1 as f64);
-            let psf = self.psf(local.as_ref(), position, galaxy.flux())?;
-            let light = (catalogue.light)(galaxy);
+            let psf = self.psf(local.as_ref(), position, flux)?;
+            let light = catalogue.light(placed.index);
             let on_region = shared(overlap::region(window.0, window.1, (side, side)), region);
             let mut drawn = None;
             if let Some([_, (rows, _)]) = &on_region {
@@ -342,7 +279,7 @@ impl<T: ConvReal> GalaxyPlan<T> {
                     }
                     Psf::Exact(psf) => {
                         let (light, frame) = (light.as_ref(), catalogue.frame.shape());
-                        let all = self.exact_window(psf, galaxy.flux(), light, window, centre, frame)?;
+                        let all = self.exact_window(psf, flux, light, window, centre, frame)?;
                         all.slice(s![rows.clone(), ..]).mapv(T::nearest)
                     }
                 });
@@ -394,7 +331,7 @@ impl<T: ConvReal> GalaxyPlan<T> {
         position: Position,
         flux: f64,
     ) -> Result<Psf<'a, T>, ConvError> {
-        let mut vectors = StarVectors::new(&self.model, self.space());
+        let mut vectors = self.psfs.vectors();
         let scale = vectors.set(position)? * flux;
         if let Some(local) = local {
             let all = vectors.psf.clone();
@@ -414,9 +351,9 @@ impl<T: ConvReal> GalaxyPlan<T> {
 
     fn block(&self, key: BlockKey) -> Arc<Block> {
         let make = || {
-            let region = region_of(key, BLOCK);
-            let cells = self.space().cells_for_sources(region, self.shared.tolerance);
-            let modes = LocalModes::of_exact_cells(self.space(), &cells, MARGIN * self.shared.tolerance);
+            let (region, space) = (region_of(key, BLOCK), self.psfs.space());
+            let cells = space.cells_for_sources(region, self.shared.tolerance);
+            let modes = LocalModes::of_exact_cells(space, &cells, MARGIN * self.shared.tolerance);
             // No rows if the PSF has no value in the block. Then each galaxy uses all components.
             let directions = modes.kernels();
             // The values at the corners of cells begin with the flux, also without a reference.
@@ -424,7 +361,7 @@ impl<T: ConvReal> GalaxyPlan<T> {
             let values = values.slice(s![.., values.ncols() - directions.nrows()..]);
             let largest = values.map_axis(Axis(0), |values| values.fold(0.0_f64, |m, v| m.max(v.abs())));
             let largest = largest.to_vec();
-            let typical = LocalModes::mean(self.space(), &cells);
+            let typical = LocalModes::mean(space, &cells);
             let kernels = Kernels::new(
                 self.stamps(),
                 directions,

@@ -1,0 +1,285 @@
+//! Plans for drawing stars and galaxies.
+
+use ndarray::ArrayViewMut2;
+use psf_types::{Anchor, PixelRegion, PointSource, Position, Progress, PsfModel};
+
+use crate::galaxies::{Catalogue as Extended, ExtendedSources, GalaxyDrawer, GalaxyErrors};
+use crate::plan::{PlanOptions, check_layers, share_stamps};
+use crate::sources::SourcePsfs;
+use crate::stars::{Catalogue as Stars, StarDrawer, StarPainter};
+use crate::{ConvError, ConvReal};
+
+/// A plan for drawing sources through one model: stars, which are points, and extended sources such as
+/// galaxies, which are functions on the sky ([`LightProfile`](psf_types::LightProfile)). A source is
+/// convolved with the PSF of its own position. With [`Anchor::Output`], each pixel has the PSF of the pixel,
+/// except in the outskirts of extended sources.
+///
+/// If the plan is source-anchored, PSFs come from local bases in the working precision `T`. Each block of the
+/// field has a local basis: the few PSFs that the tolerance requires. The relative L2 error of a source's PSF
+/// (for a star: on the pixels of the frame that it lights) is at most the tolerance. With
+/// [`ToleranceOn::Aperture`](psf_types::ToleranceOn::Aperture), so is the error of its flux in every
+/// circle. Every source is tested, stars at their own sub-pixel positions. A source that would exceed the
+/// tolerance is drawn from all components. This choice depends only on the source's position.
+///
+/// - **Stars.** If the stamps' oversampling is not a whole number, or the plan is output-anchored, all stars
+///   are drawn from all components in f64. Where stars are many, transforms draw them together, at their own
+///   sub-pixel positions. Very bright stars are drawn one by one even there, because the rounding noise of
+///   their transforms would hide faint stars. So the image is linear in the fluxes up to rounding.
+/// - **Extended sources.** Beside the error of the PSF, a pixel has an error of at most about the tolerance
+///   times the source's peak, and usually of a third of that. Below a tolerance of 1e-6 it does not shrink
+///   further, because light is computed in single precision.
+///
+/// The image is the same, bit by bit, for any number of threads. Another order of the catalogue changes only
+/// rounding. Blocks of the field are prepared when the first source falls on them. They are kept for the next
+/// catalogue, as far as the memory limit in the options allows.
+///
+/// ```
+/// use std::sync::Arc;
+///
+/// use conv_core::{PlanOptions, SourcePlan};
+/// use ndarray::{Array2, Array3};
+/// use psf_types::{
+///     CoefficientField, FieldError, FrameShape, NoProgress, Normalisation, PointSource, Position,
+///     PsfBasis, PsfModel, StampGrid,
+/// };
+///
+/// /// No component at all: the mean stamp everywhere.
+/// #[derive(Debug)]
+/// struct Constant;
+/// impl CoefficientField for Constant {
+///     fn component_count(&self) -> usize {
+///         0
+///     }
+///     fn evaluate_into(&self, _: Position, _: &mut [f64]) -> Result<(), FieldError> {
+///         Ok(())
+///     }
+/// }
+///
+/// let gauss = |d: f64| (-d * d / 18.0).exp();
+/// let stamp =
+///     Array2::from_shape_fn((41, 41), |(y, x)| gauss(y as f64 - 20.0) * gauss(x as f64 - 20.0));
+/// let grid = StampGrid::new(41, 41)?.with_oversampling(4.0)?;
+/// let basis = PsfBasis::new(Some(stamp), Array3::zeros((0, 41, 41)), grid)?;
+/// let model = PsfModel::new(&basis, Arc::new(Constant), Normalisation::Unit, None)?;
+///
+/// let frame = FrameShape::new(32, 32)?.region();
+/// let star = PointSource::new(Position::new(12.3, 20.75)?, 1000.0)?;
+/// let plan = SourcePlan::<f32>::new(&model, PlanOptions::default(), None)?;
+/// let mut image = Array2::zeros((32, 32));
+/// plan.draw_stars_into(&[star], frame, frame, image.view_mut(), &NoProgress)?;
+/// assert!((image.sum() - 1000.0).abs() < 0.1);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+#[derive(Debug)]
+pub struct SourcePlan<T> {
+    psfs: SourcePsfs,
+    stars: StarDrawer<T>,
+    galaxies: GalaxyDrawer<T>,
+}
+
+/// The tolerance for extended sources of an exact plan.
+const EXACT: f64 = 1e-7;
+
+impl<T: ConvReal> SourcePlan<T> {
+    /// Plans the drawing of sources with the PSFs of a model. If `size` is given, a star is drawn on
+    /// `size` columns and rows. The pixel that the star lies on has index `size / 2` in both.
+    /// Otherwise the star is drawn as far as its stamp reaches. Light beyond these pixels is lost. For
+    /// extended sources, stamps are truncated to `size` frame pixels along each side.
+    ///
+    /// # Errors
+    /// [`ConvError::PixelResponse`] if the stamps do not include the pixel response,
+    /// [`ConvError::StampSize`] if `size` is 0.
+    pub fn new(model: &PsfModel, options: PlanOptions, size: Option<usize>) -> Result<Self, ConvError> {
+        Self::of_layers(std::slice::from_ref(model), options, size)
+    }
+
+    /// Plans the drawing of sources with the PSFs of several models that share their stamps, such as
+    /// those of one PSF at several times. The plan draws with the PSFs of the first. The local
+    /// bases represent the PSFs of all models, so [`for_other_field`](Self::for_other_field) can use them
+    /// for each model, and for sums of them.
+    ///
+    /// # Errors
+    /// As for [`new`](Self::new), and [`ConvError::Layers`] without models, or if their stamps or their
+    /// scaling to unit flux differ.
+    #[inline(never)]
+    pub fn of_layers(
+        models: &[PsfModel],
+        options: PlanOptions,
+        size: Option<usize>,
+    ) -> Result<Self, ConvError> {
+        Self::made(SourcePsfs::new(models, options, size)?, false)
+    }
+
+    /// As [`of_layers`](Self::of_layers), for images without a tolerance: all stars are drawn from all
+    /// components in f64, and extended sources within a tolerance of 1e-7.
+    ///
+    /// # Errors
+    /// As for [`of_layers`](Self::of_layers).
+    pub fn exact(models: &[PsfModel], anchor: Anchor, size: Option<usize>) -> Result<Self, ConvError> {
+        let options = PlanOptions::new(EXACT)?.with_anchor(anchor);
+        Self::made(SourcePsfs::new(models, options, size)?, true)
+    }
+
+    fn made(psfs: SourcePsfs, exactly: bool) -> Result<Self, ConvError> {
+        Ok(Self {
+            stars: StarDrawer::new(&psfs, exactly)?,
+            galaxies: GalaxyDrawer::new(&psfs),
+            psfs,
+        })
+    }
+
+    /// Returns a plan that draws sources with the PSFs of another model. Both plans share their local
+    /// bases. Sources whose PSFs these do not represent within the tolerance are drawn from all components,
+    /// which is slow: see [`of_layers`](Self::of_layers). `None` if the model has other stamps or another
+    /// scaling to unit flux.
+    pub fn for_other_field(&self, model: &PsfModel) -> Option<Self> {
+        share_stamps(&self.psfs.model, model).then(|| {
+            let psfs = self.psfs.with_model(model);
+            Self {
+                stars: self.stars.with_same_bases(),
+                galaxies: self.galaxies.with_same_bases(&psfs),
+                psfs,
+            }
+        })
+    }
+
+    /// Returns a plan [of layers](Self::of_layers) for other models, with local bases of its own. It
+    /// shares the other parts of this plan, so this is fast. Among these parts is the distance beyond the
+    /// stamps up to which stars are drawn, which the edges of this plan's PSFs decide. `None` without
+    /// models, or if they have other stamps or another scaling to unit flux.
+    pub fn for_other_layers(&self, models: &[PsfModel]) -> Option<Self> {
+        let fits = check_layers(models).is_ok() && share_stamps(&self.psfs.model, &models[0]);
+        fits.then(|| {
+            let psfs = self.psfs.for_other_models(models);
+            Self {
+                stars: self.stars.with_own_bases(&psfs),
+                galaxies: self.galaxies.with_own_bases(&psfs),
+                psfs,
+            }
+        })
+    }
+
+    /// The model whose PSFs the sources have.
+    pub fn model(&self) -> &PsfModel {
+        &self.psfs.model
+    }
+
+    /// The number of columns and rows to which stars are truncated. `None` if they are not
+    /// truncated.
+    pub fn size(&self) -> Option<usize> {
+        self.psfs.size()
+    }
+
+    /// Draws single stars of a frame from all components.
+    pub fn painter(&self, frame: PixelRegion) -> StarPainter<'_> {
+        self.stars.painter(&self.psfs, frame)
+    }
+
+    /// Adds stars to a part of an image. `image` holds the pixels `[y, x]` of `region`, which is in
+    /// pixels of the frame.
+    ///
+    /// Stars are given in pixels of the scene, and `frame` is a region of the scene. Stars outside
+    /// the frame contribute light as far as their stamps reach. The light of a pixel does not
+    /// depend on the region. If the pixels of a row are not contiguous in memory, the image is
+    /// copied and written back.
+    ///
+    /// `progress` is polled and may cancel the work. No steps are reported to it.
+    ///
+    /// # Errors
+    /// [`ConvError::FrameShape`] for an image of another shape than the region,
+    /// [`ConvError::Cancelled`], and [`ConvError`] if a PSF that is needed has no value. A
+    /// source-anchored plan needs the PSF at every star that reaches the region. An output-anchored
+    /// plan needs the PSF at every frame pixel that such a star may light. After an error the image
+    /// may hold some of the stars.
+    #[inline(never)]
+    pub fn draw_stars_into(
+        &self,
+        stars: &[PointSource],
+        frame: PixelRegion,
+        region: PixelRegion,
+        image: ArrayViewMut2<'_, T>,
+        progress: &dyn Progress,
+    ) -> Result<(), ConvError> {
+        let catalogue = Stars {
+            stars,
+            frame,
+            progress,
+        };
+        self.stars.draw_into(&self.psfs, catalogue, region, image)
+    }
+
+    /// Adds extended sources to a part of an image, as [`draw_stars_into`](Self::draw_stars_into) adds stars.
+    ///
+    /// # Errors
+    /// [`ConvError::FrameShape`] for an image of another shape than the region,
+    /// [`ConvError::Cancelled`], and [`ConvError`] if the PSF has no value at a source that reaches
+    /// the region. After an error the image may hold some of the sources.
+    #[inline(never)]
+    pub fn draw_extended_into(
+        &self,
+        sources: ExtendedSources<'_>,
+        frame: PixelRegion,
+        region: PixelRegion,
+        image: ArrayViewMut2<'_, T>,
+        progress: &dyn Progress,
+    ) -> Result<(), ConvError> {
+        let catalogue = Extended {
+            sources,
+            frame,
+            progress,
+        };
+        self.galaxies.draw_into(catalogue, region, image)
+    }
+
+    /// Computes the light of extended sources in single pixels `(column, row)` of the frame, in f64, with the
+    /// PSFs of all components, by integration on the sky. The time grows with the number of pairs of a source
+    /// and a pixel: about a millisecond if the source's centre lies on the stamp around the pixel, and
+    /// microseconds if it is farther away. [`StarPainter::at_pixels`] does this for stars.
+    ///
+    /// # Errors
+    /// The errors of [`draw_extended_into`](Self::draw_extended_into), without those of an image.
+    pub fn extended_at_pixels(
+        &self,
+        sources: ExtendedSources<'_>,
+        frame: PixelRegion,
+        pixels: &[(usize, usize)],
+        progress: &dyn Progress,
+    ) -> Result<Vec<f64>, ConvError> {
+        let catalogue = Extended {
+            sources,
+            frame,
+            progress,
+        };
+        self.galaxies.at_pixels(catalogue, pixels)
+    }
+
+    /// The largest errors that extended sources may have in pixels `(column, row)` of the frame. For each
+    /// source and each pixel that it lights, gives the index of the pixel and the errors to `take`.
+    /// `rounding` is the relative rounding error of a PSF.
+    ///
+    /// # Errors
+    /// [`ConvError`] if the PSF has no value at a source that lights one of the pixels.
+    pub fn errors_of_extended(
+        &self,
+        sources: ExtendedSources<'_>,
+        (frame, pixels): (PixelRegion, &[(usize, usize)]),
+        rounding: f64,
+        take: impl FnMut(usize, GalaxyErrors),
+    ) -> Result<(), ConvError> {
+        let catalogue = Extended {
+            sources,
+            frame,
+            progress: &psf_types::NoProgress,
+        };
+        self.galaxies.errors_at_pixels(catalogue, pixels, rounding, take)
+    }
+
+    /// An upper limit of the L2 norm of the PSF of a source of flux 1 on the pixels of the frame,
+    /// for any sub-pixel position. Positions are in pixels of the frame.
+    ///
+    /// # Errors
+    /// [`ConvError`] if the PSF has no value at the position.
+    pub fn psf_norm(&self, position: Position) -> Result<f64, ConvError> {
+        Ok(self.psfs.norm_and_flux(position)?.0)
+    }
+}

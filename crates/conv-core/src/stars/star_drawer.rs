@@ -1,0 +1,103 @@
+//! Draws the stars of a catalogue.
+
+use std::sync::Arc;
+
+use ndarray::ArrayViewMut2;
+use psf_types::{Anchor, PixelRegion, PointSource};
+
+use super::draw_blocks::{BlockDrawer, Catalogue, DrawBlocks, Phased};
+use super::painter::{StarPainter, StarStamps};
+use super::phases::PhasedAxis;
+use crate::image_memory::{check_shape, with_rows_in_memory};
+use crate::sources::SourcePsfs;
+use crate::{ConvError, ConvReal};
+
+/// Draws stars from local bases, and those beyond the tolerance from all components.
+#[derive(Debug)]
+pub(crate) struct StarDrawer<T> {
+    stamps: Arc<StarStamps>,
+    /// `None` if all stars are drawn from all components.
+    phased: Option<Arc<Phased<T>>>,
+}
+
+impl<T: ConvReal> StarDrawer<T> {
+    /// Prepares the stamps. If `exactly`, all stars are drawn from all components.
+    pub(crate) fn new(psfs: &SourcePsfs, exactly: bool) -> Result<Self, ConvError> {
+        let anchor = psfs.options().anchor();
+        let stamps = StarStamps::new(psfs.models(), anchor, psfs.size())?;
+        let axes = PhasedAxis::both(psfs.model.grid(), stamps.kernel, stamps.window())
+            .filter(|_| anchor != Anchor::Output && !exactly);
+        let phased = axes
+            .map(|axes| Phased::new(psfs, axes, stamps.target))
+            .transpose()?;
+        Ok(Self {
+            phased: phased.map(Arc::new),
+            stamps: Arc::new(stamps),
+        })
+    }
+
+    /// A drawer with the same local bases, for PSFs that share them.
+    pub(crate) fn with_same_bases(&self) -> Self {
+        Self {
+            stamps: Arc::clone(&self.stamps),
+            phased: self.phased.clone(),
+        }
+    }
+
+    /// A drawer with local bases of its own, for other models with these stamps.
+    pub(crate) fn with_own_bases(&self, psfs: &SourcePsfs) -> Self {
+        let own = |phased: &Arc<Phased<T>>| Arc::new(phased.with_own_blocks(psfs.options()));
+        Self {
+            stamps: Arc::clone(&self.stamps),
+            phased: self.phased.as_ref().map(own),
+        }
+    }
+
+    /// Draws single stars of a frame from all components.
+    pub(crate) fn painter<'a>(&self, psfs: &'a SourcePsfs, frame: PixelRegion) -> StarPainter<'a> {
+        StarPainter {
+            model: &psfs.model,
+            frame,
+            stamps: Arc::clone(&self.stamps),
+        }
+    }
+
+    /// Adds stars to a part of an image.
+    pub(crate) fn draw_into(
+        &self,
+        psfs: &SourcePsfs,
+        catalogue: Catalogue<'_>,
+        region: PixelRegion,
+        image: ArrayViewMut2<'_, T>,
+    ) -> Result<(), ConvError> {
+        check_shape(region.shape(), image.dim())?;
+        with_rows_in_memory(image, |image| self.draw_catalogue(psfs, catalogue, region, image))
+    }
+
+    fn draw_catalogue(
+        &self,
+        psfs: &SourcePsfs,
+        catalogue: Catalogue<'_>,
+        region: PixelRegion,
+        mut image: ArrayViewMut2<'_, T>,
+    ) -> Result<(), ConvError> {
+        let painter = self.painter(psfs, catalogue.frame);
+        let Some(phased) = &self.phased else {
+            return painter.draw_into(catalogue.stars, region, image, catalogue.progress);
+        };
+        let drawer = BlockDrawer {
+            psfs,
+            phased,
+            catalogue,
+            window: self.stamps.window(),
+            region,
+        };
+        let mut missed = T::dispatch(DrawBlocks {
+            drawer,
+            image: image.view_mut(),
+        })?;
+        missed.sort_unstable();
+        let missed: Vec<PointSource> = missed.into_iter().map(|index| catalogue.stars[index]).collect();
+        painter.draw_into(&missed, region, image, catalogue.progress)
+    }
+}

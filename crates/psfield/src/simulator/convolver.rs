@@ -1,0 +1,154 @@
+//! Convolves the images of a scene's layers: the models, the plan, and the device that executes it.
+
+use std::sync::{Arc, PoisonError};
+use std::time::Instant;
+
+use conv_core::{ConvReal, Engine, Plan};
+use psf_types::{PixelRegion, Progress, PsfModel};
+
+use super::Simulator;
+use super::flux::check_flux;
+use super::setup::Setup;
+use crate::device::{CpuReason, Placement, place};
+use crate::error::PsfieldError;
+use crate::psf::Psf;
+use crate::psf::get_or_make;
+use crate::simulate_options::{Device, SimulateOptions};
+
+/// Convolves the images of some layers.
+#[derive(Debug)]
+pub(super) struct Convolver<T: ConvReal> {
+    /// None for a method without a plan.
+    pub(super) engine: Option<Engine<T>>,
+    pub(super) placement: Placement,
+    pub(super) seconds: f64,
+}
+
+/// The numbers of some layers, and the convolver of their images.
+pub(super) type OfLayers<T> = (Vec<usize>, Arc<Convolver<T>>);
+
+impl<T: ConvReal> Convolver<T> {
+    /// Places a plan on a device. The time is counted from `clock` on.
+    pub(super) fn of_plan(
+        plan: Plan<T>,
+        options: &SimulateOptions,
+        clock: Instant,
+    ) -> Result<Self, PsfieldError> {
+        let (engine, placement) = place(plan, options)?;
+        Ok(Self {
+            engine: Some(engine),
+            placement,
+            seconds: clock.elapsed().as_secs_f64(),
+        })
+    }
+
+    /// Returns the engine. For a method without a plan, returns an error whose message begins with
+    /// `what`.
+    pub(super) fn engine_for(&self, what: &str) -> Result<&Engine<T>, PsfieldError> {
+        self.engine.as_ref().ok_or_else(|| PsfieldError::needs_plan(what))
+    }
+}
+
+/// The models of all states of a PSF on the pixels of the scenes' images, or those of `images`, which was
+/// made in another way. Also returns the seconds that this took.
+pub(super) fn image_models_of(
+    psf: &Psf,
+    images: Option<&Psf>,
+    setup: &Setup,
+) -> Result<(Vec<PsfModel>, f64), PsfieldError> {
+    let clock = Instant::now();
+    let on_pixels = match images {
+        Some(images) => images.clone(),
+        None => setup.on_scene_pixels(psf)?,
+    };
+    let models = on_pixels.models()?.to_vec();
+    Ok((models, clock.elapsed().as_secs_f64()))
+}
+
+impl<T: ConvReal> Simulator<T> {
+    /// The models on the scene's pixels, one for each layer that may have an image, and the seconds that
+    /// their fit took.
+    pub(super) fn image_models(&self) -> Result<&(Vec<PsfModel>, f64), PsfieldError> {
+        let shared = &self.shared;
+        get_or_make(&shared.image_models, || {
+            image_models_of(self.psf(), shared.images.as_ref(), &self.setup)
+        })
+    }
+
+    /// The convolvers that exist.
+    pub(super) fn kept_convolvers(&self) -> Vec<OfLayers<T>> {
+        self.convolvers
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .clone()
+    }
+
+    /// The convolver for the images of some layers, if it exists.
+    pub(super) fn kept_convolver(&self, layers: &[usize]) -> Option<Arc<Convolver<T>>> {
+        let mut kept = self.kept_convolvers().into_iter();
+        kept.find_map(|(of, convolver)| (of == layers).then_some(convolver))
+    }
+
+    /// Returns the convolver for the images of some layers, one at least. No thread waits for another that
+    /// makes it: if two make it, one result is kept.
+    #[inline(never)]
+    pub(super) fn convolver(
+        &self,
+        layers: &[usize],
+        progress: &dyn Progress,
+    ) -> Result<Arc<Convolver<T>>, PsfieldError> {
+        if let Some(kept) = self.kept_convolver(layers) {
+            return Ok(kept);
+        }
+        let made = Arc::new(self.new_convolver(layers, progress)?);
+        let mut kept = self.convolvers.lock().unwrap_or_else(PoisonError::into_inner);
+        let known = kept.iter().find(|(of, _)| of == layers);
+        Ok(match known {
+            Some((_, known)) => Arc::clone(known),
+            None => {
+                kept.push((layers.to_vec(), Arc::clone(&made)));
+                made
+            }
+        })
+    }
+
+    fn new_convolver(&self, layers: &[usize], progress: &dyn Progress) -> Result<Convolver<T>, PsfieldError> {
+        let (all, _) = self.image_models()?;
+        let clock = Instant::now();
+        let models: Vec<PsfModel> = layers.iter().map(|&layer| all[layer].clone()).collect();
+        let Some(options) = self.setup.plan_options::<T>(&models[0])? else {
+            return Ok(Convolver {
+                engine: None,
+                placement: self.placement_of_sources(),
+                seconds: clock.elapsed().as_secs_f64(),
+            });
+        };
+        for model in &models {
+            check_flux(self.psf(), model, &options)?;
+        }
+        let geometry = &self.setup.geometry;
+        let (frame, region) = (geometry.fine(geometry.frame)?, geometry.fine(geometry.region)?);
+        let plan = Plan::of_layers(&models, geometry.shape, frame, region, options, progress)?;
+        Convolver::of_plan(plan, self.options(), clock)
+    }
+
+    /// The part of the scene whose light reaches the computed region, in pixels of the scene.
+    pub(super) fn light_region_of(
+        &self,
+        layers: &[usize],
+        progress: &dyn Progress,
+    ) -> Result<PixelRegion, PsfieldError> {
+        Ok(match &self.convolver(layers, progress)?.engine {
+            Some(engine) => engine.plan().light_region(),
+            None => self.setup.geometry.shape.region(),
+        })
+    }
+
+    pub(super) fn placement_of_sources(&self) -> Placement {
+        Placement::cpu(match (self.options().device, &self.shared.method) {
+            (Device::Cpu, _) => CpuReason::Asked,
+            (_, Some(_)) => CpuReason::Method,
+            (_, None) => CpuReason::Stars,
+        })
+    }
+}

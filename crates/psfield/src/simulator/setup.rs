@@ -1,0 +1,86 @@
+//! The settings of a simulator, and the shapes of its scenes and images.
+
+use conv_core::{ConvReal, InstructionSet, PlanOptions};
+use psf_types::{FrameShape, PsfModel};
+
+use super::geometry::Geometry;
+use crate::error::PsfieldError;
+use crate::evaluate::check_frame_on_field;
+use crate::psf::Psf;
+use crate::simulate_options::{Device, ScenePixels, SimulateOptions};
+
+/// Frame pixels by which padded stamps may extend beyond the reach of the PSF ([`Psf::reach`]).
+const STAMP_MARGIN: usize = 8;
+
+/// The start of the error message for a region with a method that makes no plan
+/// ([`PsfieldError::needs_plan`]).
+pub(super) const REGION: &str = "a region of the frame can be computed";
+
+/// Settings that suit each other, and the geometry that follows from them.
+#[derive(Debug, Clone)]
+pub(crate) struct Setup {
+    pub(super) options: SimulateOptions,
+    pub(super) geometry: Geometry,
+}
+
+impl Setup {
+    /// Checks settings for scenes of `shape` `(ny, nx)` through a PSF.
+    pub(crate) fn new(
+        psf: &Psf,
+        (ny, nx): (usize, usize),
+        mut options: SimulateOptions,
+    ) -> Result<Self, PsfieldError> {
+        options.plan_options()?;
+        InstructionSet::asked()?;
+        let geometry = Geometry::new(FrameShape::new(nx, ny)?, &options)?;
+        let is_planned = options.method.has_plan();
+        if !is_planned && !geometry.is_whole() {
+            return Err(PsfieldError::needs_plan(REGION));
+        }
+        if !is_planned && options.device == Device::Gpu {
+            const ON_GPU: &str =
+                "only the methods auto and lowrank run on a GPU: choose one of them, or the device cpu";
+            return Err(PsfieldError::of_setting("device", ON_GPU));
+        }
+        if options.stamp_size == Some(0) {
+            const NO_STAMP: &str = "the stamp size must be at least 1 pixel";
+            return Err(PsfieldError::of_setting("stamp_size", NO_STAMP));
+        }
+        // Farther out, padded stamps hold only zeros, which would cost time and change nothing.
+        let widest = 2 * (psf.reach(None) + STAMP_MARGIN);
+        options.stamp_size = options.stamp_size.map(|size| size.min(widest));
+        check_frame_on_field(geometry.frame.shape(), psf.positions().field())?;
+        Ok(Self { options, geometry })
+    }
+
+    /// The settings.
+    pub(crate) fn options(&self) -> &SimulateOptions {
+        &self.options
+    }
+
+    /// The options of a model's plans, with the limit of memory for this model. None for methods without
+    /// a plan.
+    pub(super) fn plan_options<T: ConvReal>(
+        &self,
+        model: &PsfModel,
+    ) -> Result<Option<PlanOptions>, PsfieldError> {
+        let frame = self.geometry.fine(self.geometry.frame)?.shape();
+        let memory = || PlanOptions::memory_for::<T>(frame, model);
+        let bytes = self.options.memory.unwrap_or_else(memory);
+        let options = self.options.plan_options()?;
+        Ok(options.map(|options| options.with_memory(bytes)))
+    }
+
+    /// The PSF on the pixels of a scene's image, for its convolution.
+    pub(crate) fn on_scene_pixels(&self, psf: &Psf) -> Result<Psf, PsfieldError> {
+        let options = &self.options;
+        let psf = match options.oversample {
+            1 => psf.native(options.stamp_size)?,
+            finer => psf.for_finer_scene(finer, options.stamp_size, options.anchor)?,
+        };
+        match options.scene_pixels {
+            ScenePixels::Point => Ok(psf),
+            ScenePixels::Integrated => psf.without_scene_pixel(),
+        }
+    }
+}
