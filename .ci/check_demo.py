@@ -5,6 +5,7 @@ import json
 import struct
 import sys
 from pathlib import Path
+from xml.etree import ElementTree
 
 
 def fits_pixels(path):
@@ -50,6 +51,8 @@ def main(folder):
     for name in report["files"]:
         if name.endswith(".png"):
             assert (folder / name).read_bytes().startswith(b"\x89PNG\r\n\x1a\n"), name
+        if name.endswith(".svg"):
+            assert ElementTree.parse(folder / name).getroot().tag.endswith("}svg"), name
     print(f"{folder}: {len(report['files'])} files as they should be")
 
 

@@ -3,7 +3,7 @@
     python3 .ci/third_party.py TARGET > THIRD_PARTY_NOTICES
 
 Collects the licence files of every crate that is linked for the target, of the C sources in
-fitsio-sys and of the font in dejavu, and the notices of Rust's standard library.
+fitsio-sys, and the notices of Rust's standard library.
 """
 
 import html
@@ -99,7 +99,7 @@ def main(target):
     for package in packages:
         print(f"{package['name']} {package['version']}: {package['license']}")
         print(f"    {package['repository'] or package['homepage'] or 'no address given'}")
-    print("CFITSIO and zlib (in fitsio-sys), the font DejaVu (in dejavu), Rust's standard library")
+    print("CFITSIO and zlib (in fitsio-sys), Rust's standard library")
     for text, names in users.values():
         print(f"\n{RULE}\n{', '.join(dict.fromkeys(names))}\n{RULE}\n\n{text}")
     print(f"\n{RULE}\nRust's standard library\n{RULE}\n\n{standard_library()}")

@@ -42,7 +42,7 @@ pub(crate) struct PreviewArgs {
     #[arg(long, value_name = "N")]
     plane: Option<usize>,
     /// Stretch (brightness scale) between the black and white levels, as in astropy
-    #[arg(long, default_value = "asinh", value_parser = PossibleValuesParser::new(Stretch::ALL.map(Stretch::name))
+    #[arg(long, default_value = "asinh", value_parser = PossibleValuesParser::new(["linear", "sqrt", "log", "asinh"])
         .try_map(|name| name.parse::<Stretch>()))]
     stretch: Stretch,
     /// Black and white levels at these percentiles of the pixels
@@ -61,13 +61,16 @@ pub(crate) struct PreviewArgs {
     #[arg(long)]
     zscale: bool,
     /// Colour map (all suit colour-blind readers)
-    #[arg(long, default_value = "grey", value_parser = PossibleValuesParser::new(Colormap::ALL.map(Colormap::name))
+    #[arg(long, default_value = "grey", value_parser = PossibleValuesParser::new(COLORMAPS)
         .try_map(|name| name.parse::<Colormap>()))]
     colormap: Colormap,
     /// Largest number of pixels of the picture along an axis
     #[arg(long, value_name = "N", default_value_t = 2000, value_parser = clap::value_parser!(u32).range(1..=32768))]
     max_size: u32,
 }
+
+/// The names of the colour maps.
+const COLORMAPS: [&str; 6] = ["grey", "viridis", "cividis", "inferno", "magma", "plasma"];
 
 impl PreviewArgs {
     pub(crate) fn run(self, context: &Context) -> anyhow::Result<()> {
@@ -112,8 +115,8 @@ impl PreviewArgs {
             picture_size: [picture.width(), picture.height()],
             // Pixels of the image along each side of a pixel of the picture.
             binning: image.factor,
-            stretch: self.stretch.name(),
-            colormap: self.colormap.name(),
+            stretch: self.stretch.to_string(),
+            colormap: self.colormap.to_string(),
             limits,
             // Pixels of the image that are NaN or infinite.
             undefined_pixels: image.undefined_pixels,

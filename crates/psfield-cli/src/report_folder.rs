@@ -1,19 +1,19 @@
 //! The folder of a report.
 
 use std::collections::BTreeMap;
-use std::path::{Display, Path};
+use std::path::Path;
 
 use anyhow::Context as _;
-use psfield_lab::report::{Document, OBJECT_COLUMNS, ObjectRow};
+use psfield_lab::report::{Document, OBJECT_COLUMNS, ObjectRow, Section};
 use serde::Serialize;
 
-use crate::context::{Bar, Context, object};
+use crate::context::object;
 use crate::files::OutputFolder;
 
 /// The folder in which a report is written.
 #[derive(Debug, clap::Args)]
 pub(crate) struct ReportFolder {
-    /// Folder for the report: report.html, report.json, tables and figures (SVG and PNG)
+    /// Folder for the report: report.html, report.json, tables and figures (SVG)
     ///
     /// It is made if it does not exist. It must be empty unless --overwrite is given.
     #[arg(long, value_name = "DIR")]
@@ -52,16 +52,16 @@ impl ReportFolder {
         make(&self.report)
     }
 
-    /// Writes all files. The HTML page is the last, so that a page exists only with all its files.
-    /// Then removes the progress bar and prints the report. `notes`: how the PSF was read.
-    pub(crate) fn publish(
+    /// Writes all files, and returns their names. Tables and numbers come first, so that an error in
+    /// drawing loses no measurement. The HTML page is the last, so that a page exists only with all its
+    /// files. `sections` draws the figures of the report.
+    pub(crate) fn write(
         &self,
-        document: &Document,
-        (measured, notes): (&impl Serialize, Option<Vec<String>>),
         tables: &[(&str, &[ObjectRow])],
-        (context, bar): (&Context, Bar),
-        text: impl FnOnce(Display<'_>) -> String,
-    ) -> anyhow::Result<()> {
+        mut document: Document,
+        measured: &impl Serialize,
+        sections: impl FnOnce() -> Vec<Section>,
+    ) -> anyhow::Result<Vec<String>> {
         self.make()?;
         let mut files = Vec::new();
         let mut at = |name: String| {
@@ -72,12 +72,6 @@ impl ReportFolder {
         for (name, rows) in tables {
             psf_io::write_csv(at((*name).to_owned()), OBJECT_COLUMNS, *rows, self.overwrite)?;
         }
-        for shown in document.figures() {
-            let name = shown.name;
-            psf_io::write_text(at(format!("{name}.svg")), shown.figure.svg(), self.overwrite)?;
-            let png = shown.figure.png()?;
-            psf_io::write_bytes(at(format!("{name}.png")), &png, self.overwrite)?;
-        }
         let inputs = document.inputs.iter();
         let numbers = object! {
             software: &document.software,
@@ -87,19 +81,13 @@ impl ReportFolder {
         };
         let numbers = serde_json::to_string_pretty(&numbers)?;
         psf_io::write_text(at(NUMBERS.to_owned()), &numbers, self.overwrite)?;
+        document.sections = sections();
+        for shown in document.figures() {
+            let path = at(format!("{}.svg", shown.name));
+            psf_io::write_text(path, &shown.figure.svg(), self.overwrite)?;
+        }
         psf_io::write_text(at(PAGE.to_owned()), &document.to_html(), self.overwrite)?;
-        drop(bar);
-        let folder = self.report.as_path();
-        // A flattened `None` adds no keys.
-        let report = object! {
-            folder,
-            files,
-            #[serde(flatten)]
-            notes: notes.map(|notes| object! { notes }),
-            #[serde(flatten)]
-            measured,
-        };
-        context.report(&report, || text(folder.display()))
+        Ok(files)
     }
 }
 

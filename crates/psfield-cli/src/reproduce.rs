@@ -4,7 +4,7 @@ use psf_types::FrameShape;
 use psfield_lab::report::{Reproduction, ReproductionOptions, Software, Target};
 
 use super::UsageError;
-use super::context::{Context, command_text};
+use super::context::{Context, command_text, object};
 use super::report_folder::{self, ReportFolder};
 use super::values::Pair;
 
@@ -57,20 +57,26 @@ impl ReproduceArgs {
         let options = self.options()?;
         let bar = context.bar("reproducing");
         let measured = Reproduction::run(&options, &bar)?;
-        let document = measured.document(Software::of_command(command_text()))?;
         let tables = [
             ("stars.csv", measured.stars.rows.as_slice()),
             ("galaxies.csv", measured.galaxies.rows.as_slice()),
         ];
-        let speaking = (context, bar);
-        self.folder
-            .publish(&document, (&measured, None), &tables, speaking, |folder| {
-                let targets = targets_text(&measured.targets);
-                format!(
-                    "{targets}{folder}: open report.html first (the run took {:.0} s)",
-                    measured.seconds
-                )
-            })
+        let document = measured.document(Software::of_command(command_text()));
+        let files = self
+            .folder
+            .write(&tables, document, &measured, || measured.sections())?;
+        drop(bar);
+        let report = object! {
+            folder: self.folder.report.as_path(),
+            files,
+            #[serde(flatten)]
+            measured: &measured,
+        };
+        context.report(&report, || {
+            let (folder, targets) = (report.folder.display(), targets_text(&measured.targets));
+            let seconds = measured.seconds;
+            format!("{targets}{folder}: open report.html first (the run took {seconds:.0} s)")
+        })
     }
 
     fn options(&self) -> anyhow::Result<ReproductionOptions> {

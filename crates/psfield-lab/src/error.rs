@@ -4,8 +4,6 @@ use psf_types::FrameShape;
 use psfield::PsfieldError;
 use thiserror::Error;
 
-use crate::plot::PlotError;
-
 /// Errors of measuring, comparing and showing simulations.
 #[derive(Debug, Error)]
 #[non_exhaustive]
@@ -13,9 +11,6 @@ pub enum LabError {
     /// An error of the library psfield, for example of a fit or of a simulation.
     #[error("{0}")]
     Pipeline(#[source] PsfieldError),
-    /// A figure could not be made.
-    #[error(transparent)]
-    Plot(#[from] PlotError),
     /// No star can be measured in both the frame and its simulation.
     #[error(
         "none of the {stars} stars could be measured in both the frame and its simulation, in windows of {window} x {window} pixels: choose another window size"

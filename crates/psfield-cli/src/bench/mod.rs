@@ -18,6 +18,7 @@ use psf_sample::{SamplingMethod, UniformSampling};
 use psf_types::{Anchor, FrameShape, Image, Interpolation, PsfModelRecord, PsfSource as _, ToleranceOn};
 use psfield::{Device, FitOptions, Psf};
 use psfield_lab::bench::{self, BenchCase, BenchOptions, RealGroup};
+use psfield_lab::plot::Figure;
 use serde::Serialize;
 
 use crate::UsageError;
@@ -262,7 +263,6 @@ impl BenchArgs {
     }
 
     fn run_in<T: ConvReal>(self, context: &Context) -> anyhow::Result<()> {
-        let json = self.json.as_ref().and_then(JsonTo::file);
         let mut settings = Settings::of(&self);
         let options = self.bench_options(&settings);
         if options.device == Device::Gpu {
@@ -314,16 +314,32 @@ impl BenchArgs {
                 }
             }
         }
-        if let Some(path) = json {
-            let text = serde_json::to_string_pretty(&report)?;
-            psf_io::write_text(path, &text, self.overwrite)?;
+        let plot = || report::plot(&report.cases());
+        self.publish(&report, Some(&plot), || report.text(), context)
+    }
+
+    /// Writes the files of `--json` and `--plot`, and prints the report. The numbers are written first, so
+    /// that an error in drawing loses no measurement. `plot` is None if there is nothing to plot.
+    fn publish(
+        &self,
+        report: &impl Serialize,
+        plot: Option<&dyn Fn() -> Figure>,
+        text: impl FnOnce() -> String,
+        context: &Context,
+    ) -> anyhow::Result<()> {
+        if let Some(path) = self.json.as_ref().and_then(JsonTo::file) {
+            psf_io::write_text(path, &serde_json::to_string_pretty(report)?, self.overwrite)?;
         }
-        if let Some(path) = &self.plot {
-            let drawn = report::plot(&report.cases())
-                .with_context(|| format!("{}: the plot failed", path.display()))?;
-            psf_io::write_text(path, drawn.svg(), self.overwrite)?;
+        if let (Some(path), Some(plot)) = (&self.plot, plot) {
+            psf_io::write_text(path, &plot().svg(), self.overwrite)?;
         }
-        context.report(&report, || report.text())
+        context.report(report, text)
+    }
+
+    /// The name of the preset telescope.
+    fn preset_name(&self) -> String {
+        let value = clap::ValueEnum::to_possible_value(&self.preset);
+        value.map_or_else(String::new, |value| value.get_name().to_owned())
     }
 
     fn bench_options(&self, settings: &Settings) -> BenchOptions {
@@ -404,10 +420,7 @@ impl BenchArgs {
                 .rank
                 .map(NonZeroUsize::get)
                 .or_else(|| self.psf.is_none().then_some(RANK)),
-            preset: self.psf.is_none().then(|| {
-                let value = clap::ValueEnum::to_possible_value(&self.preset);
-                value.map_or_else(String::new, |value| value.get_name().to_owned())
-            }),
+            preset: self.psf.is_none().then(|| self.preset_name()),
             psf: self.psf.clone(),
             stretch: self.psf.is_none() || self.stretch,
             scene: self.scene.clone(),

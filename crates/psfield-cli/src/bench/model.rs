@@ -1,13 +1,12 @@
 //! `psfield bench --model`.
 
-use anyhow::Context as _;
 use psf_sample::{Refinement, UniformSampling, hold_out};
 use psf_types::{PsfSource as _, SamplePositions};
 use psfield_lab::bench::{ModelRow, ModelSampling, measure_model};
-use psfield_lab::plot::{Axis, Curve, Curves, Figure, Marker, PlotError, curve_panels};
+use psfield_lab::plot::{Axis, Chart, Curve, Figure, Marker};
 
-use crate::bench::report::line;
-use crate::bench::{BenchArgs, JsonTo};
+use crate::bench::BenchArgs;
+use crate::bench::report::{Column, table};
 use crate::context::{Context, object};
 
 /// The number of PSFs that are not samples.
@@ -52,52 +51,33 @@ impl BenchArgs {
             let bar = context.bar("sampling");
             rows.extend(measure_model(&telescope, sampling, &held_out, &bar)?);
         }
-        let preset = clap::ValueEnum::to_possible_value(&self.preset);
         let report = object! {
             version: env!("CARGO_PKG_VERSION"),
             options: object! {
-                preset: preset.map_or_else(String::new, |value| value.get_name().to_owned()),
+                preset: self.preset_name(),
                 held_out: HELD_OUT,
                 seed: self.seed,
                 threads: rayon::current_num_threads(),
             },
             rows: rows.clone(),
         };
-        if let Some(path) = self.json.as_ref().and_then(JsonTo::file) {
-            psf_io::write_text(path, &serde_json::to_string_pretty(&report)?, self.overwrite)?;
-        }
-        if let Some(path) = &self.plot {
-            let drawn = plot(&rows).with_context(|| format!("{}: the plot failed", path.display()))?;
-            psf_io::write_text(path, drawn.svg(), self.overwrite)?;
-        }
-        context.report(&report, || table(&rows))
+        self.publish(&report, Some(&|| plot(&rows)), || table(&COLUMNS, &rows), context)
     }
 }
 
-const COLUMNS: [&str; 9] = [
-    "sampling", "setting", "draws", "samples", "sample s", "fit s", "median", "99 %", "largest",
+/// The columns. The last one has the interpolation.
+const COLUMNS: [Column<ModelRow>; 10] = [
+    ("sampling", 9, |row| row.sampling.clone()),
+    ("setting", 8, |row| row.setting.to_string()),
+    ("draws", 7, |row| row.draws.to_string()),
+    ("samples", 8, |row| row.samples.to_string()),
+    ("sample s", 9, |row| format!("{:.2}", row.seconds_sample)),
+    ("fit s", 8, |row| format!("{:.2}", row.seconds_fit)),
+    ("median", 9, |row| format!("{:.1e}", row.median_error)),
+    ("99 %", 9, |row| format!("{:.1e}", row.error_99)),
+    ("largest", 9, |row| format!("{:.1e}", row.max_error)),
+    ("", 0, |row| row.interpolation.clone()),
 ];
-const WIDTHS: [usize; 9] = [9, 8, 7, 8, 9, 8, 9, 9, 9];
-
-fn table(rows: &[ModelRow]) -> String {
-    let error = |e: f64| format!("{e:.1e}");
-    let lines = rows.iter().map(|row| {
-        let cells = [
-            row.sampling.clone(),
-            row.setting.to_string(),
-            row.draws.to_string(),
-            row.samples.to_string(),
-            format!("{:.2}", row.seconds_sample),
-            format!("{:.2}", row.seconds_fit),
-            error(row.median_error),
-            error(row.error_99),
-            error(row.max_error),
-        ];
-        format!("{} {}", line(&cells, &WIDTHS), row.interpolation)
-    });
-    let header = std::iter::once(line(&COLUMNS, &WIDTHS));
-    header.chain(lines).collect::<Vec<_>>().join("\n")
-}
 
 /// A curve in the plot: the name of a sampling, its marker and its colour.
 const CURVES: [(&str, Marker, usize); 3] = [
@@ -107,8 +87,8 @@ const CURVES: [(&str, Marker, usize); 3] = [
 ];
 
 /// Errors against PSFs drawn, and against seconds.
-fn plot(rows: &[ModelRow]) -> Result<Figure, PlotError> {
-    let panel = |name: &str, x: &dyn Fn(&ModelRow) -> f64| {
+fn plot(rows: &[ModelRow]) -> Figure {
+    let chart = |title, name, x: fn(&ModelRow) -> f64| {
         let curves = CURVES.iter().map(|&(sampling, marker, colour)| {
             let of_sampling = rows.iter().filter(|row| row.sampling == sampling);
             Curve {
@@ -117,22 +97,14 @@ fn plot(rows: &[ModelRow]) -> Result<Figure, PlotError> {
                 ..Curve::new(sampling, of_sampling.map(|row| (x(row), row.error_99)).collect())
             }
         });
-        Curves {
-            x: Axis::logarithmic(name),
-            y: Axis::logarithmic("error of the PSF (relative L2), 99 %"),
-            curves: curves.collect(),
-            marks: Vec::new(),
-        }
+        let y = Axis::logarithmic("error of the PSF (relative L2), 99 %");
+        Chart::new(title, Axis::logarithmic(name), y, curves.collect())
     };
-    let seconds = |row: &ModelRow| row.seconds_sample + row.seconds_fit;
-    curve_panels(&[
-        (
-            "by PSFs drawn".to_owned(),
-            panel("PSFs drawn", &|row| row.draws as f64),
-        ),
-        (
-            "by run time".to_owned(),
-            panel("seconds (sampling and fit)", &seconds),
-        ),
-    ])
+    let charts = [
+        chart("by PSFs drawn", "PSFs drawn", |row| row.draws as f64),
+        chart("by run time", "seconds (sampling and fit)", |row| {
+            row.seconds_sample + row.seconds_fit
+        }),
+    ];
+    Figure::new(&charts, 550.0)
 }

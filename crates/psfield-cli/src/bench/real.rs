@@ -5,9 +5,9 @@ use psfield::Psf;
 use psfield_lab::bench::{self, REAL_TOLERANCE, RealCase, RealGroup, RealPsf, RealRow};
 
 use crate::UsageError;
-use crate::bench::report::{line, mebibytes, or_dash};
+use crate::bench::BenchArgs;
+use crate::bench::report::{Column, mebibytes, or_dash, table};
 use crate::bench::settings::Settings;
-use crate::bench::{BenchArgs, JsonTo};
 use crate::context::{Context, object, without_option};
 
 impl BenchArgs {
@@ -50,9 +50,6 @@ impl BenchArgs {
             },
             rows: rows.clone(),
         };
-        if let Some(path) = self.json.as_ref().and_then(JsonTo::file) {
-            psf_io::write_text(path, &serde_json::to_string_pretty(&report)?, self.overwrite)?;
-        }
         let samples = grid.map_or_else(String::new, |_| {
             format!(", {} PSF samples", settings.grids[0].pow(2))
         });
@@ -60,41 +57,33 @@ impl BenchArgs {
             "auto, f32, tolerance {REAL_TOLERANCE:e} on {}{samples}, threads: {threads}\n",
             settings.tolerance_on
         );
-        context.report(&report, || title + &table(&rows))
+        self.publish(&report, None, || title + &table(&COLUMNS, &rows), context)
     }
 }
 
-/// The names of the columns. `single s`: seconds of one convolution with one PSF. `ratio`: `min s`
-/// of several spectra, divided by that of one spectrum.
-const COLUMNS: [&str; 13] = [
-    "group", "PSF", "frame", "amount", "model s", "plan s", "first s", "min s", "median s", "single s",
-    "ratio", "rel. L2", "memory",
+/// The columns. `single s`: seconds of one convolution with one PSF. `ratio`: `min s` of several
+/// spectra, divided by that of one spectrum.
+const COLUMNS: [Column<RealRow>; 13] = [
+    ("group", 8, |row| row.group.to_string()),
+    ("PSF", 15, |row| row.psf.clone()),
+    ("frame", 11, |row| format!("{} x {}", row.size[0], row.size[1])),
+    ("amount", 15, |row| format!("{} {}", row.amount, row.unit)),
+    ("model s", 9, |row| seconds(row.seconds_model)),
+    ("plan s", 9, |row| seconds(row.seconds_plan)),
+    ("first s", 9, |row| seconds(row.seconds_first)),
+    ("min s", 9, |row| seconds(row.seconds)),
+    ("median s", 9, |row| seconds(row.seconds_median)),
+    ("single s", 9, |row| or_dash(row.seconds_single.map(seconds))),
+    ("ratio", 6, |row| {
+        let ratio = row.seconds_simpler.map(|simpler| row.seconds / simpler);
+        or_dash(ratio.map(|ratio| format!("{ratio:.2}")))
+    }),
+    ("rel. L2", 8, |row| {
+        or_dash(row.relative_l2.map(|e| format!("{e:.1e}")))
+    }),
+    ("memory", 9, |row| or_dash(row.peak_memory_bytes.map(mebibytes))),
 ];
-const WIDTHS: [usize; 13] = [8, 15, 11, 15, 9, 9, 9, 9, 9, 9, 6, 8, 9];
 
-fn table(rows: &[RealRow]) -> String {
-    let seconds = |s: f64| format!("{s:.4}");
-    let lines = rows.iter().map(|row| {
-        let cells = [
-            row.group.to_string(),
-            row.psf.clone(),
-            format!("{} x {}", row.size[0], row.size[1]),
-            format!("{} {}", row.amount, row.unit),
-            seconds(row.seconds_model),
-            seconds(row.seconds_plan),
-            seconds(row.seconds_first),
-            seconds(row.seconds),
-            seconds(row.seconds_median),
-            or_dash(row.seconds_single.map(seconds)),
-            or_dash(
-                row.seconds_simpler
-                    .map(|simpler| format!("{:.2}", row.seconds / simpler)),
-            ),
-            or_dash(row.relative_l2.map(|e| format!("{e:.1e}"))),
-            or_dash(row.peak_memory_bytes.map(mebibytes)),
-        ];
-        line(&cells, &WIDTHS)
-    });
-    let header = std::iter::once(line(&COLUMNS, &WIDTHS));
-    header.chain(lines).collect::<Vec<_>>().join("\n")
+fn seconds(seconds: f64) -> String {
+    format!("{seconds:.4}")
 }

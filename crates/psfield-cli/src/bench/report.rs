@@ -2,8 +2,9 @@
 
 use std::fmt::Write;
 
+use psfield::device::GpuSeconds;
 use psfield_lab::bench::{BenchOutcome, BenchRow, Skipped};
-use psfield_lab::plot::{Axis, Curve, Curves, Figure, Mark, Marker, PlotError, curve_panels};
+use psfield_lab::plot::{Axis, Chart, Curve, Figure, Mark, Marker};
 use serde::Serialize;
 
 /// The object that `--json` writes.
@@ -39,10 +40,7 @@ impl<O> Report<O> {
                 let _ = write!(text, ", lowrank and auto on {gpu}");
             }
             let shown = if gpu.is_some() { COLUMNS.len() } else { ON_CPU };
-            let _ = writeln!(text, "\n{}", line(&COLUMNS[..shown], &WIDTHS));
-            for row in rows {
-                let _ = writeln!(text, "{}", line(&cells(row)[..shown], &WIDTHS));
-            }
+            let _ = writeln!(text, "\n{}", table(&COLUMNS[..shown], rows));
             for row in rows {
                 text.push_str(&least_bytes(row));
             }
@@ -105,49 +103,54 @@ fn least_bytes(row: &BenchRow) -> String {
     )
 }
 
-/// The names of the columns. The last four are for the fastest run on a GPU: the seconds of three
-/// parts that may overlap, and the seconds of the whole run.
-const COLUMNS: [&str; 14] = [
-    "method", "setting", "plan s", "min s", "median s", "ratio", "rel. L2", "modes", "tile", "memory",
-    "kernel s", "copy s", "host s", "total s",
+/// A column of a table: its name, its width, and the cell of a row.
+pub(super) type Column<R> = (&'static str, usize, fn(&R) -> String);
+
+/// The columns. The last four are for the fastest run on a GPU: the seconds of three parts that may
+/// overlap, and the seconds of the whole run.
+const COLUMNS: [Column<BenchRow>; 14] = [
+    ("method", 8, |row| row.method.to_owned()),
+    ("setting", 16, |row| or_dash(row.setting.clone())),
+    ("plan s", 9, |row| {
+        or_dash(row.seconds_plan.map(|s| format!("{s:.4}")))
+    }),
+    ("min s", 9, |row| format!("{:.4}", row.seconds)),
+    ("median s", 9, |row| format!("{:.4}", row.seconds_median)),
+    ("ratio", 8, |row| format!("{:.2}", row.ratio_to_single)),
+    ("rel. L2", 10, |row| {
+        or_dash(row.relative_l2.map(|e| format!("{e:.1e}")))
+    }),
+    ("modes", 6, |row| or_dash(row.modes.map(|m| format!("{m:.1}")))),
+    ("tile", 11, |row| {
+        or_dash(row.tile.map(|[x, y]| format!("{x} x {y}")))
+    }),
+    ("memory", 9, |row| or_dash(row.peak_memory_bytes.map(mebibytes))),
+    ("kernel s", 9, |row| on_gpu(row, |times| times.kernels)),
+    ("copy s", 9, |row| on_gpu(row, |times| times.transfers)),
+    ("host s", 9, |row| on_gpu(row, |times| Some(times.host))),
+    ("total s", 9, |row| on_gpu(row, |times| Some(times.total))),
 ];
-const WIDTHS: [usize; 14] = [8, 16, 9, 9, 9, 8, 10, 6, 11, 9, 9, 9, 9, 9];
 /// Number of columns if nothing ran on a GPU.
 const ON_CPU: usize = 10;
 
-fn cells(row: &BenchRow) -> [String; 14] {
-    let times = row.gpu_seconds.as_ref();
-    let on_gpu = |seconds: Option<f64>| or_dash(seconds.map(|s| format!("{s:.5}")));
-    [
-        row.method.to_owned(),
-        or_dash(row.setting.clone()),
-        or_dash(row.seconds_plan.map(|s| format!("{s:.4}"))),
-        format!("{:.4}", row.seconds),
-        format!("{:.4}", row.seconds_median),
-        format!("{:.2}", row.ratio_to_single),
-        or_dash(row.relative_l2.map(|e| format!("{e:.1e}"))),
-        or_dash(row.modes.map(|m| format!("{m:.1}"))),
-        or_dash(row.tile.map(|[x, y]| format!("{x} x {y}"))),
-        or_dash(row.peak_memory_bytes.map(mebibytes)),
-        on_gpu(times.and_then(|t| t.kernels)),
-        on_gpu(times.and_then(|t| t.transfers)),
-        on_gpu(times.map(|t| t.host)),
-        on_gpu(times.map(|t| t.total)),
-    ]
+fn on_gpu(row: &BenchRow, seconds: fn(&GpuSeconds) -> Option<f64>) -> String {
+    let seconds = row.gpu_seconds.as_ref().and_then(seconds);
+    or_dash(seconds.map(|s| format!("{s:.5}")))
 }
 
-/// A line of a table. The first two columns are left-aligned, numbers are right-aligned.
-pub(super) fn line(cells: &[impl AsRef<str>], widths: &[usize]) -> String {
-    let cells = cells
-        .iter()
-        .map(AsRef::as_ref)
-        .zip(widths.iter().copied())
-        .enumerate();
-    let padded = cells.map(|(k, (cell, width))| match k {
-        0 | 1 => format!("{cell:width$}"),
-        _ => format!("{cell:>width$}"),
-    });
-    padded.collect::<Vec<_>>().join(" ")
+/// The lines of a table, below a line with the names of its columns. The first two columns are
+/// left-aligned, numbers are right-aligned.
+pub(super) fn table<R>(columns: &[Column<R>], rows: &[R]) -> String {
+    let line = |cell: &dyn Fn(&Column<R>) -> String| {
+        let cells = columns.iter().enumerate().map(|(k, column)| match (k, column.1) {
+            (0 | 1, width) => format!("{:width$}", cell(column)),
+            (_, width) => format!("{:>width$}", cell(column)),
+        });
+        cells.collect::<Vec<_>>().join(" ").trim_end().to_owned()
+    };
+    let names = line(&|(name, ..)| (*name).to_owned());
+    let lines = rows.iter().map(|row| line(&|(.., cell)| cell(row)));
+    std::iter::once(names).chain(lines).collect::<Vec<_>>().join("\n")
 }
 
 /// Smaller errors, including 0, are drawn at this value.
@@ -168,48 +171,38 @@ const UNIT: &str = "single";
 /// The meaning of the labels next to points.
 const LABELS: &str = "numbers: tolerance (lowrank, auto), patch side in pixels (patch), rank (basis)";
 
-/// Draws a panel for each case. The first row of a case is the single PSF.
-pub(super) fn plot(cases: &[&[BenchRow]]) -> Result<Figure, PlotError> {
-    let panels: Vec<(String, Curves)> = cases
-        .iter()
-        .map(|rows| {
-            let title = format!("{}\n{}\n{LABELS}", size_of(&rows[0]), settings_of(&rows[0]));
-            (title, curves(rows))
-        })
-        .collect();
-    curve_panels(&panels)
+/// Draws a chart for each case. The first row of a case is the single PSF.
+pub(super) fn plot(cases: &[&[BenchRow]]) -> Figure {
+    let charts: Vec<Chart> = cases.iter().map(|rows| chart(rows)).collect();
+    // The title has 80 characters.
+    Figure::new(&charts, 660.0)
 }
 
-fn curves(rows: &[BenchRow]) -> Curves {
+fn chart(rows: &[BenchRow]) -> Chart {
     let of = |name| rows.iter().filter(move |row| row.method == name);
     // A horizontal line across the plot shows the time of a convolution with a single PSF.
-    let marks = of(UNIT)
-        .map(|row| Mark::Horizontal(row.seconds, UNIT.to_owned()))
-        .collect();
-    let curves = METHODS
+    let marks = of(UNIT).map(|row| Mark::Horizontal(row.seconds, UNIT.to_owned()));
+    let shown = METHODS
         .iter()
-        .filter(|(name, ..)| of(name).any(|row| row.relative_l2.is_some()))
-        .map(|&(name, marker, colour)| {
-            let points: Vec<(f64, f64, Option<&str>)> = of(name)
-                .filter_map(|row| Some((error(row)?, row.seconds, row.setting.as_deref())))
-                .collect();
-            // If `lowrank` is shown, `auto` has no labels: its points have the same settings and
-            // lie nearby.
-            let named = name != "auto" || of("lowrank").next().is_none();
-            Curve {
-                marker: Some(marker),
-                colour: Some(colour),
-                labels: if named { labels(&points) } else { Vec::new() },
-                ..Curve::new(name, points.iter().map(|p| (p.0, p.1)).collect())
-            }
-        })
-        .collect();
-    Curves {
-        x: Axis::logarithmic("measured relative L2 error"),
-        y: Axis::logarithmic("run time (s), fastest run"),
-        curves,
-        marks,
-    }
+        .filter(|(name, ..)| of(name).any(|row| row.relative_l2.is_some()));
+    let curves = shown.map(|&(name, marker, colour)| {
+        let points: Vec<(f64, f64, Option<&str>)> = of(name)
+            .filter_map(|row| Some((error(row)?, row.seconds, row.setting.as_deref())))
+            .collect();
+        // If `lowrank` is shown, `auto` has no labels: its points have the same settings and lie
+        // nearby.
+        let named = name != "auto" || of("lowrank").next().is_none();
+        Curve {
+            marker: Some(marker),
+            colour: Some(colour),
+            labels: if named { labels(&points) } else { Vec::new() },
+            ..Curve::new(name, points.iter().map(|p| (p.0, p.1)).collect())
+        }
+    });
+    let title = format!("{}\n{}\n{LABELS}", size_of(&rows[0]), settings_of(&rows[0]));
+    let x = Axis::logarithmic("measured relative L2 error");
+    let y = Axis::logarithmic("run time (s), fastest run");
+    Chart::new(&title, x, y, curves.collect()).with_marks(marks.collect())
 }
 
 /// Labels with the values of the settings. Points that lie close together share a label.

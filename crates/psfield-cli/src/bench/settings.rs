@@ -30,52 +30,46 @@ pub(super) struct Settings {
 
 impl Settings {
     pub(super) fn of(args: &BenchArgs) -> Self {
-        let (quick, real) = (args.quick, args.real.is_some());
-        let sizes: &[usize] = match (quick, real) {
-            (true, _) => &[256],
-            (false, true) => &[1024, 4096, 9216],
-            (false, false) => &[512, 1024, 2048],
+        let real = args.real.is_some();
+        let quick_or = |quick: usize, other| if args.quick { quick } else { other };
+        // The given numbers, or else those of `--quick`, or else those of `--real`, or else the defaults.
+        let numbers = |given: &Option<Vec<NonZeroUsize>>,
+                       quick: usize,
+                       of_real: &[usize],
+                       others: &[usize]| {
+            match given {
+                Some(given) => given.iter().map(|n| n.get()).collect(),
+                None if args.quick => vec![quick],
+                None if real => of_real.to_vec(),
+                None => others.to_vec(),
+            }
         };
-        let grids: &[usize] = match (quick, real) {
-            (true, _) => &[5],
-            (false, true) => &[71],
-            (false, false) => &[9, 33],
-        };
-        let patches: &[usize] = if quick { &[64] } else { &[32, 64, 128, 256] };
-        let ranks: &[usize] = if quick { &[10] } else { &[10, 30, 100] };
-        let tolerances: &[f64] = if quick {
-            &[1e-2, 1e-4]
+        let (patches, ranks) = ([32, 64, 128, 256], [10, 30, 100]);
+        let tolerances = if args.quick {
+            vec![1e-2, 1e-4]
         } else {
-            &[1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 0.0]
+            vec![1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 0.0]
         };
-        let (repeat, pixels) = if quick {
-            (1, 100)
+        let tolerance_on = if real {
+            ToleranceOn::L2
         } else {
-            (BenchOptions::DEFAULT_REPEAT, BenchOptions::DEFAULT_PIXELS)
+            ToleranceOn::default()
         };
-        let numbers = |given: &Option<Vec<NonZeroUsize>>, default: &[usize]| {
-            given.as_ref().map_or_else(
-                || default.to_vec(),
-                |given| given.iter().map(|n| n.get()).collect(),
-            )
-        };
+        let all = MethodName::value_variants();
         Self {
-            sizes: numbers(&args.sizes, sizes),
-            grids: numbers(&args.grids, grids),
-            methods: args
-                .methods
-                .clone()
-                .unwrap_or_else(|| MethodName::value_variants().to_vec()),
-            tolerances: args.tolerances.clone().unwrap_or_else(|| tolerances.to_vec()),
-            patches: numbers(&args.patches, patches),
-            ranks: numbers(&args.ranks, ranks),
-            tolerance_on: args.tolerance_on.unwrap_or(if real {
-                ToleranceOn::L2
-            } else {
-                ToleranceOn::default()
-            }),
-            repeat: args.repeat.map_or(repeat, |n| usize::from(n.get())),
-            pixels: args.pixels.map_or(pixels, |n| n as usize),
+            sizes: numbers(&args.sizes, 256, &[1024, 4096, 9216], &[512, 1024, 2048]),
+            grids: numbers(&args.grids, 5, &[71], &[9, 33]),
+            methods: args.methods.clone().unwrap_or_else(|| all.to_vec()),
+            tolerances: args.tolerances.clone().unwrap_or(tolerances),
+            patches: numbers(&args.patches, 64, &patches, &patches),
+            ranks: numbers(&args.ranks, 10, &ranks, &ranks),
+            tolerance_on: args.tolerance_on.unwrap_or(tolerance_on),
+            repeat: args
+                .repeat
+                .map_or(quick_or(1, BenchOptions::DEFAULT_REPEAT), |n| n.get().into()),
+            pixels: args
+                .pixels
+                .map_or(quick_or(100, BenchOptions::DEFAULT_PIXELS), |n| n as usize),
             seed: args.seed,
         }
     }
@@ -83,28 +77,27 @@ impl Settings {
     /// Returns the contenders (each a method with its setting) for a model of this rank, method by
     /// method, without duplicates.
     pub(super) fn contenders(&self, rank: usize) -> Vec<Contender> {
+        let tolerances = || self.tolerances.iter().copied();
         let mut all = Vec::new();
         for method in &self.methods {
-            let tolerances = self.tolerances.iter();
             let of_method: Vec<Contender> = match method {
                 MethodName::Single => vec![Contender::Single],
-                MethodName::Lowrank => tolerances
-                    .map(|&tolerance| Contender::LowRank { tolerance })
+                MethodName::Lowrank => tolerances()
+                    .map(|tolerance| Contender::LowRank { tolerance })
                     .collect(),
-                MethodName::Auto => tolerances
-                    .map(|&tolerance| Contender::Auto { tolerance })
+                MethodName::Auto => tolerances()
+                    .map(|tolerance| Contender::Auto { tolerance })
                     .collect(),
                 MethodName::Patch => self
                     .patches
                     .iter()
                     .map(|&size| Contender::Patch { size })
                     .collect(),
-                // The rank of a truncated model is at most the rank of the model.
-                MethodName::Basis => self
-                    .ranks
-                    .iter()
-                    .map(|&k| Contender::Basis { rank: k.min(rank) })
-                    .collect(),
+                MethodName::Basis => {
+                    // The rank of a truncated model is at most the rank of the model.
+                    let ranks = self.ranks.iter().map(|&k| k.min(rank));
+                    ranks.map(|rank| Contender::Basis { rank }).collect()
+                }
                 MethodName::Direct => vec![Contender::Direct],
             };
             for contender in of_method {

@@ -88,25 +88,30 @@ impl DemoArgs {
         drop(spinner);
 
         let path = out.path("report.json");
+        let [(fwhm_min, fwhm_max), (_, e_max), (_, eccentricity_max)] =
+            [fwhm, ellipticity, eccentricity].map(|of| (of.min(), of.max()));
+        let (error_median, error_max) = (model_errors.median(), model_errors.max());
+        let (rank, elbow, fit_error) = (fit_report.rank, fit_report.elbow, fit_report.max_error);
+        let (galaxies, seconds) = (GALAXIES + 1, start.elapsed().as_secs_f64());
         let report = object! {
             folder: out.folder.clone(),
             files: out.files.clone(),
             samples: sample_count,
             psfs_drawn,
-            rank: fit_report.rank,
-            elbow: fit_report.elbow,
-            fit_max_error: fit_report.max_error,
+            rank,
+            elbow,
+            fit_max_error: fit_error,
             // Errors of the model's PSFs against the telescope's own, at random positions.
-            model_error_median: model_errors.median(),
-            model_error_max: model_errors.max(),
-            galaxies: GALAXIES + 1,
+            model_error_median: error_median,
+            model_error_max: error_max,
+            galaxies,
             stars: STARS,
-            fwhm_px_min: fwhm.min(),
-            fwhm_px_max: fwhm.max(),
+            fwhm_px_min: fwhm_min,
+            fwhm_px_max: fwhm_max,
             // |e| = (a^2 - b^2) / (a^2 + b^2), from adaptive moments.
-            ellipticity_max: ellipticity.max(),
+            ellipticity_max: e_max,
             // sqrt(1 - b^2 / a^2), from the Gaussian fit.
-            eccentricity_max: eccentricity.max(),
+            eccentricity_max,
             spot_check,
             // Pixels along each side of a patch.
             patch: PATCH,
@@ -116,47 +121,25 @@ impl DemoArgs {
                 sample: sample_seconds,
                 fit: fit_seconds,
                 simulate: simulate_seconds,
-                total: start.elapsed().as_secs_f64(),
+                total: seconds,
             },
         };
         psf_io::write_text(path, &serde_json::to_string_pretty(&report)?, self.overwrite)?;
         context.report(&report, || {
-            let s = &report.seconds;
-            let check = &report.spot_check;
+            let elbow = elbow.map_or_else(|| "-".to_owned(), |elbow| elbow.to_string());
+            let (pixels, largest) = (report.spot_check.pixels, report.spot_check.max_abs);
+            let of_peak = report.spot_check.max_over_peak;
+            let of_peak = of_peak.map_or_else(String::new, |m| format!(" ({m:.1e} of the peak)"));
+            let (count, folder) = (report.files.len(), report.folder.display());
             format!(
-                "sampled   {} PSFs over {frame} pixels ({} computed in all) in {:.2} s\n\
-                 fitted    {} components (elbow at {}), largest fit error {:.1e} (relative L2), in {:.2} s\n\
-                 model     PSFs differ from the telescope's own by {:.1e} (median), {:.1e} (largest, relative L2)\n\
-                 PSF       FWHM {:.2} to {:.2} pixels, ellipticity |e| up to {:.2}\n\
-                 simulated {} galaxies and {} stars in {:.2} s\n\
-                 checked   {} pixels against the direct sum: largest difference {:.1e}{}\n\
-                 patches   with sides of {} pixels: their image differs from image.fits by {:.1e} (relative L2): see patch_error.png\n\
-                 wrote     {} files to {} in {:.1} s: start with image.png, psf_field.png and report.json\n",
-                report.samples,
-                report.psfs_drawn,
-                s.sample,
-                report.rank,
-                report.elbow.map_or_else(|| "-".to_owned(), |e| e.to_string()),
-                report.fit_max_error,
-                s.fit,
-                report.model_error_median,
-                report.model_error_max,
-                report.fwhm_px_min,
-                report.fwhm_px_max,
-                report.ellipticity_max,
-                report.galaxies,
-                report.stars,
-                s.simulate,
-                check.pixels,
-                check.max_abs,
-                check
-                    .max_over_peak
-                    .map_or_else(String::new, |m| format!(" ({m:.1e} of the peak)")),
-                report.patch,
-                report.patch_relative_l2,
-                report.files.len(),
-                report.folder.display(),
-                s.total,
+                "sampled   {sample_count} PSFs over {frame} pixels ({psfs_drawn} computed in all) in {sample_seconds:.2} s\n\
+                 fitted    {rank} components (elbow at {elbow}), largest fit error {fit_error:.1e} (relative L2), in {fit_seconds:.2} s\n\
+                 model     PSFs differ from the telescope's own by {error_median:.1e} (median), {error_max:.1e} (largest, relative L2)\n\
+                 PSF       FWHM {fwhm_min:.2} to {fwhm_max:.2} pixels, ellipticity |e| up to {e_max:.2}\n\
+                 simulated {galaxies} galaxies and {STARS} stars in {simulate_seconds:.2} s\n\
+                 checked   {pixels} pixels against the direct sum: largest difference {largest:.1e}{of_peak}\n\
+                 patches   with sides of {PATCH} pixels: their image differs from image.fits by {patch_error:.1e} (relative L2): see patch_error.svg\n\
+                 wrote     {count} files to {folder} in {seconds:.1} s: start with image.png, psf_field.svg and report.json\n"
             )
         })?;
         verdict(&report.spot_check, &report.folder.join("image.fits"))

@@ -4,19 +4,18 @@ use std::path::PathBuf;
 
 use anyhow::Context as _;
 use metrics::Summary;
-use ndarray::{Array2, ArrayView2, ArrayView3, s};
+use ndarray::{Array2, ArrayView3, s};
 use psf_io::{Card, HeaderCards};
 use psf_types::{FrameShape, Image, PointSource, Position, PsfModel};
 use psfield::evaluate::{EvaluateOptions, OutputGrid, evaluate};
 use psfield::measure::{MEASUREMENT_COLUMNS, MeasureOptions, Measurement};
-use psfield_lab::plot::{Figure, Picture, PictureAxes, Scale, pictures, positions_figure};
+use psfield_lab::plot::{Axis, Chart, Figure, Scale};
+use psfield_lab::preview::{Colormap, LimitRule, Percentiles, Picture, Stretch};
 
 use super::PATCH;
 use super::sky::Sky;
 use crate::context::signature;
 
-/// Flux per pixel above which the pictures of scene and image are logarithmic.
-const SOFT: f64 = 30.0;
 /// Number of PSFs that are shown along each side of the field.
 const ACROSS: usize = 9;
 
@@ -24,16 +23,16 @@ const ACROSS: usize = 9;
 pub(super) const FILES: [&str; 13] = [
     "telescope.toml",
     "samples.fits",
-    "sampling.png",
+    "sampling.svg",
     "model.fits",
-    "psf_field.png",
+    "psf_field.svg",
     "psf_measurements.csv",
     "scene.fits",
     "stars.csv",
     "image.fits",
     "scene.png",
     "image.png",
-    "patch_error.png",
+    "patch_error.svg",
     "report.json",
 ];
 
@@ -77,15 +76,15 @@ impl Output {
         Ok(psf_io::write_csv(path, &columns, rows, self.overwrite)?)
     }
 
-    fn figure(&mut self, name: &str, figure: &Figure) -> anyhow::Result<()> {
-        let path = self.path(name);
-        Ok(psf_io::write_bytes(path, &figure.png()?, self.overwrite)?)
+    fn figure(&mut self, name: &str, chart: Chart) -> anyhow::Result<()> {
+        let svg = Figure::new(&[chart], 740.0).svg();
+        Ok(psf_io::write_text(self.path(name), &svg, self.overwrite)?)
     }
 
     /// Draws the positions of the samples.
     pub(super) fn sampling(&mut self, positions: &[Position], frame: FrameShape) -> anyhow::Result<()> {
         let title = format!("{} samples of the PSF", positions.len());
-        self.figure("sampling.png", &positions_figure(&[(title, positions)], frame)?)
+        self.figure("sampling.svg", Chart::positions(&title, positions, frame))
     }
 
     /// Writes the PSFs on a grid over the frame, as a picture and as a table of measurements.
@@ -100,10 +99,10 @@ impl Output {
             ..EvaluateOptions::default()
         };
         let stamps = evaluate(model, positions?, on_pixels)?;
-        self.figure("psf_field.png", &psf_field(stamps.stamps(), frame)?)?;
         let rows = MeasureOptions::default().cube(stamps.stamps(), Some(stamps.positions().as_slice()));
         let path = self.path("psf_measurements.csv");
         psf_io::write_csv(path, &MEASUREMENT_COLUMNS, &rows, self.overwrite)?;
+        self.figure("psf_field.svg", psf_field(stamps.stamps(), frame))?;
         let of = |value: fn(&Measurement) -> Option<f64>| Summary::of(rows.iter().filter_map(value));
         Ok([
             of(|r| r.fwhm_px)?,
@@ -112,61 +111,33 @@ impl Output {
         ])
     }
 
+    /// Shows scene and image as pictures with one stretch, and the error of patches as a chart.
     pub(super) fn pictures(
         &mut self,
         sky: &Sky,
         image: &Image<f32>,
         by_patches: &Image<f32>,
     ) -> anyhow::Result<()> {
-        // The pictures of scene and image have one scale, so that they can be compared.
         let image = image.pixels().mapv(f64::from);
-        let high = Summary::of(image.iter().copied())?
-            .quantile(0.9995)?
-            .max(2.0 * SOFT);
-        let stretch = Scale::Asinh { soft: SOFT, high };
-        let sharp = sky.sharp().mapv(f64::from);
-        let flux = "flux per pixel (asinh scale)";
-        self.figure(
-            "scene.png",
-            &single_picture("input scene", sharp.view(), stretch, flux)?,
-        )?;
-        self.figure(
-            "image.png",
-            &single_picture("simulated image", image.view(), stretch, flux)?,
-        )?;
+        let limits = LimitRule::Percentile(Percentiles::new(0.5, 99.8)?).limits(image.view())?;
+        for (name, pixels) in [("scene.png", &sky.sharp().mapv(f64::from)), ("image.png", &image)] {
+            let picture = Picture::new(pixels.view(), limits, Stretch::Asinh, Colormap::Grey)?;
+            psf_io::write_bytes(self.path(name), &picture.png(), self.overwrite)?;
+        }
         let difference = by_patches.pixels().mapv(f64::from) - &image;
         let most = Summary::of(difference.iter().map(|v| v.abs()))?.quantile(0.995)?;
-        let scale = Scale::Difference {
-            most: most.max(f64::MIN_POSITIVE),
-        };
+        let scale = Scale::difference("flux per pixel", most.max(f64::MIN_POSITIVE));
         let title = format!(
             "image by {PATCH}-pixel patches minus image by the default method\n(only galaxies differ; 0.5 % of the pixels are beyond the colour scale)"
         );
-        self.figure(
-            "patch_error.png",
-            &single_picture(&title, difference.view(), scale, "flux per pixel")?,
-        )
+        let chart = Chart::picture(&title, difference.view(), &scale);
+        self.figure("patch_error.svg", chart)
     }
 }
 
-fn single_picture(
-    title: &str,
-    pixels: ArrayView2<'_, f64>,
-    scale: Scale,
-    quantity: &str,
-) -> anyhow::Result<Figure> {
-    Ok(pictures(&[Picture {
-        title,
-        pixels,
-        scale,
-        quantity,
-        axes: PictureAxes::Pixels,
-    }])?)
-}
-
-/// Draws PSFs `[k, y, x]` of a grid over the frame on one scale, the first at the bottom left. The
-/// axes give positions on the frame.
-fn psf_field(stamps: ArrayView3<'_, f64>, frame: FrameShape) -> anyhow::Result<Figure> {
+/// Makes a chart of PSFs `[k, y, x]` of a grid over the frame on one scale, the first at the bottom
+/// left. The axes give positions on the frame.
+fn psf_field(stamps: ArrayView3<'_, f64>, frame: FrameShape) -> Chart {
     let (count, ny, nx) = stamps.dim();
     let peak = stamps.iter().copied().fold(f64::MIN_POSITIVE, f64::max);
     // The background remains visible as a grey line between neighbours.
@@ -179,22 +150,12 @@ fn psf_field(stamps: ArrayView3<'_, f64>, frame: FrameShape) -> anyhow::Result<F
         whole.slice_mut(s![y..y + ny, x..x + nx]).assign(&stamp);
     }
     // Each PSF is in the middle of its square. The outer PSFs are at the frame's edges.
-    let along = |pixels: usize| {
+    let [x, y] = [("x", frame.nx()), ("y", frame.ny())].map(|(name, pixels)| {
         let step = (pixels - 1) as f64 / (ACROSS - 1) as f64;
-        -0.5 * step..(ACROSS as f64 - 0.5) * step
-    };
+        Axis::linear(&format!("{name} on the frame (pixels)"))
+            .within(-0.5 * step, (ACROSS as f64 - 0.5) * step)
+    });
     let title = format!("PSF over the field, one brightness scale\n(each square: {nx} x {ny} pixels)");
-    Ok(pictures(&[Picture {
-        title: &title,
-        pixels: whole.view(),
-        scale: Scale::Asinh {
-            soft: peak * 1e-3,
-            high: peak,
-        },
-        quantity: "fraction of flux per pixel (asinh scale)",
-        axes: PictureAxes::Of([
-            ("x on the frame (pixels)", along(frame.nx())),
-            ("y on the frame (pixels)", along(frame.ny())),
-        ]),
-    }])?)
+    let scale = Scale::sky("fraction of flux per pixel (asinh scale)", peak * 1e-3, peak);
+    Chart::picture(&title, whole.view(), &scale).with_axes(x, y)
 }

@@ -7,10 +7,10 @@ use std::path::{Path, PathBuf};
 use anyhow::Context as _;
 use psf_io::FileKind;
 use psfield::Psf;
-use psfield_lab::report::{Software, Validation};
+use psfield_lab::report::{Software, Spread, Validation};
 
 use crate::UsageError;
-use crate::context::{Context, command_text, with_window_hint, without_option};
+use crate::context::{Context, command_text, object, with_window_hint, without_option};
 use crate::psf_args::{PsfArgs, PsfFileArgs, notes_of};
 use crate::report_folder::{self, ReportFolder};
 use crate::reproduce::targets_text;
@@ -161,29 +161,44 @@ impl ValidateArgs {
             ("PSF model", self.input.display().to_string()),
             ("reference", reference.display().to_string()),
         ];
-        let document = measured.document(inputs, Software::of_command(command_text()))?;
         let tables = [("objects.csv", measured.objects.rows.as_slice())];
-        let of_psf = (&measured, Some(notes_of(&psf)));
-        let speaking = (context, spinner);
-        self.folder
-            .publish(&document, of_psf, &tables, speaking, |folder| {
-                let summary = &measured.objects.summary;
-                let line = |name: &str, spread: Option<psfield_lab::report::Spread>| {
-                    spread.map_or_else(String::new, |s| {
-                        format!("{name}: 90 % below {:.1e}, largest {:.1e}\n", s.q90, s.largest)
-                    })
-                };
-                format!(
-                    "{} objects compared, {} could not be measured\n{}{}{}{}{}{}{folder}: open report.html first",
-                    summary.objects,
-                    summary.failed,
-                    line("difference of eccentricity sqrt(1 - b^2/a^2)", summary.eccentricity),
-                    line("difference of e1 (distortion)", summary.e1),
-                    line("difference of e2 (distortion)", summary.e2),
-                    line("difference of FWHM (pixels of the frame)", summary.fwhm_px),
-                    line("MAE / mean of the window", summary.mae_over_mean),
-                    targets_text(&measured.targets),
-                )
-            })
+        let document = measured.document(inputs, Software::of_command(command_text()));
+        let files = self
+            .folder
+            .write(&tables, document, &measured, || measured.sections())?;
+        drop(spinner);
+        let report = object! {
+            folder: self.folder.report.as_path(),
+            files,
+            notes: notes_of(&psf),
+            #[serde(flatten)]
+            measured: &measured,
+        };
+        context.report(&report, || {
+            let summary = &measured.objects.summary;
+            let lines = [
+                (
+                    "difference of eccentricity sqrt(1 - b^2/a^2)",
+                    summary.eccentricity,
+                ),
+                ("difference of e1 (distortion)", summary.e1),
+                ("difference of e2 (distortion)", summary.e2),
+                ("difference of FWHM (pixels of the frame)", summary.fwhm_px),
+                ("MAE / mean of the window", summary.mae_over_mean),
+            ]
+            .map(|(name, spread)| {
+                let text =
+                    |s: Spread| format!("{name}: 90 % below {:.1e}, largest {:.1e}\n", s.q90, s.largest);
+                spread.map_or_else(String::new, text)
+            });
+            format!(
+                "{} objects compared, {} could not be measured\n{}{}{}: open report.html first",
+                summary.objects,
+                summary.failed,
+                lines.concat(),
+                targets_text(&measured.targets),
+                report.folder.display(),
+            )
+        })
     }
 }

@@ -4,8 +4,10 @@ use anyhow::Context as _;
 use psf_io::HeaderCards;
 use psf_stars::SOURCE_COLUMNS;
 use psf_types::Image;
-use psfield_lab::plot::{Axis, Curve, Curves, Figure, PlotError, curve_panels};
-use psfield_lab::{Agreement, Distribution, ROUND_TRIP_COLUMNS, RoundTrip, RoundTripOptions, StarComparison};
+use psfield_lab::plot::{Axis, Chart, Curve, Figure};
+use psfield_lab::{
+    Agreement, Distribution, ROUND_TRIP_COLUMNS, RoundTrip, RoundTripOptions, RoundTripRow, StarComparison,
+};
 
 use super::ValidateArgs;
 use crate::context::{Context, object, signature, with_window_hint, write_samples};
@@ -36,8 +38,8 @@ const FILES: [&str; 9] = [
     "simulated.fits",
     "residual.fits",
     "stars.csv",
-    "distributions.svg",
     "summary.json",
+    "distributions.svg",
 ];
 
 impl RoundTripArgs {
@@ -104,7 +106,7 @@ impl RoundTripArgs {
     }
 }
 
-/// Writes all files, the summary last.
+/// Writes all files. The figure is the last, so that an error in drawing loses no measurement.
 fn write(trip: &RoundTrip, header: &HeaderCards, summary: &str, folder: &ReportFolder) -> anyhow::Result<()> {
     folder.make()?;
     let at = |name: &str| folder.report.join(name);
@@ -128,8 +130,8 @@ fn write(trip: &RoundTrip, header: &HeaderCards, summary: &str, folder: &ReportF
     image("residual.fits", &trip.residual, header)?;
     psf_io::write_csv(at("stars.csv"), ROUND_TRIP_COLUMNS, &trip.rows, overwrite)?;
     let text = |name: &str, content: &str| psf_io::write_text(at(name), content, overwrite);
-    text("distributions.svg", distributions(trip)?.svg())?;
-    Ok(text("summary.json", summary)?)
+    text("summary.json", summary)?;
+    Ok(text("distributions.svg", &distributions(trip).svg())?)
 }
 
 /// Compares drawn stars with the frame in four lines of text.
@@ -162,34 +164,22 @@ fn lines(stars: &StarComparison) -> String {
 
 /// Draws the cumulative distributions of FWHM and eccentricity, for the stars of the frame and for
 /// the simulated stars.
-fn distributions(trip: &RoundTrip) -> Result<Figure, PlotError> {
-    let both =
-        |row: &&psfield_lab::RoundTripRow| row.fwhm_frame_px.is_some() && row.fwhm_simulated_px.is_some();
-    let rows = || trip.rows.iter().filter(both);
-    let panel = |title: &str, quantity, frame: Vec<f64>, simulated: &[f64]| {
-        let curves = Curves {
-            x: Axis::linear(quantity),
-            y: Axis::linear("cumulative fraction of stars"),
-            curves: vec![
-                Curve::distribution("input frame", frame),
-                Curve::distribution("simulated", simulated.iter().copied()),
-            ],
-            marks: Vec::new(),
-        };
-        (title.to_owned(), curves)
+fn distributions(trip: &RoundTrip) -> Figure {
+    let both = |row: &&RoundTripRow| row.fwhm_frame_px.is_some() && row.fwhm_simulated_px.is_some();
+    let chart = |title: &str, quantity, of: fn(&RoundTripRow) -> Option<f64>, simulated: &[f64]| {
+        let frame = trip.rows.iter().filter(both).filter_map(of);
+        let curves = vec![
+            Curve::distribution("input frame", frame),
+            Curve::distribution("simulated", simulated.iter().copied()),
+        ];
+        let y = Axis::linear("cumulative fraction of stars");
+        Chart::new(title, Axis::linear(quantity), y, curves)
     };
-    curve_panels(&[
-        panel(
-            "FWHM",
-            "FWHM (pixels)",
-            rows().filter_map(|row| row.fwhm_frame_px).collect(),
-            &trip.simulated_fwhm_px,
-        ),
-        panel(
-            "eccentricity",
-            "eccentricity sqrt(1 - b^2 / a^2)",
-            rows().filter_map(|row| row.eccentricity_frame).collect(),
-            &trip.simulated_eccentricity,
-        ),
-    ])
+    let (fwhm, eccentricity) = (&trip.simulated_fwhm_px, &trip.simulated_eccentricity);
+    let name = "eccentricity sqrt(1 - b^2 / a^2)";
+    let charts = [
+        chart("FWHM", "FWHM (pixels)", |row| row.fwhm_frame_px, fwhm),
+        chart("eccentricity", name, |row| row.eccentricity_frame, eccentricity),
+    ];
+    Figure::new(&charts, 550.0)
 }

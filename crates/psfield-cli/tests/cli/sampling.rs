@@ -274,18 +274,14 @@ fn demo_writes_all_that_it_lists_and_protects_it() {
         report["samples"].as_u64().unwrap()
     );
     assert_eq!(desk.image("demo/image.fits").dim(), (1024, 1024));
-    let pictures = [
-        "sampling.png",
-        "psf_field.png",
-        "scene.png",
-        "image.png",
-        "patch_error.png",
-    ];
-    for name in pictures {
-        assert!(
-            desk.bytes(&format!("demo/{name}")).starts_with(b"\x89PNG"),
-            "{name}"
-        );
+    for (name, start) in [
+        ("sampling.svg", "<svg xmlns=".as_bytes()),
+        ("psf_field.svg", b"<svg xmlns="),
+        ("patch_error.svg", b"<svg xmlns="),
+        ("scene.png", b"\x89PNG"),
+        ("image.png", b"\x89PNG"),
+    ] {
+        assert!(desk.bytes(&format!("demo/{name}")).starts_with(start), "{name}");
     }
 
     // The other commands read its files, and give its image.

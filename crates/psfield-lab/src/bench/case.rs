@@ -3,8 +3,8 @@
 use coeff_field::{FieldInterpolation, Nearest};
 use ndarray::{Array2, Axis};
 use psf_types::{
-    DataError, FrameShape, Image, Normalisation, OutsidePolicy, Position, PsfBasis, PsfModel, PsfModelRecord,
-    Real, SampleCoefficients, SamplePositions,
+    DataError, FrameShape, Image, Interpolation, Normalisation, OutsidePolicy, Position, PsfBasis, PsfModel,
+    PsfModelRecord, Real, SampleCoefficients, SamplePositions,
 };
 use psfield::PsfieldError;
 use rand::{RngExt, SeedableRng};
@@ -89,6 +89,16 @@ pub(super) fn placed(
         record.outside(),
         record.normalisation(),
     )
+}
+
+/// Returns a model with another interpolator of the coefficients.
+pub(crate) fn interpolated_by(
+    record: &PsfModelRecord,
+    interpolation: Interpolation,
+) -> Result<PsfModelRecord, DataError> {
+    let (basis, coefficients) = (record.basis().clone(), record.coefficients().clone());
+    let (outside, normalisation) = (record.outside(), record.normalisation());
+    PsfModelRecord::new(basis, coefficients, interpolation, outside, normalisation)
 }
 
 /// Returns a random position on the frame.

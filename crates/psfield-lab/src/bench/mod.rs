@@ -42,8 +42,8 @@ mod real_series;
 mod run;
 mod whole_model;
 
-pub(crate) use case::random_position;
 pub use case::{BenchCase, lit_scene, stretched};
+pub(crate) use case::{interpolated_by, random_position};
 pub use contender::Contender;
 pub use real::{REAL_TOLERANCE, RealRow, run_real_cases};
 pub use real_case::{RealCase, RealGroup, RealPsf};

@@ -11,7 +11,7 @@ use psfield::{FitOptions, Psf, PsfieldError};
 use rand_chacha::ChaCha8Rng;
 use serde::Serialize;
 
-use crate::bench::case::{random_position, stretched};
+use crate::bench::case::{interpolated_by, random_position, stretched};
 use crate::bench::real_colours::KELVINS;
 
 /// Cases that differ in one amount. Written as the name in lower case.
@@ -101,18 +101,7 @@ impl RealPsf {
         let grid = stretched(grid, frame)?;
         match self {
             Self::Grid | Self::Spectra | Self::Times => Ok(grid),
-            Self::Bicubic => {
-                let (basis, coefficients) = (grid.basis().clone(), grid.coefficients().clone());
-                let (outside, normalisation) = (grid.outside(), grid.normalisation());
-                let bicubic = Interpolation::Bicubic;
-                Ok(PsfModelRecord::new(
-                    basis,
-                    coefficients,
-                    bicubic,
-                    outside,
-                    normalisation,
-                )?)
-            }
+            Self::Bicubic => Ok(interpolated_by(&grid, Interpolation::Bicubic)?),
             Self::Psfex(degree) => record_of_psfex(&to_psfex(&grid.into(), Some(degree))?.model),
             Self::Scattered => {
                 let count = SCATTERED.min(grid.coefficients().positions().len());
@@ -147,19 +136,6 @@ pub struct RealCase {
 }
 
 impl RealGroup {
-    /// All groups.
-    pub const ALL: [Self; 9] = [
-        Self::Pixels,
-        Self::Light,
-        Self::Stars,
-        Self::Galaxies,
-        Self::Frames,
-        Self::Fields,
-        Self::Colours,
-        Self::Series,
-        Self::StarSeries,
-    ];
-
     /// The unit of [`RealCase::amount`].
     pub fn unit(self) -> &'static str {
         match self {
@@ -239,10 +215,22 @@ impl RealCase {
 mod tests {
     use super::*;
 
+    const ALL: [RealGroup; 9] = [
+        RealGroup::Pixels,
+        RealGroup::Light,
+        RealGroup::Stars,
+        RealGroup::Galaxies,
+        RealGroup::Frames,
+        RealGroup::Fields,
+        RealGroup::Colours,
+        RealGroup::Series,
+        RealGroup::StarSeries,
+    ];
+
     #[test]
     fn frames_are_no_larger_than_the_largest_size() {
         let sides = |sizes: &[usize]| {
-            let cases = RealGroup::ALL.map(|group| group.cases(sizes, false));
+            let cases = ALL.map(|group| group.cases(sizes, false));
             cases.map(|cases| cases.iter().map(|case| case.side).max().unwrap())
         };
         assert_eq!(
@@ -250,7 +238,7 @@ mod tests {
             [9216, 4096, 9216, 4096, 256, 256, 9216, 2048, 2048]
         );
         assert_eq!(sides(&[200, 100]), [200; 9]);
-        let names = RealGroup::ALL.map(|group| group.to_string().parse::<RealGroup>());
-        assert_eq!(names.map(Result::unwrap), RealGroup::ALL);
+        let names = ALL.map(|group| group.to_string().parse::<RealGroup>());
+        assert_eq!(names.map(Result::unwrap), ALL);
     }
 }

@@ -11,7 +11,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde::Serialize;
 
-use crate::bench::contender::{PlannedContender, RunTime};
+use crate::bench::contender::PlannedContender;
 use crate::bench::{BenchCase, Contender};
 use crate::memory::PeakMemory;
 
@@ -149,13 +149,6 @@ pub struct BenchOutcome {
     pub skipped: Vec<Skipped>,
 }
 
-/// A contender and its measurements so far.
-struct Entry<T: ConvReal> {
-    contender: PlannedContender<T>,
-    runs_per_turn: usize,
-    runs: Vec<RunTime>,
-}
-
 /// A run that takes fewer seconds is repeated within a turn. The clock and the scheduler disturb
 /// short runs more than long runs.
 const MIN_SECONDS_PER_TURN: f64 = 0.02;
@@ -221,32 +214,25 @@ pub fn run<T: ConvReal>(
     progress.advance(1);
 
     let mut image = Array2::zeros((frame.ny(), frame.nx()));
-    let mut entries = Vec::with_capacity(chosen.len());
+    let mut planned = Vec::with_capacity(chosen.len());
     for contender in chosen {
         let memory = PeakMemory::start();
         let mut contender = PlannedContender::new(contender, case, &psf, options)?;
         let warm = contender.run(&scene, &mut image)?;
         contender.row.relative_l2 = relative_l2(&image, &pixels, &exact);
         contender.row.peak_memory_bytes = memory.bytes();
-        entries.push(Entry {
-            contender,
-            runs_per_turn: runs_per_turn(warm.seconds),
-            runs: Vec::new(),
-        });
+        planned.push((contender, runs_per_turn(warm.seconds), Vec::new()));
         progress.advance(1);
     }
     for _ in 0..repeat {
-        for entry in &mut entries {
-            for _ in 0..entry.runs_per_turn {
-                entry.runs.push(entry.contender.run(&scene, &mut image)?);
+        for (contender, runs_per_turn, runs) in &mut planned {
+            for _ in 0..*runs_per_turn {
+                runs.push(contender.run(&scene, &mut image)?);
             }
             progress.advance(1);
         }
     }
-    for Entry {
-        contender, mut runs, ..
-    } in entries
-    {
+    for (contender, _, mut runs) in planned {
         runs.sort_by(|a, b| a.seconds.total_cmp(&b.seconds));
         let single = outcome.rows.first();
         let unit = single.map_or(runs[0].seconds, |single| single.seconds);

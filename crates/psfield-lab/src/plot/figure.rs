@@ -1,125 +1,133 @@
-//! A figure as SVG and PNG.
+//! A figure: charts next to each other, as SVG.
+
+use std::fmt::{Arguments, Write};
 
 use base64::Engine;
 use base64::prelude::BASE64_STANDARD;
-use image::codecs::png::PngEncoder;
-use image::{ExtendedColorType, ImageEncoder, ImageError};
-use plotters::coord::Shift;
-use plotters::prelude::{DrawingArea, DrawingAreaErrorKind, IntoDrawingArea, WHITE};
-use thiserror::Error;
-use tiny_skia::Pixmap;
 
-use crate::plot::canvas::{Canvas, Overlay, PNG_SCALE};
+use super::chart::{Chart, Curve};
+use crate::preview::Picture;
 
-/// A rectangle of a figure in which a part of the figure is drawn.
-pub(super) type Area<'a> = DrawingArea<Canvas<'a>, Shift>;
-
-/// The error of a figure that could not be made.
-#[derive(Debug, Error)]
-#[non_exhaustive]
-pub enum PlotError {
-    /// The drawing failed.
-    #[error("a figure could not be drawn: {0}")]
-    Drawing(#[from] DrawingAreaErrorKind<std::io::Error>),
-    /// The figure has no pixels, or too many for a PNG.
-    #[error("a PNG of {width} x {height} pixels cannot be made: it is empty or too large")]
-    TooLarge {
-        /// Columns of the PNG.
-        width: u32,
-        /// Rows of the PNG.
-        height: u32,
-    },
-    /// The pixels could not be written as PNG.
-    #[error("a PNG could not be encoded: {0}")]
-    Encoding(#[from] ImageError),
-}
-
-/// A figure as SVG and as pixels. The background is white. The font of the text is DejaVu Sans in
-/// the pixels, and the reader's `sans-serif` font in the SVG.
+/// A figure as SVG. The background is white. Text has the reader's font `sans-serif`.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Figure {
-    svg: String,
-    pixels: Pixmap,
-    size: (u32, u32),
+    shapes: String,
+    width: f64,
+    height: f64,
+}
+
+/// Size of text in pixels.
+pub(super) const TEXT: f64 = 14.0;
+/// Height of a line of a heading, and of the strip with the legend.
+pub(super) const LINE: f64 = 22.0;
+/// Length of a line in the legend.
+const SAMPLE: f64 = 28.0;
+const MARGIN: f64 = 12.0;
+
+/// About the width of a text in pixels. The font of the reader is not known.
+pub(super) fn text_width(text: &str) -> f64 {
+    0.58 * TEXT * text.chars().count() as f64
 }
 
 impl Figure {
-    /// Draws a figure of this `size` (width, height) in pixels. `draw` returns overlays, which are
-    /// drawn last, over the rest of the figure.
-    pub(super) fn draw(
-        size: (u32, u32),
-        draw: impl FnOnce(&Area<'_>) -> Result<Vec<Overlay>, PlotError>,
-    ) -> Result<Self, PlotError> {
-        let scaled = |n: u32| (n as f32 * PNG_SCALE).round() as u32;
-        let (width, height) = (scaled(size.0), scaled(size.1));
-        let mut pixels = Pixmap::new(width, height).ok_or(PlotError::TooLarge { width, height })?;
-        let mut svg = String::new();
-        let root = Canvas::new(&mut svg, &mut pixels, size).into_drawing_area();
-        root.fill(&WHITE)?;
-        let overlays = draw(&root)?;
-        root.present()?;
-        drop(root);
-        let end = svg.rfind("</svg>").unwrap_or(svg.len());
-        let mut images = String::new();
-        for overlay in overlays {
-            images.push_str(&overlay.element()?);
-            overlay.lay_over(&mut pixels);
+    /// Draws charts, two per row if there are several, each in a cell of `width` pixels. If the charts have at least two curves of different names, a legend above them
+    /// shows each name once, so curves of equal names should have equal colours and markers.
+    pub fn new(charts: &[Chart], width: f64) -> Self {
+        let across = charts.len().clamp(1, 2);
+        // Cells have equal heights, so that axes are in line.
+        let height = charts.iter().map(|chart| chart.height(width)).fold(0.0, f64::max);
+        let mut names: Vec<(usize, &Curve)> = Vec::new();
+        for (place, curve) in charts.iter().flat_map(|chart| chart.curves.iter().enumerate()) {
+            if !curve.name.is_empty() && names.iter().all(|(_, known)| known.name != curve.name) {
+                names.push((place, curve));
+            }
         }
-        svg.insert_str(end, &images);
-        Ok(Self { svg, pixels, size })
+        let legend = if names.len() > 1 { 2.0 * LINE } else { 0.0 };
+        let mut figure = Self {
+            shapes: String::new(),
+            width: width * across as f64,
+            height: legend + height * charts.len().div_ceil(across) as f64,
+        };
+        if legend > 0.0 {
+            let mut left = 2.0 * MARGIN;
+            for (place, curve) in names {
+                curve.draw_sample(&mut figure, (left, LINE), SAMPLE, place);
+                figure.text((left + SAMPLE + 6.0, LINE + 5.0), "", &curve.name);
+                left += SAMPLE + text_width(&curve.name) + 2.0 * MARGIN;
+            }
+            figure.width = figure.width.max(left);
+        }
+        for (k, chart) in charts.iter().enumerate() {
+            let corner = ((k % across) as f64 * width, legend + (k / across) as f64 * height);
+            chart.draw(&mut figure, corner, (width, height));
+        }
+        figure
     }
 
-    /// The SVG.
-    pub fn svg(&self) -> &str {
-        &self.svg
+    /// The SVG, as the content of a file.
+    pub fn svg(&self) -> String {
+        self.element("xmlns=\"http://www.w3.org/2000/svg\"")
     }
 
-    /// Width and height of the SVG in pixels.
-    pub fn size(&self) -> (u32, u32) {
-        self.size
+    /// The width in pixels.
+    pub(crate) fn width(&self) -> f64 {
+        self.width
     }
 
-    /// Returns the figure as PNG, with twice as many pixels along each axis as
-    /// [`size`](Self::size).
-    ///
-    /// # Errors
-    /// [`PlotError::Encoding`] if the pixels cannot be written as PNG.
-    pub fn png(&self) -> Result<Vec<u8>, PlotError> {
-        let (width, height) = (self.pixels.width(), self.pixels.height());
-        let mut png = Vec::new();
-        PngEncoder::new(&mut png).write_image(self.pixels.data(), width, height, ExtendedColorType::Rgba8)?;
-        Ok(png)
+    /// The SVG as a part of an HTML page, with a text for readers who cannot see it.
+    pub(crate) fn in_page(&self, text: &str) -> String {
+        self.element(&format!("role=\"img\" aria-label=\"{}\"", escaped(text)))
     }
 
-    /// Returns the SVG as a `data:` URI, for self-contained pages.
-    pub fn data_uri(&self) -> String {
-        format!("data:image/svg+xml;base64,{}", BASE64_STANDARD.encode(&self.svg))
+    fn element(&self, attributes: &str) -> String {
+        let Self {
+            shapes,
+            width,
+            height,
+        } = self;
+        format!(
+            "<svg {attributes} width=\"{width:.0}\" height=\"{height:.0}\" viewBox=\"0 0 {width:.0} {height:.0}\" \
+             font-family=\"sans-serif\" font-size=\"{TEXT}\">\n\
+             <rect width=\"100%\" height=\"100%\" fill=\"#ffffff\"/>\n{shapes}</svg>\n"
+        )
+    }
+
+    /// Adds an element, given as its name and attributes.
+    pub(super) fn shape(&mut self, element: Arguments<'_>) {
+        // Writing to a string does not fail.
+        let _ = writeln!(self.shapes, "<{element}/>");
+    }
+
+    /// Adds a text at a position, by default the left end of its baseline. `style` has attributes.
+    pub(super) fn text(&mut self, (x, y): (f64, f64), style: &str, text: &str) {
+        let text = escaped(text);
+        let _ = writeln!(
+            self.shapes,
+            "<text x=\"{x:.1}\" y=\"{y:.1}\" {style}>{text}</text>"
+        );
+    }
+
+    /// Adds a picture in a rectangle, with a grey edge.
+    pub(super) fn picture(&mut self, (x, y): (f64, f64), (width, height): (f64, f64), picture: &Picture) {
+        let place = format!("x=\"{x:.1}\" y=\"{y:.1}\" width=\"{width:.1}\" height=\"{height:.1}\"");
+        // Pixels that are larger than those of the screen keep sharp edges.
+        let sharp = if (picture.width() as f64) < width {
+            "optimizeSpeed"
+        } else {
+            "auto"
+        };
+        let png = BASE64_STANDARD.encode(picture.png());
+        self.shape(format_args!(
+            "image {place} preserveAspectRatio=\"none\" image-rendering=\"{sharp}\" href=\"data:image/png;base64,{png}\""
+        ));
+        self.shape(format_args!("rect {place} fill=\"none\" stroke=\"#808080\""));
     }
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use image::{Rgb, RgbImage};
-    use plotters::prelude::{IntoFont, Text};
-
-    #[test]
-    fn text_and_overlays_reach_the_png() {
-        let figure = Figure::draw((80, 40), |root| {
-            root.draw(&Text::new("MMM", (4, 4), ("sans-serif", 20).into_font()))?;
-            Ok(vec![Overlay {
-                left: 60,
-                top: 10,
-                width: 20,
-                height: 20,
-                pixels: RgbImage::from_pixel(2, 2, Rgb([255, 0, 0])),
-            }])
-        })
-        .unwrap();
-        let png = image::load_from_memory(&figure.png().unwrap()).unwrap().to_rgb8();
-        assert_eq!(png.dimensions(), (160, 80));
-        assert_eq!(png.get_pixel(140, 40), &Rgb([255, 0, 0]));
-        let dark = png.enumerate_pixels().filter(|(x, _, p)| *x < 110 && p[0] < 100);
-        assert!(dark.count() > 50, "the text is not there");
-    }
+/// The text with the characters of markup replaced.
+pub(crate) fn escaped(text: &str) -> String {
+    text.replace('&', "&amp;")
+        .replace('<', "&lt;")
+        .replace('>', "&gt;")
+        .replace('"', "&quot;")
 }

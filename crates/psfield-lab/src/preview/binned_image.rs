@@ -32,9 +32,10 @@ impl BinnedImage {
     /// assert_eq!((binned.factor, binned.undefined_pixels), (2, 2));
     /// ```
     pub fn of(image: ArrayView2<'_, f64>, max_size: usize) -> Self {
-        let mut squares = Squares::new(image.dim(), max_size);
-        squares.add(image);
-        squares.means()
+        let mut binned = Self::empty(image.dim(), max_size);
+        let mut counts = Array2::zeros(binned.pixels.dim());
+        binned.add(image, 0, &mut counts);
+        binned.divided(&counts)
     }
 
     /// Bins an image in a file. The file is read in bands of rows, and may be larger than memory.
@@ -43,68 +44,51 @@ impl BinnedImage {
     /// [`IoError`] if the reader cannot read the rows.
     pub fn read(reader: &mut ImageReader, max_size: usize) -> Result<Self, IoError> {
         let (ny, nx) = (reader.shape().ny(), reader.shape().nx());
-        let mut squares = Squares::new((ny, nx), max_size);
+        let mut binned = Self::empty((ny, nx), max_size);
+        let mut counts = Array2::zeros(binned.pixels.dim());
         for first in (0..ny).step_by(BAND) {
             let rows = reader.read_rows_with_undefined(first..ny.min(first + BAND))?;
-            squares.add(rows.view());
+            binned.add(rows.view(), first, &mut counts);
         }
-        Ok(squares.means())
+        Ok(binned.divided(&counts))
+    }
+
+    fn empty((ny, nx): (usize, usize), max_size: usize) -> Self {
+        let factor = ny.max(nx).div_ceil(max_size.max(1)).max(1);
+        Self {
+            pixels: Array2::zeros((ny.div_ceil(factor), nx.div_ceil(factor))),
+            factor,
+            undefined_pixels: 0,
+        }
+    }
+
+    /// Adds rows of the image, the first of which is row `first`. `counts` holds the number of finite
+    /// pixels in each bin.
+    fn add(&mut self, rows: ArrayView2<'_, f64>, first: usize, counts: &mut Array2<u32>) {
+        for (y, row) in rows.outer_iter().enumerate() {
+            let y = (first + y) / self.factor;
+            for (x, &value) in row.iter().enumerate() {
+                let bin = [y, x / self.factor];
+                if value.is_finite() {
+                    self.pixels[bin] += value;
+                    counts[bin] += 1;
+                } else {
+                    self.undefined_pixels += 1;
+                }
+            }
+        }
+    }
+
+    /// Turns sums into means. A bin without finite pixels becomes NaN: 0 / 0.
+    fn divided(mut self, counts: &Array2<u32>) -> Self {
+        self.pixels
+            .zip_mut_with(counts, |sum, &count| *sum /= f64::from(count));
+        self
     }
 
     /// The means `[y, x]`.
     pub fn pixels(&self) -> ArrayView2<'_, f64> {
         self.pixels.view()
-    }
-}
-
-/// The sum and the number of finite pixels in each square bin. Rows are added as they are read.
-struct Squares {
-    factor: usize,
-    sums: Array2<f64>,
-    counts: Array2<u32>,
-    rows: usize,
-    undefined_pixels: usize,
-}
-
-impl Squares {
-    fn new((ny, nx): (usize, usize), max_size: usize) -> Self {
-        let factor = ny.max(nx).div_ceil(max_size.max(1)).max(1);
-        let shape = (ny.div_ceil(factor), nx.div_ceil(factor));
-        Self {
-            factor,
-            sums: Array2::zeros(shape),
-            counts: Array2::zeros(shape),
-            rows: 0,
-            undefined_pixels: 0,
-        }
-    }
-
-    /// Adds the next rows.
-    fn add(&mut self, rows: ArrayView2<'_, f64>) {
-        for row in rows.outer_iter() {
-            let y = self.rows / self.factor;
-            for (x, &value) in row.iter().enumerate() {
-                let square = [y, x / self.factor];
-                if value.is_finite() {
-                    self.sums[square] += value;
-                    self.counts[square] += 1;
-                } else {
-                    self.undefined_pixels += 1;
-                }
-            }
-            self.rows += 1;
-        }
-    }
-
-    fn means(self) -> BinnedImage {
-        let mut pixels = self.sums;
-        // A bin without finite pixels becomes NaN: 0 / 0.
-        pixels.zip_mut_with(&self.counts, |sum, &count| *sum /= f64::from(count));
-        BinnedImage {
-            pixels,
-            factor: self.factor,
-            undefined_pixels: self.undefined_pixels,
-        }
     }
 }
 

@@ -21,12 +21,14 @@ impl Limits {
     /// Makes limits from the values shown darkest (`low`) and brightest (`high`).
     ///
     /// # Errors
-    /// [`PreviewError::Range`] unless both are finite and `low` is below `high`.
+    /// [`PreviewError::Setting`] unless both are finite and `low` is below `high`.
     pub fn new(low: f64, high: f64) -> Result<Self, PreviewError> {
         if low.is_finite() && high.is_finite() && low < high {
             Ok(Self { low, high })
         } else {
-            Err(PreviewError::Range { low, high })
+            Err(PreviewError::Setting(format!(
+                "the limits {low} and {high} are not a range: two finite numbers are needed, the lower one first"
+            )))
         }
     }
 
@@ -73,7 +75,9 @@ fn two_numbers(text: &str) -> Result<[f64; 2], PreviewError> {
     let mut numbers = text.split(',').map(|number| number.trim().parse().ok());
     match (numbers.next().flatten(), numbers.next().flatten(), numbers.next()) {
         (Some(low), Some(high), None) => Ok([low, high]),
-        _ => Err(PreviewError::NotTwoNumbers),
+        _ => Err(PreviewError::Setting(
+            "two numbers LO,HI are needed, as in 0.5,99.5".to_owned(),
+        )),
     }
 }
 
@@ -88,12 +92,14 @@ impl Percentiles {
     /// Makes percentiles, for example 0.5 and 99.5.
     ///
     /// # Errors
-    /// [`PreviewError::Percentiles`] unless 0 <= `low` < `high` <= 100.
+    /// [`PreviewError::Setting`] unless 0 <= `low` < `high` <= 100.
     pub fn new(low: f64, high: f64) -> Result<Self, PreviewError> {
         if low >= 0.0 && low < high && high <= 100.0 {
             Ok(Self { low, high })
         } else {
-            Err(PreviewError::Percentiles { low, high })
+            Err(PreviewError::Setting(format!(
+                "the percentiles {low} and {high} are not two numbers from 0 to 100, the lower one first"
+            )))
         }
     }
 }
@@ -140,25 +146,18 @@ impl LimitRule {
         sorted.sort_unstable_by(f64::total_cmp);
         let (lowest, highest) = (sorted[0], sorted[sorted.len() - 1]);
         let (low, high, rule) = if let Self::Percentile(Percentiles { low, high }) = self {
-            (
-                percentile(&sorted, low),
-                percentile(&sorted, high),
-                format!("the range of the percentiles {low} and {high}"),
-            )
+            let rule = format!("the range of the percentiles {low} and {high}");
+            (percentile(&sorted, low), percentile(&sorted, high), rule)
         } else {
             let (low, high) = zscale(&finite);
             (low, high, "zscale".to_owned())
         };
+        let (value, range) = (low, [lowest, highest]);
         Limits::new(low, high).map_err(|_| {
             if lowest == highest {
-                PreviewError::Constant { value: lowest }
+                PreviewError::Constant { value }
             } else {
-                PreviewError::EqualLimits {
-                    rule,
-                    value: low,
-                    lowest,
-                    highest,
-                }
+                PreviewError::EqualLimits { rule, value, range }
             }
         })
     }
@@ -278,10 +277,10 @@ mod tests {
     #[test]
     fn what_is_no_range_is_refused() {
         for (low, high) in [(1.0, 1.0), (2.0, 1.0), (f64::NAN, 1.0), (0.0, f64::INFINITY)] {
-            assert!(matches!(Limits::new(low, high), Err(PreviewError::Range { .. })));
+            assert!(Limits::new(low, high).is_err());
         }
         for text in ["", "1", "1,2,3", "a,2", "1;2"] {
-            assert_eq!(text.parse::<Limits>(), Err(PreviewError::NotTwoNumbers), "{text}");
+            assert!(text.parse::<Limits>().is_err(), "{text}");
         }
         assert_eq!("-1.5, 2e3".parse(), Limits::new(-1.5, 2e3));
     }
@@ -392,7 +391,10 @@ mod tests {
             );
             assert!(matches!(
                 rule.limits(one.view()),
-                Err(PreviewError::EqualLimits { highest: 9.0, .. })
+                Err(PreviewError::EqualLimits {
+                    range: [0.0, 9.0],
+                    ..
+                })
             ));
             assert_eq!(
                 rule.limits(array![[f64::NAN, f64::INFINITY]].view()),

@@ -41,35 +41,9 @@ pub use picture::{Colormap, Picture, Stretch};
 #[derive(Debug, Clone, PartialEq, Error)]
 #[non_exhaustive]
 pub enum PreviewError {
-    /// Limits that are not finite, or not in ascending order.
-    #[error(
-        "the limits {low} and {high} are not a range: two finite numbers are needed, the lower one first"
-    )]
-    Range {
-        /// The value at the dark end.
-        low: f64,
-        /// The value at the bright end.
-        high: f64,
-    },
-    /// Percentiles that are not from 0 to 100, or not in ascending order.
-    #[error("the percentiles {low} and {high} are not two numbers from 0 to 100, the lower one first")]
-    Percentiles {
-        /// The lower percentile.
-        low: f64,
-        /// The upper percentile.
-        high: f64,
-    },
-    /// A string that is not two numbers.
-    #[error("two numbers LO,HI are needed, as in 0.5,99.5")]
-    NotTwoNumbers,
-    /// A name that is not known.
-    #[error("{got:?} is not one of {known}")]
-    Name {
-        /// The known names.
-        known: &'static str,
-        /// The given name.
-        got: String,
-    },
+    /// Limits, percentiles or a name that are not possible. The sentence says what is.
+    #[error("{0}")]
+    Setting(String),
     /// An image (binned, if it is large) without any finite pixel.
     #[error("none of the {pixels} pixels of the picture has a finite value: there is nothing to show")]
     NoFinitePixel {
@@ -86,19 +60,15 @@ pub enum PreviewError {
     #[error(
         "{rule} puts both limits at {}, because so many pixels have this value, while the pixels range from {} to {}: choose wider \
          percentiles, or give the two limits yourself",
-        readable(*value, FIGURES),
-        readable(*lowest, FIGURES),
-        readable(*highest, FIGURES)
+        readable(*value, FIGURES), readable(range[0], FIGURES), readable(range[1], FIGURES)
     )]
     EqualLimits {
         /// The rule, as the subject of a sentence.
         rule: String,
         /// Both limits.
         value: f64,
-        /// The lowest pixel.
-        lowest: f64,
-        /// The highest pixel.
-        highest: f64,
+        /// The lowest and the highest pixel.
+        range: [f64; 2],
     },
     /// An image that is empty, or has too many pixels along an axis for a picture.
     #[error("an image of {nx} x {ny} pixels cannot be a picture: 1 to {limit} are needed along each axis")]

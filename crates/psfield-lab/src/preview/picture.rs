@@ -1,10 +1,10 @@
 //! Turns an image into a picture: brightness, colours, PNG.
 
 use std::io::Cursor;
-use std::str::FromStr;
 
-use image::{DynamicImage, GrayImage, ImageFormat, Luma, Rgb, RgbImage};
+use image::{DynamicImage, ImageBuffer, ImageFormat, Luma, Pixel, Rgb};
 use ndarray::ArrayView2;
+use psf_types::named;
 
 use crate::preview::{Limits, PreviewError};
 
@@ -39,21 +39,24 @@ impl Picture {
                 limit: LARGEST,
             });
         }
-        let colour = |x: u32, row: u32| {
-            let value = image[[ny - 1 - row as usize, x as usize]];
+        let colour = |value: f64| {
             if value.is_finite() {
                 colormap.colour(stretch.brightness(limits.fraction(value)))
             } else {
                 colormap.undefined_colour()
             }
         };
-        let (width, height) = (nx as u32, ny as u32);
         let grey = colormap == Colormap::Grey && image.iter().all(|value| value.is_finite());
-        Ok(Self(if grey {
-            GrayImage::from_fn(width, height, |x, row| Luma([colour(x, row)[0]])).into()
+        Ok(if grey {
+            Self(pixels(image, |value| Luma([colour(value)[0]])).into())
         } else {
-            RgbImage::from_fn(width, height, |x, row| Rgb(colour(x, row))).into()
-        }))
+            Self::coloured(image, colour)
+        })
+    }
+
+    /// Makes the picture of an image `[y, x]` that is not empty, with a colour for each value.
+    pub(crate) fn coloured(image: ArrayView2<'_, f64>, colour: impl Fn(f64) -> [u8; 3]) -> Self {
+        Self(pixels(image, |value| Rgb(colour(value))).into())
     }
 
     /// Number of columns.
@@ -66,21 +69,6 @@ impl Picture {
         self.0.height() as usize
     }
 
-    /// Returns whether the picture has only a grey channel.
-    pub fn is_grey(&self) -> bool {
-        self.0.as_luma8().is_some()
-    }
-
-    /// Red, green and blue of the pixel `[y, x]` of the image. None for a pixel outside the image.
-    pub fn colour_at(&self, [y, x]: [usize; 2]) -> Option<[u8; 3]> {
-        let row = self.height().checked_sub(1 + y)?;
-        match &self.0 {
-            DynamicImage::ImageLuma8(grey) => Some([grey.get_pixel_checked(x as u32, row as u32)?[0]; 3]),
-            DynamicImage::ImageRgb8(colours) => Some(colours.get_pixel_checked(x as u32, row as u32)?.0),
-            _ => None,
-        }
-    }
-
     /// Returns the bytes of a PNG file. Equal pictures give equal bytes.
     pub fn png(&self) -> Vec<u8> {
         let mut bytes = Cursor::new(Vec::new());
@@ -89,6 +77,17 @@ impl Picture {
             .expect("pictures of 8 bits and a checked size can be written to memory");
         bytes.into_inner()
     }
+}
+
+/// The pixels of a picture, with the last row of the image at the top.
+fn pixels<P: Pixel<Subpixel = u8>>(
+    image: ArrayView2<'_, f64>,
+    colour: impl Fn(f64) -> P,
+) -> ImageBuffer<P, Vec<u8>> {
+    let (ny, nx) = image.dim();
+    ImageBuffer::from_fn(nx as u32, ny as u32, |x, row| {
+        colour(image[[ny - 1 - row as usize, x as usize]])
+    })
 }
 
 /// The formula that turns a value into a brightness from 0 to 1, as in `astropy.visualization` by
@@ -107,19 +106,6 @@ pub enum Stretch {
 }
 
 impl Stretch {
-    /// All stretches.
-    pub const ALL: [Self; 4] = [Self::Linear, Self::Sqrt, Self::Log, Self::Asinh];
-
-    /// The name of the stretch, which [`FromStr`] accepts.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Linear => "linear",
-            Self::Sqrt => "sqrt",
-            Self::Log => "log",
-            Self::Asinh => "asinh",
-        }
-    }
-
     /// The brightness (0 to 1) at a fraction (0 to 1) of the range between the limits. NaN stays
     /// NaN.
     pub fn brightness(self, fraction: f64) -> f64 {
@@ -134,12 +120,10 @@ impl Stretch {
     }
 }
 
-impl FromStr for Stretch {
-    type Err = PreviewError;
-    fn from_str(text: &str) -> Result<Self, PreviewError> {
-        named(text, Self::ALL, Self::name, "linear, sqrt, log, asinh")
-    }
-}
+named!(
+    Stretch, PreviewError, |text| refused("linear, sqrt, log or asinh", text),
+    "linear" => Linear, "sqrt" => Sqrt, "log" => Log, "asinh" => Asinh
+);
 
 /// Grey, and five colour maps of matplotlib. The lightness of every map increases all the way from
 /// dark to bright, so that colour-blind readers can tell the colours apart.
@@ -161,28 +145,6 @@ pub enum Colormap {
 }
 
 impl Colormap {
-    /// All colour maps.
-    pub const ALL: [Self; 6] = [
-        Self::Grey,
-        Self::Viridis,
-        Self::Cividis,
-        Self::Inferno,
-        Self::Magma,
-        Self::Plasma,
-    ];
-
-    /// The name of the colour map, which [`FromStr`] accepts.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Grey => "grey",
-            Self::Viridis => "viridis",
-            Self::Cividis => "cividis",
-            Self::Inferno => "inferno",
-            Self::Magma => "magma",
-            Self::Plasma => "plasma",
-        }
-    }
-
     /// Red, green and blue of a brightness from 0 to 1. NaN gets the
     /// [`undefined_colour`](Self::undefined_colour).
     pub fn colour(self, brightness: f64) -> [u8; 3] {
@@ -208,26 +170,14 @@ impl Colormap {
     }
 }
 
-impl FromStr for Colormap {
-    type Err = PreviewError;
-    fn from_str(text: &str) -> Result<Self, PreviewError> {
-        let known = "grey, viridis, cividis, inferno, magma, plasma";
-        named(text, Self::ALL, Self::name, known)
-    }
-}
+named!(
+    Colormap, PreviewError, |text| refused("grey, viridis, cividis, inferno, magma or plasma", text),
+    "grey" => Grey, "viridis" => Viridis, "cividis" => Cividis, "inferno" => Inferno, "magma" => Magma,
+    "plasma" => Plasma
+);
 
-/// Returns the value in `all` whose name is `text`. `known` lists the names for the error.
-fn named<T: Copy, const N: usize>(
-    text: &str,
-    all: [T; N],
-    name: fn(T) -> &'static str,
-    known: &'static str,
-) -> Result<T, PreviewError> {
-    let found = all.into_iter().find(|&one| name(one) == text);
-    found.ok_or_else(|| PreviewError::Name {
-        known,
-        got: text.to_owned(),
-    })
+fn refused(known: &str, got: &str) -> PreviewError {
+    PreviewError::Setting(format!("{got:?} is not {known}"))
 }
 
 #[cfg(test)]
@@ -245,14 +195,8 @@ mod tests {
             array![[0.0, 10.0], [5.0, -3.0], [99.0, 2.0]].view(),
             Colormap::Grey,
         );
-        assert!(picture.is_grey());
         let png = image::load_from_memory(&picture.png()).unwrap();
         assert_eq!(png.as_luma8().unwrap().as_raw(), &[255, 51, 128, 0, 0, 255]);
-        assert_eq!(picture.colour_at([2, 1]), Some([51; 3]));
-        assert_eq!(
-            (picture.colour_at([3, 0]), picture.colour_at([0, 2])),
-            (None, None)
-        );
     }
 
     #[test]
@@ -261,13 +205,10 @@ mod tests {
             array![[0.0, f64::NAN, f64::NEG_INFINITY, f64::INFINITY]].view(),
             Colormap::Grey,
         );
+        let png = image::load_from_memory(&picture.png()).unwrap().into_rgb8();
         let marked = Colormap::Grey.undefined_colour();
-        assert_eq!(picture.colour_at([0, 0]), Some([0; 3]));
-        for x in 1..4 {
-            assert_eq!(picture.colour_at([0, x]), Some(marked));
-        }
-        let png = image::load_from_memory(&picture.png()).unwrap();
-        assert_eq!(png.as_rgb8().unwrap().get_pixel(1, 0).0, marked);
+        let colours: Vec<[u8; 3]> = png.pixels().map(|pixel| pixel.0).collect();
+        assert_eq!(colours, [[0; 3], marked, marked, marked]);
     }
 
     #[test]
@@ -301,11 +242,20 @@ mod tests {
                 .zip(&expected)
                 .all(|(a, b): (&f64, &f64)| (a - b).abs() <= DIGITS);
             assert!(near, "{stretch:?}: {got:?}");
-            assert_eq!(stretch.name().parse(), Ok(stretch));
+            assert_eq!(stretch.to_string().parse(), Ok(stretch));
         }
         assert!(Stretch::Log.brightness(f64::NAN).is_nan());
         assert!("power".parse::<Stretch>().is_err());
     }
+
+    const MAPS: [Colormap; 6] = [
+        Colormap::Grey,
+        Colormap::Viridis,
+        Colormap::Cividis,
+        Colormap::Inferno,
+        Colormap::Magma,
+        Colormap::Plasma,
+    ];
 
     /// Colours closer than this distance in red, green and blue could be confused. Two greys at
     /// this distance differ by 27 % of the range from black to white.
@@ -321,13 +271,13 @@ mod tests {
 
     #[test]
     fn pixels_without_a_value_stand_out() {
-        for map in Colormap::ALL {
+        for map in MAPS {
             let nearest = (0..=255)
                 .map(|level| distance(map.colour(f64::from(level) / 255.0), map.undefined_colour()))
                 .fold(f64::INFINITY, f64::min);
             assert!(nearest > MIN_COLOUR_DISTANCE, "{map:?}: {nearest}");
             assert_eq!(map.colour(f64::NAN), map.undefined_colour());
-            assert_eq!(map.name().parse(), Ok(map));
+            assert_eq!(map.to_string().parse(), Ok(map));
         }
         assert!("jet".parse::<Colormap>().is_err());
     }
@@ -339,7 +289,7 @@ mod tests {
             let linear = |c: u8| (f64::from(c) / 255.0).powf(2.2);
             0.2126 * linear(r) + 0.7152 * linear(g) + 0.0722 * linear(b)
         };
-        for map in Colormap::ALL {
+        for map in MAPS {
             let steps: Vec<f64> = (0..=16)
                 .map(|n| lightness(map.colour(f64::from(n) / 16.0)))
                 .collect();

@@ -9,9 +9,9 @@ use serde::Serialize;
 
 use crate::LabError;
 use crate::bench::{bandpass, psf_of_wavelengths};
-use crate::plot::{Axis, Curve, Curves, Marker, PlotError, curve_panels};
-use crate::report::document::{NamedFigure, Section, short};
-use crate::report::scenes::true_psf;
+use crate::plot::{Axis, Chart, Curve, Marker};
+use crate::report::document::{Section, short};
+use crate::report::scenes::true_psfs;
 use crate::report::{ObjectRow, Target};
 
 /// Wavelengths in micrometres of the samples.
@@ -74,12 +74,6 @@ impl ColourRow {
     pub fn ellipticity(&self) -> Option<f64> {
         Some(self.object.e1?.hypot(self.object.e2?))
     }
-
-    /// Length of the difference of the distortions `(e1, e2)`, model minus truth. None if one of
-    /// them could not be measured.
-    pub fn ellipticity_difference(&self) -> Option<f64> {
-        Some(self.object.e1_difference()?.hypot(self.object.e2_difference()?))
-    }
 }
 
 impl ColourComparison {
@@ -104,7 +98,7 @@ impl ColourComparison {
 
         let psf = psf_of_wavelengths(telescope, &WAVELENGTHS_UM, samples_across)?;
         let of_spectra = psf.for_spectra(&bandpass, &spectra)?;
-        let truth = true_psfs(telescope, &bandpass, &spectra, &places)?;
+        let truth = psfs_of_spectra(telescope, &bandpass, &spectra, &places)?;
         let mut stars = Vec::with_capacity(places.len() * count);
         for ((&at, (place, _)), truth) in places.iter().zip(PLACES).zip(&truth) {
             for ((model, &kelvin), truth) in of_spectra.models()?.iter().zip(&kelvins).zip(truth) {
@@ -128,31 +122,27 @@ impl ColourComparison {
     }
 
     /// The targets for the largest errors.
-    pub(super) fn targets(&self) -> Vec<Target> {
+    pub(super) fn targets(&self) -> [Target; 2] {
         let largest = |of: fn(&ColourRow) -> Option<f64>| {
             let errors: Option<Vec<f64>> = self.stars.iter().map(of).collect();
-            Some(
-                errors?
-                    .into_iter()
-                    .fold(0.0, |most: f64, error| most.max(error.abs())),
-            )
+            Some(errors?.into_iter().map(f64::abs).fold(0.0, f64::max))
         };
-        vec![
-            Target::new(
-                "colours: largest relative error of the FWHM",
-                FWHM_ERROR,
-                largest(ColourRow::fwhm_error),
-            ),
+        let (fwhm, ellipticity) = (
+            largest(ColourRow::fwhm_error),
+            largest(|star| star.object.ellipticity_difference()),
+        );
+        [
+            Target::new("colours: largest relative error of the FWHM", FWHM_ERROR, fwhm),
             Target::new(
                 "colours: largest difference of the ellipticity (e1, e2)",
                 ELLIPTICITY_DIFFERENCE,
-                largest(ColourRow::ellipticity_difference),
+                ellipticity,
             ),
         ]
     }
 
-    pub(super) fn section(&self) -> Result<Section, PlotError> {
-        let panel = |title: &str, y: Axis, of: fn(&ColourRow) -> Option<f64>| {
+    pub(super) fn section(&self) -> Section {
+        let chart = |title: &str, y: Axis, of: fn(&ColourRow) -> Option<f64>| {
             let curves = PLACES.map(|(place, _)| {
                 let stars = self.stars.iter().filter(|star| star.place == place);
                 let points = stars.filter_map(|star| Some((star.kelvin, of(star)?)));
@@ -162,34 +152,29 @@ impl ColourComparison {
                 }
             });
             let (low, high, _) = TEMPERATURES;
-            let curves = Curves {
-                x: Axis::logarithmic("temperature of the star (K)").within(0.9 * low..1.1 * high),
-                y,
-                curves: curves.to_vec(),
-                marks: Vec::new(),
-            };
-            (title.to_owned(), curves)
+            let x = Axis::logarithmic("temperature of the star (K)").within(0.9 * low, 1.1 * high);
+            Chart::new(title, x, y, curves.into())
         };
-        let figure = curve_panels(&[
-            panel("FWHM", Axis::linear("FWHM (pixels of the frame)"), |star| {
+        let charts = [
+            chart("FWHM", Axis::linear("FWHM (pixels of the frame)"), |star| {
                 star.object.fwhm_px
             }),
-            panel(
+            chart(
                 "ellipticity",
                 Axis::linear("ellipticity sqrt(e1^2 + e2^2)"),
                 ColourRow::ellipticity,
             ),
-            panel(
+            chart(
                 "relative error of the FWHM",
                 Axis::logarithmic("|FWHM / true FWHM - 1|"),
                 |star| star.fwhm_error().map(f64::abs),
             ),
-            panel(
+            chart(
                 "difference of the ellipticity",
                 Axis::logarithmic("length of the difference of (e1, e2)"),
-                ColourRow::ellipticity_difference,
+                |star| star.object.ellipticity_difference(),
             ),
-        ])?;
+        ];
         let [first, last] = self.bandpass_um;
         let text = format!(
             "A star with the spectrum of a black body, in the band from {first} to {last} um, at three \
@@ -203,29 +188,18 @@ impl ColourComparison {
             self.wavelengths_um.len(),
             self.true_wavelengths,
         );
-        let largest = self.targets();
+        let [fwhm, ellipticity] = self.targets().map(|target| short(target.measured));
         let caption = format!(
             "FWHM and ellipticity of a star's PSF against its temperature, by a Gaussian fit, and their \
-             differences from the truth: at most {} and {}.",
-            short(largest[0].measured),
-            short(largest[1].measured),
+             differences from the truth: at most {fwhm} and {ellipticity}."
         );
-        let figure = NamedFigure {
-            name: "colour",
-            caption,
-            figure,
-        };
-        Ok(Section::new(
-            "Stars of different colours",
-            Some(text),
-            vec![figure],
-        ))
+        Section::new("Stars of different colours", [&text]).with_figure("colour", &caption, &charts)
     }
 }
 
 /// Returns the true PSFs `[position][spectrum]`. The integral over the wavelength is a sum over
 /// equal steps.
-fn true_psfs(
+fn psfs_of_spectra(
     telescope: &Telescope,
     bandpass: &Bandpass,
     spectra: &[Spectrum],
@@ -238,8 +212,7 @@ fn true_psfs(
         .collect();
     let drawn = wavelengths.par_iter().map(|&um| {
         let telescope = telescope.at_wavelength_um(um)?;
-        let psfs = positions.iter().map(|&at| true_psf(&telescope, at));
-        psfs.collect::<Result<Vec<_>, _>>()
+        true_psfs(&telescope, positions)
     });
     let drawn: Vec<Vec<Array2<f64>>> = drawn.collect::<Result<_, LabError>>()?;
     let mean = |position: usize, spectrum: &Spectrum| {

@@ -4,13 +4,13 @@ use std::fmt::Write;
 
 use serde::Serialize;
 
-use crate::plot::Figure;
+use crate::plot::{Chart, Figure, escaped};
 
 /// A report, from which an HTML page is made.
 #[derive(Debug, Clone)]
 pub struct Document {
     /// The heading.
-    pub title: String,
+    pub title: &'static str,
     /// The program that made the report.
     pub software: Software,
     /// Names and values of the inputs and of the conditions of the run.
@@ -20,33 +20,29 @@ pub struct Document {
 }
 
 /// A part of a report.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone)]
 pub struct Section {
-    /// The heading.
-    pub title: String,
-    /// Paragraphs of plain text.
-    pub paragraphs: Vec<String>,
-    /// Tables.
-    pub tables: Vec<Table>,
+    title: &'static str,
+    paragraphs: Vec<String>,
+    tables: Vec<Table>,
     /// Figures.
     pub figures: Vec<NamedFigure>,
 }
 
 /// A table of strings.
-#[derive(Debug, Clone, Default)]
-pub struct Table {
+#[derive(Debug, Clone)]
+pub(super) struct Table {
     /// The text above the table.
-    pub caption: String,
-    /// Names of the columns.
-    pub columns: Vec<String>,
+    caption: String,
+    columns: Vec<String>,
     /// Rows, each with as many cells as there are columns.
-    pub rows: Vec<Vec<String>>,
+    rows: Vec<Vec<String>>,
 }
 
-/// A figure with its caption and the name of its files.
+/// A figure with its caption and the name of its file.
 #[derive(Debug, Clone)]
 pub struct NamedFigure {
-    /// The name of the files, without extension.
+    /// The name of the file, without extension.
     pub name: &'static str,
     /// The text below the figure.
     pub caption: String,
@@ -58,31 +54,23 @@ impl Document {
     /// Returns a self-contained HTML page, which can be printed. The page is light or dark, as the
     /// reader's system is set.
     pub fn to_html(&self) -> String {
-        let title = escaped(&self.title);
-        let mut page = format!(
+        let (title, software) = (escaped(self.title), &self.software);
+        let inputs = self.inputs.iter().map(|(name, value)| [*name, value]);
+        let sections = self.sections.iter().map(Section::to_html);
+        format!(
             "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
              <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n<title>{title}</title>\n\
-             <style>{STYLE}</style>\n</head>\n<body>\n<h1>{title}</h1>\n"
-        );
-        let software = &self.software;
-        let _ = writeln!(
-            page,
-            "<p>psfield {}, {}, threads: {}. Command: <code>{}</code></p>",
+             <style>{STYLE}</style>\n</head>\n<body>\n<h1>{title}</h1>\n\
+             <p>psfield {}, {}, threads: {}. Command: <code>{}</code></p>\n\
+             <div class=\"wide\"><table class=\"inputs\"><caption>Inputs and conditions of this report</caption>\n{}</table></div>\n\
+             {}</body>\n</html>\n",
             escaped(software.psfield),
             escaped(&software.machine),
             software.threads,
-            escaped(&software.command)
-        );
-        page.push_str("<div class=\"wide\"><table class=\"inputs\"><caption>Inputs and conditions of this report</caption>\n");
-        for (name, value) in &self.inputs {
-            row(&mut page, [*name, value]);
-        }
-        page.push_str("</table></div>\n");
-        for part in &self.sections {
-            section(&mut page, part);
-        }
-        page.push_str("</body>\n</html>\n");
-        page
+            escaped(&software.command),
+            rows("td", inputs),
+            sections.collect::<String>(),
+        )
     }
 
     /// All figures, in order.
@@ -91,25 +79,91 @@ impl Document {
     }
 }
 
+/// Width in pixels of one of two charts next to each other.
+const HALF_PAGE: f64 = 550.0;
+
 impl Section {
-    /// Makes a section with a heading, a paragraph if one is given, and figures.
-    pub(super) fn new(title: &str, text: Option<String>, figures: Vec<NamedFigure>) -> Self {
+    /// Makes a section with a heading and paragraphs of plain text.
+    pub(super) fn new<const N: usize>(title: &'static str, paragraphs: [&str; N]) -> Self {
         Self {
-            title: title.to_owned(),
-            paragraphs: text.into_iter().collect(),
+            title,
+            paragraphs: paragraphs.map(str::to_owned).into(),
             tables: Vec::new(),
-            figures,
+            figures: Vec::new(),
         }
+    }
+
+    /// Adds a table.
+    pub(super) fn with_table(mut self, table: Table) -> Self {
+        self.tables.push(table);
+        self
+    }
+
+    /// Adds a figure.
+    pub(super) fn with_figure(mut self, name: &'static str, caption: &str, charts: &[Chart]) -> Self {
+        self.figures.push(NamedFigure {
+            name,
+            caption: caption.to_owned(),
+            figure: Figure::new(charts, HALF_PAGE),
+        });
+        self
+    }
+
+    fn to_html(&self) -> String {
+        let mut html = format!("<section>\n<h2>{}</h2>\n", escaped(self.title));
+        // Writing to a string does not fail.
+        for paragraph in &self.paragraphs {
+            let _ = writeln!(html, "<p>{}</p>", escaped(paragraph));
+        }
+        for table in &self.tables {
+            let columns = table.columns.iter().map(|name| name.replace(" %", "\u{a0}%"));
+            let _ = writeln!(
+                html,
+                "<div class=\"wide\"><table><caption>{}</caption>\n<thead>{}</thead>\n<tbody>\n{}</tbody></table></div>",
+                escaped(&table.caption),
+                rows("th", [columns.collect::<Vec<_>>()]),
+                rows("td", &table.rows),
+            );
+        }
+        html.push_str("<div class=\"figures\">\n");
+        for NamedFigure { caption, figure, .. } in &self.figures {
+            let (width, drawn) = (figure.width(), figure.in_page(caption));
+            let _ = writeln!(
+                html,
+                "<figure style=\"width:{width:.0}px\">{drawn}<figcaption>{}</figcaption></figure>",
+                escaped(caption)
+            );
+        }
+        html + "</div>\n</section>\n"
     }
 }
 
+/// Rows of a table whose cells are `td` or `th`.
+fn rows<R: IntoIterator<Item: AsRef<str>>>(cell: &str, rows: impl IntoIterator<Item = R>) -> String {
+    let row = |row: R| {
+        let cells = row
+            .into_iter()
+            .map(|text| format!("<{cell}>{}</{cell}>", escaped(text.as_ref())));
+        format!("<tr>{}</tr>\n", cells.collect::<String>())
+    };
+    rows.into_iter().map(row).collect()
+}
+
+/// A column of a table: its name, and the cell of a row.
+pub(super) type Column<'a, R> = (&'a str, &'a dyn Fn(&R) -> String);
+
 impl Table {
-    /// Makes a table with these columns and without rows.
-    pub(super) fn new(caption: &str, columns: &[&str]) -> Self {
+    /// Makes a table with a row for each item of a list.
+    pub(super) fn new<'a, R: 'a>(
+        caption: &str,
+        columns: &[Column<'_, R>],
+        rows: impl IntoIterator<Item = &'a R>,
+    ) -> Self {
+        let cells = |row| columns.iter().map(|(_, cell)| cell(row)).collect();
         Self {
             caption: caption.to_owned(),
-            columns: columns.iter().map(|&c| c.to_owned()).collect(),
-            rows: Vec::new(),
+            columns: columns.iter().map(|(name, _)| (*name).to_owned()).collect(),
+            rows: rows.into_iter().map(cells).collect(),
         }
     }
 }
@@ -172,89 +226,12 @@ pub(super) fn load() -> Option<f64> {
     text.split(' ').next()?.parse().ok()
 }
 
-const STYLE: &str = "
-:root { color-scheme: light dark; --ink: #1a1a1a; --paper: #ffffff; --faint: #5b6470; --line: #d5dae0; --shade: #f4f6f8; }
-@media (prefers-color-scheme: dark) { :root { --ink: #e6e8eb; --paper: #16191d; --faint: #a4adb8; --line: #3a414a; --shade: #20252b; } }
-body { font: 16px/1.5 system-ui, sans-serif; color: var(--ink); background: var(--paper); max-width: 1120px; margin: 0 auto; padding: 1.5rem; }
-h1 { line-height: 1.2; } h2 { margin-top: 2.5rem; border-bottom: 1px solid var(--line); }
-p { max-width: 48rem; }
-table { border-collapse: collapse; margin: 1rem 0; font-variant-numeric: tabular-nums; font-size: 0.9rem; }
-caption { text-align: left; color: var(--faint); padding-bottom: 0.3rem; max-width: 60rem; }
-th, td { padding: 0.25rem 0.5rem; border-bottom: 1px solid var(--line); text-align: right; vertical-align: top; }
-td { white-space: nowrap; } th { background: var(--shade); } th:first-child, td:first-child { text-align: left; }
-table.inputs td { text-align: left; white-space: normal; } .wide { overflow-x: auto; }
-.figures { display: flex; flex-wrap: wrap; gap: 1.2rem; } figure { margin: 0; max-width: 100%; } figure img { max-width: 100%; height: auto; background: #ffffff; border-radius: 6px; }
-figcaption { color: var(--faint); max-width: 60rem; font-size: 0.95rem; }
-code { background: var(--shade); padding: 0.1rem 0.3rem; border-radius: 4px; overflow-wrap: anywhere; }
-@media print {
-  :root { --ink: #000000; --paper: #ffffff; --faint: #333333; --line: #bbbbbb; --shade: #f0f0f0; }
-  @page { margin: 14mm; }
-  body { max-width: none; padding: 0; font-size: 10pt; } p { max-width: none; }
-  .wide { overflow: visible; } table { font-size: 7pt; } th, td { padding: 0.15rem 0.25rem; } td:first-child { white-space: normal; }
-  .figures { display: block; } figure { width: auto !important; margin: 0.8rem 0; } figure, tr { break-inside: avoid; } h2, caption, section > p { break-after: avoid; } figure img { max-height: 235mm; width: auto; }
-}
-";
-
-fn section(page: &mut String, section: &Section) {
-    let _ = writeln!(page, "<section>\n<h2>{}</h2>", escaped(&section.title));
-    for paragraph in &section.paragraphs {
-        let _ = writeln!(page, "<p>{}</p>", escaped(paragraph));
-    }
-    for part in &section.tables {
-        table(page, part);
-    }
-    page.push_str("<div class=\"figures\">\n");
-    for shown in &section.figures {
-        let caption = escaped(&shown.caption);
-        let (width, height) = shown.figure.size();
-        let _ = writeln!(
-            page,
-            "<figure style=\"width:{width}px\"><img width=\"{width}\" height=\"{height}\" alt=\"{caption}\" src=\"{}\">\n<figcaption>{caption}</figcaption></figure>",
-            shown.figure.data_uri()
-        );
-    }
-    page.push_str("</div>\n</section>\n");
-}
-
-fn table(page: &mut String, table: &Table) {
-    let _ = write!(
-        page,
-        "<div class=\"wide\"><table><caption>{}</caption>\n<thead><tr>",
-        escaped(&table.caption)
-    );
-    for name in &table.columns {
-        let _ = write!(
-            page,
-            "<th scope=\"col\">{}</th>",
-            escaped(name).replace(" %", "\u{a0}%")
-        );
-    }
-    page.push_str("</tr></thead>\n<tbody>\n");
-    for cells in &table.rows {
-        row(page, cells.iter().map(String::as_str));
-    }
-    page.push_str("</tbody></table></div>\n");
-}
-
-fn row<'a>(page: &mut String, cells: impl IntoIterator<Item = &'a str>) {
-    page.push_str("<tr>");
-    for cell in cells {
-        let _ = write!(page, "<td>{}</td>", escaped(cell));
-    }
-    page.push_str("</tr>\n");
-}
-
-fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;")
-        .replace('<', "&lt;")
-        .replace('>', "&gt;")
-        .replace('"', "&quot;")
-}
+const STYLE: &str = include_str!("page.css");
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::plot::{Axis, Curve, Curves};
+    use crate::plot::{Axis, Curve};
 
     #[test]
     fn numbers_of_a_table_have_three_decimals_or_an_exponent() {
@@ -272,43 +249,33 @@ mod tests {
 
     #[test]
     fn a_page_holds_all_it_shows_and_no_text_becomes_markup() {
-        let curves = Curves {
-            x: Axis::linear("x"),
-            y: Axis::linear("y"),
-            curves: vec![Curve::new("c", vec![(0.0, 1.0), (1.0, 2.0)])],
-            marks: Vec::new(),
-        };
-        let mut table = Table::new("numbers", &["a", "b"]);
-        table.rows.push(vec!["1".to_owned(), "<b>".to_owned()]);
+        let curve = Curve::new("c", vec![(0.0, 1.0), (1.0, 2.0)]);
+        let chart = Chart::new("x & y", Axis::linear("x"), Axis::linear("y"), vec![curve]);
+        let columns: [Column<'_, u8>; 2] = [("a", &|n| n.to_string()), ("b", &|_| "<b>".to_owned())];
+        let section = Section::new("first", ["one < two"])
+            .with_table(Table::new("numbers", &columns, &[1]))
+            .with_figure("line", "a \"line\"", &[chart]);
         let document = Document {
-            title: "A & B".to_owned(),
+            title: "A & B",
             software: Software::of_command("psfield reproduce --report '<dir>'".to_owned()),
             inputs: vec![("file", "\"quoted\"".to_owned())],
-            sections: vec![Section {
-                title: "first".to_owned(),
-                paragraphs: vec!["one < two".to_owned()],
-                tables: vec![table],
-                figures: vec![NamedFigure {
-                    name: "line",
-                    caption: "a line".to_owned(),
-                    figure: curves.figure().unwrap(),
-                }],
-            }],
+            sections: vec![section],
         };
         let page = document.to_html();
         for text in [
             "A &amp; B",
             "&lt;dir&gt;",
             "one &lt; two",
-            "&lt;b&gt;",
+            "<th>a</th>",
+            "<td>1</td><td>&lt;b&gt;</td>",
             "&quot;quoted&quot;",
-            "a line",
+            "a &quot;line&quot;",
+            ">x &amp; y</text>",
+            "<svg role=\"img\"",
+            "prefers-color-scheme: dark",
         ] {
             assert!(page.contains(text), "{text}");
         }
-        assert!(
-            page.contains("src=\"data:image/svg+xml;base64,") && page.contains("prefers-color-scheme: dark")
-        );
         for outside in ["http", "url(", "@import", "<script", "<link"] {
             assert!(!page.contains(outside), "{outside}");
         }

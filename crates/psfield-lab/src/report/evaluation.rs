@@ -47,16 +47,10 @@ impl Evaluation {
         frame: Option<FrameShape>,
         grid_columns: Option<usize>,
     ) -> Self {
-        let rows: Vec<ObjectRow> = positions
-            .par_iter()
-            .zip(simulated.par_iter().zip(truth))
+        let objects = positions.par_iter().zip(simulated.par_iter().zip(truth));
+        let rows: Vec<ObjectRow> = objects
             .map(|(&at, (ours, theirs))| ObjectRow::measure(at, ours.view(), theirs.view(), oversampling))
             .collect();
-        Self::of_rows(rows, frame, grid_columns)
-    }
-
-    /// Summarises rows that are measured already.
-    pub fn of_rows(rows: Vec<ObjectRow>, frame: Option<FrameShape>, grid_columns: Option<usize>) -> Self {
         let values = |of: fn(&ObjectRow) -> Option<f64>| rows.iter().filter_map(of).collect::<Vec<f64>>();
         let from_zero = |values: Vec<f64>| {
             let most = values.iter().copied().fold(0.0, f64::max);
@@ -194,44 +188,36 @@ impl Target {
 
     /// Compares a summary with the targets. `kind` names the objects, such as `stars`.
     pub(super) fn of(kind: &str, summary: &ErrorSummary) -> Vec<Self> {
-        let e = |of: fn(Spread) -> f64| summary.eccentricity.map(of);
-        let all = summary.failed == 0;
-        let kind = if all {
-            kind.to_owned()
-        } else {
-            format!("{kind} ({} could not be measured)", summary.failed)
+        let (eccentricity, mae) = (summary.eccentricity, summary.mae_over_mean);
+        let failed = match summary.failed {
+            0 => String::new(),
+            failed => format!(" ({failed} could not be measured)"),
         };
-        let mae = |of: fn(Spread) -> f64| summary.mae_over_mean.map(of);
-        [
-            (
+        let of = |what: &str, limit, measured| {
+            let target = Self::new(&format!("{kind}{failed}: {what}"), limit, measured);
+            Self {
+                met: target.met && summary.failed == 0,
+                ..target
+            }
+        };
+        let mae_target = |over: &str, measured| {
+            let what = format!("mean absolute error / window mean, {over} over objects");
+            of(&what, MAE_OVER_MEAN, measured)
+        };
+        vec![
+            of(
                 "difference of eccentricity, 90th percentile",
                 ECCENTRICITY_Q90,
-                e(|s| s.q90),
+                eccentricity.map(|s| s.q90),
             ),
-            (
+            of(
                 "largest difference of eccentricity",
                 ECCENTRICITY_LARGEST,
-                e(|s| s.largest),
+                eccentricity.map(|s| s.largest),
             ),
-            (
-                "mean absolute error / window mean, average over objects",
-                MAE_OVER_MEAN,
-                mae(|s| s.mean),
-            ),
-            (
-                "mean absolute error / window mean, largest over objects",
-                MAE_OVER_MEAN,
-                mae(|s| s.largest),
-            ),
+            mae_target("average", mae.map(|s| s.mean)),
+            mae_target("largest", mae.map(|s| s.largest)),
         ]
-        .into_iter()
-        .map(|(what, limit, measured)| Self {
-            what: format!("{kind}: {what}"),
-            limit,
-            measured,
-            met: all && measured.is_some_and(|m| m < limit),
-        })
-        .collect()
     }
 }
 

@@ -15,13 +15,13 @@ use psfield::{FitOptions, Psf};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
-use rayon::prelude::*;
 use serde::Serialize;
 
 use crate::LabError;
 use crate::bench::random_position;
-use crate::report::document::{Section, Table, short};
-use crate::report::scenes::true_psf;
+use crate::report::document::{Column, Section, Table, short};
+use crate::report::model_rows::psf_errors;
+use crate::report::scenes::true_psfs;
 use crate::report::{ErrorSummary, ObjectRow, Spread, Target};
 
 /// Number of stars in each frame from which samples are made.
@@ -116,9 +116,7 @@ impl FrameComparison {
         let mut frames = Vec::with_capacity(DRIFT.len());
         for (frame, (telescope, (samples, snr_db))) in telescopes.iter().zip(&drawn).enumerate() {
             let errors = errors(&psf.at_state(frame as f64)?, telescope, &mut rng)?;
-            let ellipticity = errors
-                .iter()
-                .filter_map(|row| Some(row.e1_difference()?.hypot(row.e2_difference()?)));
+            let ellipticity = errors.iter().filter_map(ObjectRow::ellipticity_difference);
             frames.push(FrameRow {
                 frame,
                 samples: samples.len(),
@@ -138,46 +136,30 @@ impl FrameComparison {
     }
 
     /// The target for the time of a frame.
-    pub(super) fn targets(&self) -> Vec<Target> {
+    pub(super) fn target(&self) -> Target {
         let slowest = self.frames.iter().map(|row| row.seconds).fold(0.0, f64::max);
         let what = format!("frames: seconds to find the coefficients of {STARS} stars in a given basis");
-        vec![Target::new(&what, SECONDS, Some(slowest))]
+        Target::new(&what, SECONDS, Some(slowest))
     }
 
     pub(super) fn section(&self) -> Section {
-        let mut table = Table::new(
-            "Frames of one basis. SNR: 10 log10(P_signal / P_noise) as in equation 6 of the paper, with sums \
-             of squares over the pixels of a sample. Signal / noise: the ratio of the r.m.s. values, not in \
-             dB. Both are medians over the samples. Errors: absolute differences of the model's PSFs from the \
-             optics at positions between the samples. Seconds: to find the coefficients of the samples in the \
-             given basis.",
-            &[
-                "frame",
-                "samples",
-                "SNR of samples (dB)",
-                "signal / noise",
-                "relative L2, median",
-                "relative L2, largest",
-                "FWHM (pixels), median",
-                "FWHM (pixels), largest",
-                "ellipticity, median",
-                "ellipticity, largest",
-                "seconds",
-            ],
-        );
-        table.rows.extend(self.frames.iter().map(|row| {
-            let mut cells = vec![
-                row.frame.to_string(),
-                row.samples.to_string(),
-                format!("{:.1}", row.sample_snr_db),
-                format!("{:.0}", row.sample_signal_to_noise),
-            ];
-            for spread in [row.psfs.relative_l2, row.psfs.fwhm_px, row.ellipticity] {
-                cells.extend([spread.map(|s| s.median), spread.map(|s| s.largest)].map(short));
-            }
-            cells.push(short(Some(row.seconds)));
-            cells
-        }));
+        let median = |spread: Option<Spread>| short(spread.map(|s| s.median));
+        let largest = |spread: Option<Spread>| short(spread.map(|s| s.largest));
+        let columns: [Column<'_, FrameRow>; 11] = [
+            ("frame", &|row| row.frame.to_string()),
+            ("samples", &|row| row.samples.to_string()),
+            ("SNR of samples (dB)", &|row| format!("{:.1}", row.sample_snr_db)),
+            ("signal / noise", &|row| {
+                format!("{:.0}", row.sample_signal_to_noise)
+            }),
+            ("relative L2, median", &|row| median(row.psfs.relative_l2)),
+            ("relative L2, largest", &|row| largest(row.psfs.relative_l2)),
+            ("FWHM (pixels), median", &|row| median(row.psfs.fwhm_px)),
+            ("FWHM (pixels), largest", &|row| largest(row.psfs.fwhm_px)),
+            ("ellipticity, median", &|row| median(row.ellipticity)),
+            ("ellipticity, largest", &|row| largest(row.ellipticity)),
+            ("seconds", &|row| short(Some(row.seconds))),
+        ];
         let text = format!(
             "Four frames of a lens with a wide field ({}), with focus and seeing that drift from frame to \
              frame. Each has {STARS} samples at random positions of its own: images of single stars, with the \
@@ -186,10 +168,15 @@ impl FrameComparison {
              other positions of each frame.",
             self.telescope, self.rank, self.interpolation
         );
-        Section {
-            tables: vec![table],
-            ..Section::new("Four frames, one basis", Some(text), Vec::new())
-        }
+        Section::new("Four frames, one basis", [&text]).with_table(Table::new(
+            "Frames of one basis. SNR: 10 log10(P_signal / P_noise) as in equation 6 of the paper, with sums \
+             of squares over the pixels of a sample. Signal / noise: the ratio of the r.m.s. values, not in \
+             dB. Both are medians over the samples. Errors: absolute differences of the model's PSFs from the \
+             optics at positions between the samples. Seconds: to find the coefficients of the samples in the \
+             given basis.",
+            &columns,
+            &self.frames,
+        ))
     }
 }
 
@@ -244,13 +231,8 @@ fn samples_of(
 
 /// Compares the PSFs of a frame with those of the optics, at random positions between its samples.
 fn errors(psf: &Psf, telescope: &Telescope, rng: &mut ChaCha8Rng) -> Result<Vec<ObjectRow>, LabError> {
-    let stars: Vec<[f64; 2]> = psf
-        .positions()
-        .as_slice()
-        .iter()
-        .map(|p| [p.x(), p.y()])
-        .collect();
-    let hull = ConvexHull::new(&stars);
+    let stars = psf.positions().as_slice().iter().map(|p| [p.x(), p.y()]);
+    let hull = ConvexHull::new(&stars.collect::<Vec<_>>());
     let mut positions = Vec::with_capacity(HELD_OUT);
     while positions.len() < HELD_OUT {
         let at = random_position(telescope.field(), rng)?;
@@ -258,13 +240,7 @@ fn errors(psf: &Psf, telescope: &Telescope, rng: &mut ChaCha8Rng) -> Result<Vec<
             positions.push(at);
         }
     }
-    let model = psf.model()?;
-    let rows = positions.par_iter().map(|&at| {
-        let (found, truth) = (model.psf_at(at)?, true_psf(telescope, at)?);
-        let oversampling = found.grid().oversampling();
-        Ok(ObjectRow::measure(at, found.values(), truth.view(), oversampling))
-    });
-    rows.collect()
+    psf_errors(psf.model()?, &positions, &true_psfs(telescope, &positions)?)
 }
 
 /// Seconds to find the coefficients of samples in a basis. The choice of an interpolation is not among them.
@@ -282,6 +258,7 @@ fn seconds_in_basis(samples: &PsfSamples, basis: &PsfBasis, options: &FitOptions
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::report::scenes::true_psf;
 
     #[test]
     fn frames_keep_their_own_psfs_and_find_their_coefficients_in_time() {

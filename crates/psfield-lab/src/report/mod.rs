@@ -33,13 +33,13 @@ mod scenes;
 mod validation;
 
 pub use colour::{ColourComparison, ColourRow};
-pub use document::{Document, NamedFigure, Section, Software, Table};
+pub use document::{Document, NamedFigure, Section, Software};
 pub use evaluation::{ErrorSummary, Evaluation, Spread, Target};
 pub use frames::{FrameComparison, FrameRow};
-pub use model_rows::{InterpolationRow, ModelRow};
+pub use model_rows::ModelRow;
 pub use object_row::{OBJECT_COLUMNS, ObjectRow};
-pub use patch_comparison::{GalaxyComparison, PatchComparison};
-pub use reproduction::{BasisFigures, ObjectKind, Reproduction, ReproductionOptions, ToleranceRow};
+pub use patch_comparison::GalaxyComparison;
+pub use reproduction::{ObjectKind, Reproduction, ReproductionOptions, ToleranceRow};
 pub use validation::{Validation, ValidationTruth};
 
 pub use crate::plot::Histogram;

@@ -2,17 +2,17 @@
 //! components, or with other interpolators. The fast engine is not used, so that its error is not
 //! included.
 
+use ndarray::Array2;
 use psf_optics::Telescope;
 use psf_sample::{SamplingMethod, UniformSampling};
-use psf_types::{Interpolation, NoProgress, PsfModel, PsfModelRecord};
+use psf_types::{Interpolation, NoProgress, Position, PsfModel, PsfModelRecord};
 use psfield::FitOptions;
 use psfield::fit::{Fit, fit, model_of};
 use rayon::prelude::*;
 use serde::Serialize;
 
 use crate::LabError;
-use crate::report::document::{Table, short};
-use crate::report::object_figures::error_table;
+use crate::bench::interpolated_by;
 use crate::report::scenes::Scenes;
 use crate::report::{ErrorSummary, ObjectRow};
 
@@ -28,9 +28,16 @@ pub struct ModelRow {
     /// Largest truncation error over the samples, relative L2: the largest change of a sample when
     /// only these components are kept.
     pub truncation_error: f64,
+    /// The interpolator of the coefficients.
+    pub interpolation: Interpolation,
     /// Errors of the model's PSFs.
     pub summary: ErrorSummary,
 }
+
+/// The report has no models with fewer samples along each axis than this number.
+const MIN_SAMPLES_ACROSS: usize = 5;
+/// The report has no models with fewer components than this number.
+const FEWEST_COMPONENTS: usize = 3;
 
 impl ModelRow {
     /// Fits models to half of `most_across` samples of the telescope along each axis, to a quarter,
@@ -43,17 +50,14 @@ impl ModelRow {
         most_across: usize,
         scenes: &Scenes,
     ) -> Result<Vec<Self>, LabError> {
-        let mut rows = Vec::new();
-        let mut across = most_across.div_ceil(2);
-        while across >= MIN_SAMPLES_ACROSS {
-            let samples = UniformSampling::new(across, across)?
-                .sample(telescope, &NoProgress)?
-                .samples;
-            let fitted = fit(samples, &FitOptions::default())?;
-            rows.push(Self::measure(fitted, across, scenes)?);
-            across = across.div_ceil(2);
-        }
-        Ok(rows)
+        let of_grid = |across| {
+            let sampling = UniformSampling::new(across, across)?.sample(telescope, &NoProgress)?;
+            let fitted = fit(sampling.samples, &FitOptions::default())?;
+            Self::measure(fitted.record(), fitted.max_error(), across, scenes)
+        };
+        halves(most_across.div_ceil(2), MIN_SAMPLES_ACROSS)
+            .map(of_grid)
+            .collect()
     }
 
     /// Measures a model with all its components, with half of them, with a quarter, and so on. The
@@ -66,95 +70,106 @@ impl ModelRow {
         across: usize,
         scenes: &Scenes,
     ) -> Result<Vec<Self>, LabError> {
-        let mut rows = Vec::new();
-        let mut rank = fitted.record().basis().rank();
-        while rank >= FEWEST_COMPONENTS {
-            rows.push(Self::measure(fitted.truncated(rank)?, across, scenes)?);
-            rank = rank.div_ceil(2);
-        }
-        Ok(rows)
+        let of_rank = |rank| {
+            let truncated = fitted.truncated(rank)?;
+            Self::measure(truncated.record(), truncated.max_error(), across, scenes)
+        };
+        let all = fitted.record().basis().rank();
+        halves(all, FEWEST_COMPONENTS).map(of_rank).collect()
     }
 
-    pub(super) fn table(caption: &str, rows: &[Self]) -> Table {
-        let rows = rows.iter().map(|row| {
-            let first = vec![
-                format!("{0} x {0}", row.samples_across),
-                row.rank.to_string(),
-                short(Some(row.truncation_error)),
-            ];
-            (first, &row.summary)
-        });
-        error_table(caption, &["samples", "components", "truncation error"], rows)
-    }
-
-    fn measure(fitted: Fit, samples_across: usize, scenes: &Scenes) -> Result<Self, LabError> {
-        let (rank, truncation_error) = (fitted.record().basis().rank(), fitted.max_error());
-        let model = fitted.into_model()?;
-        Ok(Self {
-            samples_across,
-            rank,
-            truncation_error,
-            summary: errors(&model, scenes)?,
-        })
-    }
-}
-
-/// Compares a model's PSFs at the positions of the objects with the true PSFs. The model's PSFs are
-/// exact sums over its components.
-fn errors(model: &PsfModel, scenes: &Scenes) -> Result<ErrorSummary, LabError> {
-    let objects = scenes.positions.par_iter().zip(&scenes.star_truth);
-    let rows = objects.map(|(&at, truth)| {
-        let psf = model.psf_at(at)?;
-        Ok(ObjectRow::measure(
-            at,
-            psf.values(),
-            truth.view(),
-            psf.grid().oversampling(),
-        ))
-    });
-    Ok(ErrorSummary::of(&rows.collect::<Result<Vec<_>, LabError>>()?))
-}
-
-/// The report has no models with fewer samples along each axis than this number.
-const MIN_SAMPLES_ACROSS: usize = 5;
-/// The report has no models with fewer components than this number.
-const FEWEST_COMPONENTS: usize = 3;
-
-/// Errors of a model's PSFs for one interpolator of the coefficients. The PSFs are exact sums over
-/// the model's components.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-#[non_exhaustive]
-pub struct InterpolationRow {
-    /// The interpolator.
-    pub interpolation: Interpolation,
-    /// True if the images of the report were made with this interpolator.
-    pub in_use: bool,
-    /// Errors of the model's PSFs.
-    pub summary: ErrorSummary,
-}
-
-impl InterpolationRow {
-    /// Measures the model of a record, with `interpolation` instead of the record's interpolator.
+    /// Measures a model with several interpolators: its own first, then two that miss the curvature of
+    /// the PSF, and a polynomial over the whole field.
     ///
     /// # Errors
-    /// [`LabError`] if the interpolator does not suit the samples, or if the model has no PSF at an
+    /// [`LabError`] if an interpolator does not suit the samples, or if the model has no PSF at an
     /// object.
-    pub(super) fn measure(
+    pub(super) fn of_interpolations(
+        fitted: &Fit,
+        across: usize,
+        scenes: &Scenes,
+    ) -> Result<Vec<Self>, LabError> {
+        let record = fitted.record();
+        let of_interpolation = |interpolation| {
+            let record = interpolated_by(record, interpolation)?;
+            Self::measure(&record, fitted.max_error(), across, scenes)
+        };
+        let own = record.interpolation();
+        let polynomial = polynomial_of(record.coefficients().positions().len());
+        [
+            own,
+            Interpolation::Bilinear,
+            Interpolation::NaturalNeighbour,
+            polynomial,
+        ]
+        .into_iter()
+        .map(of_interpolation)
+        .collect()
+    }
+
+    fn measure(
         record: &PsfModelRecord,
-        interpolation: Interpolation,
+        truncation_error: f64,
+        samples_across: usize,
         scenes: &Scenes,
     ) -> Result<Self, LabError> {
-        let model = model_of(PsfModelRecord::new(
-            record.basis().clone(),
-            record.coefficients().clone(),
-            interpolation,
-            record.outside(),
-            record.normalisation(),
-        )?)?;
+        let rows = psf_errors(&model_of(record.clone())?, &scenes.positions, &scenes.star_truth)?;
         Ok(Self {
-            interpolation,
-            in_use: interpolation == record.interpolation(),
-            summary: errors(&model, scenes)?,
+            samples_across,
+            rank: record.basis().rank(),
+            truncation_error,
+            interpolation: record.interpolation(),
+            summary: ErrorSummary::of(&rows),
         })
+    }
+}
+
+/// A number, its half, its quarter and so on, each rounded up, as long as it is at least `least`.
+fn halves(number: usize, least: usize) -> impl Iterator<Item = usize> {
+    std::iter::successors(Some(number), |n| Some(n.div_ceil(2))).take_while(move |&n| n >= least)
+}
+
+/// The highest degree allowed for the polynomial that is compared with the default interpolation.
+const MAX_DEGREE: usize = 16;
+/// Smallest number of samples per term that determines a polynomial well.
+const SAMPLES_PER_TERM: usize = 4;
+
+/// Returns the polynomial of the highest degree that this number of samples determines well.
+fn polynomial_of(samples: usize) -> Interpolation {
+    let determined = |degree: &usize| (degree + 1) * (degree + 2) / 2 * SAMPLES_PER_TERM <= samples;
+    let degree = (1..=MAX_DEGREE).rev().find(determined).unwrap_or(0);
+    Interpolation::Polynomial { degree }
+}
+
+/// Compares a model's PSFs at some positions with the true PSFs there. The model's PSFs are exact sums
+/// over its components.
+pub(super) fn psf_errors(
+    model: &PsfModel,
+    positions: &[Position],
+    truth: &[Array2<f64>],
+) -> Result<Vec<ObjectRow>, LabError> {
+    let rows = positions.par_iter().zip(truth).map(|(&at, truth)| {
+        let psf = model.psf_at(at)?;
+        let oversampling = psf.grid().oversampling();
+        Ok(ObjectRow::measure(at, psf.values(), truth.view(), oversampling))
+    });
+    rows.collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn polynomials_do_not_outgrow_their_samples() {
+        for (samples, degree) in [(1, 0), (64, 4), (1296, 16), (5041, 16)] {
+            assert_eq!(polynomial_of(samples), Interpolation::Polynomial { degree });
+        }
+    }
+
+    #[test]
+    fn halves_end_at_the_least() {
+        assert_eq!(halves(36, 5).collect::<Vec<_>>(), [36, 18, 9, 5]);
+        assert_eq!(halves(4, 5).count(), 0);
     }
 }

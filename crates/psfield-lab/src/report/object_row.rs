@@ -111,6 +111,12 @@ impl ObjectRow {
         Some(self.e2? - self.e2_true?)
     }
 
+    /// Length of the difference of the distortions `(e1, e2)`, simulated minus true. None if one of
+    /// them could not be measured.
+    pub fn ellipticity_difference(&self) -> Option<f64> {
+        Some(self.e1_difference()?.hypot(self.e2_difference()?))
+    }
+
     /// Simulated minus true FWHM in pixels of the frame. None if one of them could not be measured.
     pub fn fwhm_difference_px(&self) -> Option<f64> {
         Some(self.fwhm_px? - self.fwhm_px_true?)

@@ -4,57 +4,42 @@ use conv_core::{ConvolutionMethod, Direct, PlanOptions};
 use metrics::Comparison;
 use ndarray::Array2;
 use psf_types::{Anchor, FrameShape, NoProgress, Position, PsfModelRecord, SersicProfile, SersicSource};
+use psfield::fit::model_of;
+use psfield::{Device, Method, Psf, Scene};
 use serde::Serialize;
 
 use crate::LabError;
 use crate::bench::{BenchCase, BenchOptions, BenchOutcome, Contender, lit_scene, run, stretched};
-use psfield::fit::model_of;
-use psfield::{Device, Method, Psf, Scene};
+use crate::report::ReproductionOptions;
 
-/// Run time and error at several sizes of the image, as in Table 1 of the paper.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-#[non_exhaustive]
-pub struct PatchComparison {
-    /// The results for each size of the image.
-    pub sizes: Vec<BenchOutcome>,
-}
-
-impl PatchComparison {
-    /// Measures run time and error of patches and of the fast engine. Every pixel of the images has
-    /// light. The field of the PSF is stretched to each image, so that each image shows the full
-    /// variation of the PSF.
-    ///
-    /// # Errors
-    /// The errors of [`stretched`], [`lit_scene`] and [`run`].
-    pub(super) fn measure(
-        record: &PsfModelRecord,
-        sizes: &[usize],
-        patches: &[usize],
-        repeat: usize,
-        seed: u64,
-    ) -> Result<Self, LabError> {
-        let mut contenders = vec![
-            Contender::LowRank { tolerance: 1e-3 },
-            Contender::LowRank {
-                tolerance: PlanOptions::DEFAULT_TOLERANCE,
-            },
-        ];
-        contenders.extend(patches.iter().map(|&size| Contender::Patch { size }));
-        let options = BenchOptions {
-            repeat,
-            seed,
-            ..BenchOptions::default()
-        };
-        let sizes = sizes
-            .iter()
-            .map(|&side| {
-                let frame = FrameShape::new(side, side)?;
-                let case = BenchCase::new(stretched(record, frame)?, lit_scene::<f32>(frame, seed)?);
-                Ok(run(&case, &contenders, &options, &NoProgress)?)
-            })
-            .collect::<Result<_, LabError>>()?;
-        Ok(Self { sizes })
-    }
+/// Measures run time and error of patches and of the fast engine, at each size of the image. Every
+/// pixel of the images has light. The field of the PSF is stretched to each image, so that each image
+/// shows the full variation of the PSF.
+///
+/// # Errors
+/// The errors of [`stretched`], [`lit_scene`] and [`run`].
+pub(super) fn patch_comparison(
+    record: &PsfModelRecord,
+    options: &ReproductionOptions,
+) -> Result<Vec<BenchOutcome>, LabError> {
+    let tolerances = [1e-3, PlanOptions::DEFAULT_TOLERANCE];
+    let lowrank = tolerances
+        .map(|tolerance| Contender::LowRank { tolerance })
+        .into_iter();
+    let patches = options.patches.iter().map(|&size| Contender::Patch { size });
+    let contenders: Vec<Contender> = lowrank.chain(patches).collect();
+    let seed = options.seed;
+    let settings = BenchOptions {
+        repeat: options.repeat,
+        seed,
+        ..BenchOptions::default()
+    };
+    let of_side = |&side: &usize| {
+        let frame = FrameShape::new(side, side)?;
+        let case = BenchCase::new(stretched(record, frame)?, lit_scene::<f32>(frame, seed)?);
+        Ok(run(&case, &contenders, &settings, &NoProgress)?)
+    };
+    options.image_sides.iter().map(of_side).collect()
 }
 
 /// A large galaxy, convolved by the fast engine, by patches and by the direct sum.

@@ -8,17 +8,18 @@ use psf_optics::Telescope;
 use psf_sample::{
     AdaptiveSampling, DifferenceMeasure, InterpolationError, SampleError, SamplingMethod, UniformSampling,
 };
-use psf_types::{FrameShape, Interpolation, NoProgress, Position, Progress, PsfSource};
+use psf_types::{FrameShape, NoProgress, Position, Progress, PsfSource};
 use psfield::FitOptions;
 use psfield::fit::{FitReport, fit, model_of};
 use serde::Serialize;
 
 use crate::LabError;
+use crate::bench::BenchOutcome;
 use crate::report::document::load;
+use crate::report::patch_comparison::patch_comparison;
 use crate::report::scenes::{GALAXY, Scenes};
 use crate::report::{
-    ColourComparison, ErrorSummary, Evaluation, FrameComparison, GalaxyComparison, InterpolationRow,
-    ModelRow, PatchComparison, Target,
+    ColourComparison, ErrorSummary, Evaluation, FrameComparison, GalaxyComparison, ModelRow, Target,
 };
 
 /// All results of the paper from which psfield's method comes (Bai, Jia et al. 2025), measured on
@@ -57,8 +58,8 @@ pub struct Reproduction {
     pub galaxy: [f64; 4],
     /// The engine's tolerance for the figures and the targets. It is the engine's default.
     pub tolerance: f64,
-    /// Results of the decomposition of the samples.
-    pub basis: BasisFigures,
+    /// Errors and choices of the fit to the samples.
+    pub basis: FitReport,
     /// Number of samples of the non-uniform sampling, which is shown next to the uniform sampling.
     pub adaptive_samples: usize,
     /// Threshold of the non-uniform sampling: relative L2 error of the interpolation.
@@ -67,8 +68,9 @@ pub struct Reproduction {
     pub targets: Vec<Target>,
     /// Errors at several tolerances, by kind of object.
     pub tolerances: Vec<ToleranceRow>,
-    /// Errors of the model for each interpolator, without the error of the fast engine.
-    pub interpolations: Vec<InterpolationRow>,
+    /// Errors of the model for each interpolator, without the error of the fast engine. The first
+    /// interpolator is that of the report.
+    pub interpolations: Vec<ModelRow>,
     /// Errors of models with fewer samples.
     pub fewer_samples: Vec<ModelRow>,
     /// Errors of the model with all its components, then with fewer and fewer.
@@ -77,8 +79,9 @@ pub struct Reproduction {
     pub stars: Evaluation,
     /// Galaxies at the default tolerance.
     pub galaxies: Evaluation,
-    /// Run time and error of patches and of psfield, as in Table 1 of the paper.
-    pub table_1: PatchComparison,
+    /// Run time and error of patches and of psfield at each size of the image, as in Table 1 of the
+    /// paper.
+    pub table_1: Vec<BenchOutcome>,
     /// A large galaxy, convolved by psfield and by patches, which leave seams.
     pub large_galaxy: GalaxyComparison,
     /// Stars of several temperatures, compared with the optics.
@@ -99,42 +102,6 @@ pub struct Reproduction {
     /// Positions of the non-uniform samples.
     #[serde(skip)]
     pub adaptive_positions: Vec<Position>,
-}
-
-/// Results of the decomposition of the samples.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-#[non_exhaustive]
-pub struct BasisFigures {
-    /// Number of components kept, the mean not counted.
-    pub rank: usize,
-    /// Number of components at the elbow of the cumulative weights ([`psfield::fit::FitReport::elbow`]).
-    pub elbow: Option<usize>,
-    /// Largest truncation error over the samples, relative L2: the largest change of a sample when
-    /// the other components are left out.
-    pub max_error: f64,
-    /// Median leave-one-out error of the samples, relative L2. Each sample is predicted from the
-    /// others, so the interpolation spans twice the distance between samples.
-    pub leave_one_out_median: Option<f64>,
-    /// The interpolator of the coefficients.
-    pub interpolation: Interpolation,
-    /// The singular values that the fit computed.
-    pub singular_values: Vec<f64>,
-    /// Cumulative weights of the singular values: the sum of the first k divided by the sum of all.
-    pub cumulative_weights: Vec<f64>,
-}
-
-impl BasisFigures {
-    fn of(report: FitReport) -> Self {
-        Self {
-            rank: report.rank,
-            elbow: report.elbow,
-            max_error: report.max_error,
-            leave_one_out_median: report.leave_one_out.median,
-            interpolation: report.interpolation,
-            singular_values: report.singular_values,
-            cumulative_weights: report.cumulative_weights,
-        }
-    }
 }
 
 /// A kind of object.
@@ -161,10 +128,6 @@ pub struct ToleranceRow {
     pub seconds: f64,
 }
 
-/// The highest degree allowed for the polynomial that is compared with the default interpolation.
-const MAX_DEGREE: usize = 16;
-/// Smallest number of samples per term that determines a polynomial well.
-const SAMPLES_PER_TERM: usize = 4;
 /// Number of patches along each side of the large galaxy.
 const PATCHES_ACROSS: usize = 8;
 
@@ -183,77 +146,48 @@ impl Reproduction {
         }
         progress.start(10 + tolerances.len() as u64);
         let telescope = telescope_on(options.frame)?;
-        let frame = telescope.field();
-        let grid = telescope.grid();
-        let across = options.samples_across;
-        let samples = UniformSampling::new(across, across)?
-            .sample(&telescope, &NoProgress)?
-            .samples;
+        let (frame, grid, across) = (telescope.field(), telescope.grid(), options.samples_across);
+        let sampling = UniformSampling::new(across, across)?.sample(&telescope, &NoProgress)?;
+        let samples = stage(progress, sampling.samples);
         let sample_positions = samples.positions().as_slice().to_vec();
-        progress.advance(1);
         let adaptive_positions = adaptive_positions(&telescope, options.adaptive_threshold)?;
-        progress.advance(1);
-        let fitted = fit(samples, &FitOptions::default())?;
-        let record = fitted.record().clone();
-        let model = model_of(record.clone())?;
-        progress.advance(1);
+        let fitted = stage(progress, fit(samples, &FitOptions::default())?);
+        let record = fitted.record();
+        let model = stage(progress, model_of(record.clone())?);
+        let scenes = stage(progress, Scenes::new(&telescope, options.objects_across)?);
 
-        let scene = Scenes::new(&telescope, options.objects_across)?;
-        progress.advance(1);
-
-        let mut tolerance_rows = Vec::new();
-        let mut shown = None;
+        let (mut tolerance_rows, mut shown) = (Vec::new(), None);
         for &tolerance in &tolerances {
-            let (stars, galaxies) = scene.drawn(&model, tolerance, &mut tolerance_rows)?;
+            let drawn = stage(progress, scenes.drawn(&model, tolerance, &mut tolerance_rows)?);
             if tolerance == default {
-                shown = Some((stars, galaxies));
+                shown = Some(drawn);
             }
-            progress.advance(1);
         }
         let (stars, galaxies) = shown.expect("the tolerances include the default");
-
-        let interpolations = [
-            record.interpolation(),
-            Interpolation::Bilinear,
-            Interpolation::NaturalNeighbour,
-            polynomial_of(sample_positions.len()),
-        ]
-        .into_iter()
-        .map(|interpolation| InterpolationRow::measure(&record, interpolation, &scene))
-        .collect::<Result<_, _>>()?;
-        progress.advance(1);
-        let fewer_samples = ModelRow::of_fewer_samples(&telescope, across, &scene)?;
-        let fewer_components = ModelRow::of_fewer_components(&fitted, across, &scene)?;
-        progress.advance(1);
-        let table_1 = PatchComparison::measure(
-            &record,
-            &options.image_sides,
-            &options.patches,
-            options.repeat,
-            options.seed,
-        )?;
-        progress.advance(1);
+        let interpolations = stage(progress, ModelRow::of_interpolations(&fitted, across, &scenes)?);
+        let fewer_samples = ModelRow::of_fewer_samples(&telescope, across, &scenes)?;
+        let fewer_components = stage(progress, ModelRow::of_fewer_components(&fitted, across, &scenes)?);
+        let table_1 = stage(progress, patch_comparison(record, options)?);
         let patch = (options.galaxy_side / PATCHES_ACROSS).max(1);
-        let large_galaxy = GalaxyComparison::measure(&record, options.galaxy_side, patch)?;
-        progress.advance(1);
+        let galaxy = GalaxyComparison::measure(record, options.galaxy_side, patch)?;
+        let large_galaxy = stage(progress, galaxy);
         let colours = ColourComparison::measure(&telescope, options.colour_samples_across)?;
-        progress.advance(1);
-        let frames = FrameComparison::measure(options.seed)?;
-        progress.advance(1);
+        let colours = stage(progress, colours);
+        let frames = stage(progress, FrameComparison::measure(options.seed)?);
 
         let mut targets = Target::of("stars", &stars.summary);
         targets.extend(Target::of("galaxies", &galaxies.summary));
         targets.extend(colours.targets());
-        targets.extend(frames.targets());
+        targets.push(frames.target());
         Ok(Self {
             telescope: telescope.params().name.clone(),
             frame,
             stamp: [grid.nx(), grid.ny()],
             samples: sample_positions.len(),
-            objects: scene.positions.len(),
+            objects: scenes.positions.len(),
             galaxy: GALAXY,
             tolerance: default,
-            basis: BasisFigures::of(fitted.report()?),
+            basis: fitted.report()?,
             adaptive_samples: adaptive_positions.len(),
             adaptive_threshold: options.adaptive_threshold,
             targets,
@@ -276,11 +210,10 @@ impl Reproduction {
     }
 }
 
-/// Returns the polynomial of the highest degree that this number of samples determines well.
-fn polynomial_of(samples: usize) -> Interpolation {
-    let determined = |degree: &usize| (degree + 1) * (degree + 2) / 2 * SAMPLES_PER_TERM <= samples;
-    let degree = (1..=MAX_DEGREE).rev().find(determined).unwrap_or(0);
-    Interpolation::Polynomial { degree }
+/// Reports that a stage is done, and returns its result.
+fn stage<T>(progress: &dyn Progress, result: T) -> T {
+    progress.advance(1);
+    result
 }
 
 /// Returns the survey telescope with a frame of this size. The optics vary over this frame as over
@@ -368,24 +301,6 @@ impl ReproductionOptions {
             adaptive_threshold: 4e-3,
             colour_samples_across: 14,
             ..Self::full()
-        }
-    }
-}
-
-impl Default for ReproductionOptions {
-    fn default() -> Self {
-        Self::full()
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn polynomials_do_not_outgrow_their_samples() {
-        for (samples, degree) in [(1, 0), (64, 4), (1296, 16), (5041, 16)] {
-            assert_eq!(polynomial_of(samples), Interpolation::Polynomial { degree });
         }
     }
 }

@@ -43,10 +43,7 @@ impl Scenes {
         let positions: Vec<Position> = pixels.iter().map(of_pixel).collect();
         let galaxy = galaxy_light()?;
         Ok(Self {
-            star_truth: positions
-                .par_iter()
-                .map(|&at| true_psf(telescope, at))
-                .collect::<Result<_, _>>()?,
+            star_truth: true_psfs(telescope, &positions)?,
             galaxy_truth: pixels
                 .par_iter()
                 .map(|&at| true_galaxy(telescope, at, galaxy.view()))
@@ -172,6 +169,17 @@ pub(super) fn true_psf(source: &dyn PsfSource, at: Position) -> Result<Array2<f6
     let stamp = source.draw(at)?;
     let flux = stamp.flux();
     Ok(stamp.into_values() / flux)
+}
+
+/// Returns the PSFs that `source` draws at some positions, scaled to unit flux.
+///
+/// # Errors
+/// [`ErrorKind::Sampling`](psfield::ErrorKind::Sampling) if a PSF cannot be drawn.
+pub(super) fn true_psfs(
+    source: &dyn PsfSource,
+    positions: &[Position],
+) -> Result<Vec<Array2<f64>>, LabError> {
+    positions.par_iter().map(|&at| true_psf(source, at)).collect()
 }
 
 /// Returns the true image of a galaxy. `galaxy` `[y, x]` is its light, and the middle pixel of this

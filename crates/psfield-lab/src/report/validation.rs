@@ -9,9 +9,8 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use crate::LabError;
-use crate::plot::PlotError;
 use crate::report::document::{Document, Section};
-use crate::report::object_figures::{error_table, maps, shape_figures, target_table};
+use crate::report::object_figures::{error_table, target_table, with_maps, with_shapes};
 use crate::report::{Evaluation, ObjectRow, Software, Target};
 use crate::round_trip::{drawn, drawn_sources, measuring_window};
 
@@ -183,66 +182,72 @@ impl Validation {
         self
     }
 
-    /// Makes the report, with all figures. `inputs` lists the compared files, each with its role
-    /// (such as `PSF model`) and its path.
-    ///
-    /// # Errors
-    /// [`PlotError`] when a figure cannot be drawn.
-    pub fn document(
-        &self,
-        mut inputs: Vec<(&'static str, String)>,
-        software: Software,
-    ) -> Result<Document, PlotError> {
-        let (name, image, text) = match self.truth {
+    /// Makes the report without its [`sections`](Self::sections). `inputs` lists the compared files,
+    /// each with its role (such as `PSF model`) and its path.
+    pub fn document(&self, mut inputs: Vec<(&'static str, String)>, software: Software) -> Document {
+        let at_samples = match self.at_samples {
+            Some(count) => format!("{count} of them at positions of the model's own samples"),
+            None => "the positions of the model's own samples are not known".to_owned(),
+        };
+        let ([nx, ny], finer, count) = (self.window, self.oversampling, self.objects.summary.objects);
+        let window = format!("{nx} x {ny} pixels, {finer} per frame pixel along each axis");
+        inputs.extend([
+            (
+                "objects",
+                format!("{count} {}, {at_samples}", self.truth.objects()),
+            ),
+            ("window", window),
+            ("model", format!("{} components", self.rank)),
+        ]);
+        Document {
+            title: "psfield: a PSF model against the truth",
+            software,
+            inputs,
+            sections: Vec::new(),
+        }
+    }
+
+    /// Makes the sections of the report, with all figures.
+    pub fn sections(&self) -> Vec<Section> {
+        let name = self.truth.objects();
+        let (image, text) = match self.truth {
             ValidationTruth::Samples => (
-                "PSFs",
                 "model",
                 "Each PSF of the truth is compared with the PSF of the model at its position. Both are measured by a Gaussian fit. If \
                  the PSFs of the model have unit flux, both PSFs are scaled to unit flux. No image is simulated, so the differences do not \
                  include the error of the convolution, which the tolerance of a simulation limits.",
             ),
             ValidationTruth::Frame => (
-                "stars",
                 "simulated",
                 "Each star is measured twice in the same window, by a Gaussian fit: in the frame minus its background, and as drawn by the \
                  model at the measured position with the measured flux, without noise. The differences include the noise of the frame.",
             ),
         };
-        let at_samples = match self.at_samples {
-            Some(count) => format!("{count} of them at positions of the model's own samples"),
-            None => "the positions of the model's own samples are not known".to_owned(),
-        };
-        inputs.push((
-            "objects",
-            format!("{} {name}, {at_samples}", self.objects.summary.objects),
-        ));
-        let ([nx, ny], finer) = (self.window, self.oversampling);
-        let window = format!("{nx} x {ny} pixels, {finer} per frame pixel along each axis");
-        inputs.push(("window", window));
-        inputs.push(("model", format!("{} components", self.rank)));
-        let errors = error_table(
+        let accuracy = Section::new("Accuracy", [text]).with_table(error_table(
             "Absolute differences between the model and the truth. Lengths are in pixels of the frame.",
-            &["objects"],
-            [(vec![name.to_owned()], &self.objects.summary)],
-        );
-        let mut tables = vec![errors];
-        if !self.targets.is_empty() {
-            let caption = "psfield's targets for PSFs without noise";
-            tables.push(target_table(caption, &self.targets));
+            &[("objects", &|_| name.to_owned())],
+            [&self.objects.summary],
+            |summary| summary,
+        ));
+        let accuracy = match self.targets.as_slice() {
+            [] => accuracy,
+            targets => accuracy.with_table(target_table("psfield's targets for PSFs without noise", targets)),
+        };
+        let shapes = Section::new("FWHM, eccentricity, MAE", []);
+        vec![
+            accuracy,
+            with_shapes(shapes, &[(name, &self.objects)], image, None),
+            with_maps(Section::new("Over the field", []), &self.objects, image),
+        ]
+    }
+}
+
+impl ValidationTruth {
+    /// The name of the compared objects.
+    fn objects(self) -> &'static str {
+        match self {
+            Self::Samples => "PSFs",
+            Self::Frame => "stars",
         }
-        let figures = shape_figures(&[(name, &self.objects)], image, None)?;
-        Ok(Document {
-            title: "psfield: a PSF model against the truth".to_owned(),
-            software,
-            inputs,
-            sections: vec![
-                Section {
-                    tables,
-                    ..Section::new("Accuracy", Some(text.to_owned()), Vec::new())
-                },
-                Section::new("FWHM, eccentricity, MAE", None, figures),
-                Section::new("Over the field", None, maps(&self.objects, image)?),
-            ],
-        })
     }
 }
