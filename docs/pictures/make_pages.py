@@ -319,6 +319,24 @@ def contributing(program):
         arrow(ax, (x, 0), (x + 0.45, 0))
 
 
+def paths(program):
+    """Which features work on which paths: the table of the page."""
+    rows = read_table("docs/paths.md", "What works where")
+    names = ["simulate", "batch", "series", "Plan", "series", "batch", "simulate"]
+    figure, ax = plt.subplots(figsize=(6.6, 4.2), layout="constrained")
+    works = np.array([[cell == "yes" for cell in row[1:]] for row in rows])
+    ax.imshow(works, cmap=mpl.colors.ListedColormap(["#f2d9c4", "#9cc5a1"]), origin="upper")
+    for y, row in enumerate(rows):
+        for x, cell in enumerate(row[1:]):
+            ax.text(x, y, "" if cell == "yes" else cell, ha="center", va="center")
+    ax.set_yticks(range(len(rows)), [row[0] for row in rows])
+    ax.set_xticks(range(len(names)), names)
+    ax.xaxis.tick_top()
+    for x, text in ((1, "command line"), (3.5, "Python"), (5.5, "Dask")):
+        ax.text(x, -1.6, text, ha="center", weight="bold")
+    ax.tick_params(length=0)
+
+
 def migration(program):
     """The types of 0.1.0 and the types that replace them."""
     ax = canvas((-0.85, 5.65), (-0.25, 1.45))
@@ -336,7 +354,7 @@ def migration(program):
 def main(program, names):
     """Make pictures in a folder with the files of the demo, and store them next to this file."""
     makers = (index, python, guide, formats, cluster, gpu, coming_from, accuracy)
-    makers += (stability, stages, api, contributing, migration)
+    makers += (stability, stages, api, contributing, migration, paths)
     program = Path(program).resolve()
     with tempfile.TemporaryDirectory() as work:
         os.chdir(work)

@@ -43,7 +43,7 @@ plan = model.plan(shape, tolerance=1e-3, device="cpu")
 # %%
 # The PSF of real frames changes with focus and seeing. Here the coefficients of the model are
 # multiplied by a random factor for each frame: 0 would be the mean PSF everywhere, and 1 is the
-# telescope as designed. ``for_model`` makes the plan for another PSF without choosing the tiles
+# telescope as designed. ``with_psf`` makes the plan for another PSF without choosing the tiles
 # again.
 
 
@@ -57,7 +57,7 @@ def plan_of(factor):
         field_shape=shape,
         oversampling=4,
     )
-    return plan.for_model(scaled)
+    return plan.with_psf(scaled)
 
 
 factors = np.linspace(0.6, 1.2, 13)

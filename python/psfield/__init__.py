@@ -38,6 +38,7 @@ from psfield._reports import (
     SamplingReport,
     VerificationReport,
 )
+from psfield._series import Series, SeriesExposure, series
 from psfield._simulate import example, simulate
 from psfield._threads import set_threads, threads
 
@@ -49,6 +50,8 @@ __all__ = [
     "PsfModel",
     "PsfieldWarning",
     "SamplingReport",
+    "Series",
+    "SeriesExposure",
     "SpotCheck",
     "VerificationReport",
     "__version__",
@@ -57,6 +60,7 @@ __all__ = [
     "metrics",
     "plot",
     "read_catalog",
+    "series",
     "set_threads",
     "simulate",
     "threads",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import warnings
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -17,10 +18,9 @@ from psfield._sky import Sky, is_sky, sky_of
 from psfield._tables import column_names
 
 Column = NDArray[np.float64]
-Columns = dict[str, Column]
+#: Columns by their roles. Those of ``sed`` are lists of texts.
+Columns = dict[str, Any]
 
-_NEEDED = ("x", "y", "flux")
-_SHAPE = ("re", "n", "q", "angle")
 _OFF_PROJECTION = "outside the projection of the world coordinates"
 
 
@@ -34,7 +34,9 @@ def read_catalog(
     table: str | int | None = None,
     wcs: Any = None,
     wcs_extension: str | int | None = None,
-) -> dict[str, NDArray[np.float64]]:
+    spectra: bool = False,
+    velocities: bool = False,
+) -> dict[str, Any]:
     r"""Read stars and galaxies from a text table or a FITS table.
 
     Parameters
@@ -61,6 +63,10 @@ def read_catalog(
         in degrees.
     wcs_extension : str or int, optional
         The extension of the file ``wcs``: its number or its name.
+    spectra : bool
+        Read the column ``sed`` (names of spectra) or, without it, ``teff`` (kelvin), too.
+    velocities : bool
+        Read the columns ``vx`` and ``vy`` (pixels per second), too.
 
     Returns
     -------
@@ -68,7 +74,7 @@ def read_catalog(
         Columns ``x``, ``y`` (0-based pixels) and ``flux``. If there are galaxies, also ``re``
         (half-light radius along the major axis in pixels, 0 for a star), ``n``, ``q`` and ``angle``
         (degrees from +x towards +y). They include the reduced shear ``g1``, ``g2`` of the file.
-        Stars come first.
+        ``sed`` is a list. Stars come first.
 
     Raises
     ------
@@ -95,7 +101,16 @@ def read_catalog(
     """
     settings = (columns, one_based, zero_point, skip_invalid, None if table is None else str(table))
     extension = None if wcs_extension is None else str(wcs_extension)
-    return _read(os.fspath(path), settings, wcs, extension, None, 3)
+    read = Reads(spectra=spectra, velocities=velocities)
+    return _read(os.fspath(path), settings, wcs, extension, None, read, 3).columns()
+
+
+@dataclass(frozen=True)
+class Reads:
+    """The columns that a catalogue may have beside those of its sources."""
+
+    spectra: bool = False
+    velocities: bool = False
 
 
 def _read(
@@ -104,27 +119,29 @@ def _read(
     wcs: Any,
     wcs_extension: str | None,
     unit: Any,
+    read: Reads,
     stacklevel: int,
-) -> Columns:
+) -> _native.Sources:
     """Read a file, as `read_catalog` does. Fluxes that have a unit are converted to ``unit``."""
     wcs_path = os.fspath(wcs) if is_path(wcs) else None
     sky = None if is_path(wcs) else sky_of(None, wcs, 1, (0, 0))
     cards = None if sky is None else sky.cards()
     flux_unit = None if unit is None else str(unit)
-    stars, galaxies, invalid, outside, ignored = _native.read_catalog(
-        path, *settings, wcs_path, wcs_extension, cards, flux_unit
+    sources = _native.Sources.read(
+        path,
+        *settings,
+        wcs_path,
+        wcs_extension,
+        cards,
+        flux_unit,
+        read.spectra,
+        read.velocities,
     )
+    invalid, outside, ignored = sources.left_out()
     _warn_of_skipped(invalid, path, "invalid", stacklevel)
     _warn_of_skipped(outside, path, _OFF_PROJECTION, stacklevel)
     _warn_of_ignored(ignored, path, stacklevel)
-    catalog = dict(zip(_NEEDED, stars, strict=True))
-    if len(galaxies[0]):
-        of_star = {"re": 0.0, "n": np.nan, "q": 1.0, "angle": 0.0}
-        catalog = {name: np.concatenate([stars[i], galaxies[i]]) for i, name in enumerate(_NEEDED)}
-        for i, name in enumerate(_SHAPE):
-            in_stars = np.full(len(stars[0]), of_star[name])
-            catalog[name] = np.concatenate([in_stars, galaxies[len(_NEEDED) + i]])
-    return catalog
+    return sources
 
 
 def _warn_of_skipped(count: int, catalog: str, problem: str, stacklevel: int) -> None:
@@ -148,20 +165,14 @@ def is_path(value: Any) -> bool:
     return isinstance(value, (str, os.PathLike))
 
 
-def sources_of(catalog: Any, unit: Any, sky: Sky | None, stacklevel: int) -> _native.Sources | None:
-    """Return the sources of a catalogue, from what `columns_of` takes."""
-    columns = columns_of(catalog, unit, sky, stacklevel=stacklevel + 1)
-    return None if columns is None else _native.Sources(list(columns.items()))
+def sources_of(
+    catalog: Any, unit: Any, sky: Sky | None, read: Reads, stacklevel: int
+) -> _native.Sources | None:
+    """Return the sources of a catalogue: a table of any kind, or the path of a file.
 
-
-def columns_of(
-    catalog: Any, unit: Any = None, sky: Sky | None = None, *, stacklevel: int = 3
-) -> Columns | None:
-    """Return the columns of a catalogue by their roles: a table of any kind, or the path of a file.
-
-    Fluxes that have a unit are converted to ``unit``. A single number in place of a column holds
-    for every row. ``sky`` gives positions on the sky their pixels. What the columns mean is decided
-    by the native module, as for files. ``stacklevel`` is that of the user's line, for warnings.
+    Fluxes that have a unit are converted to ``unit``. A single value in place of a column holds for
+    every row. ``sky`` gives positions on the sky their pixels. What the columns mean is decided by
+    the native module, as for files. ``stacklevel`` is that of the user's line, for warnings.
     """
     if catalog is None:
         return None
@@ -169,8 +180,30 @@ def columns_of(
         # A file of pixel positions needs no world coordinates, and gwcs has none for files.
         has_cards = sky is not None and hasattr(sky.wcs, "to_header")
         settings = (None, False, None, False, None)
-        path = os.fspath(catalog)
-        return _read(path, settings, sky if has_cards else None, None, unit, stacklevel + 1)
+        wcs = sky if has_cards else None
+        return _read(os.fspath(catalog), settings, wcs, None, unit, read, stacklevel + 1)
+    return _native.Sources(list(_table_columns(catalog, unit, sky, read, stacklevel + 1).items()))
+
+
+def columns_of(
+    catalog: Any,
+    unit: Any = None,
+    sky: Sky | None = None,
+    read: Reads = Reads(),
+    *,
+    stacklevel: int = 3,
+) -> Columns | None:
+    """Return the columns by their roles of what `sources_of` takes."""
+    if catalog is None or is_path(catalog):
+        sources = sources_of(catalog, unit, sky, read, stacklevel + 1)
+        return None if sources is None else sources.columns()
+    return _table_columns(catalog, unit, sky, read, stacklevel + 1)
+
+
+def _table_columns(
+    catalog: Any, unit: Any, sky: Sky | None, read: Reads, stacklevel: int
+) -> Columns:
+    """Return the columns of a table by their roles."""
     table = column_names(catalog)
     if table is None:
         raise TypeError(
@@ -184,15 +217,19 @@ def columns_of(
         # From here on, the pixels are columns of the table.
         named["x"], named["y"] = _pixels_of(place, sky)
     _check_magnitudes(named)
-    picked, ignored = _native.catalog_columns(list(named))
-    columns = {
-        role: _column(named[name], name, unit if of_column is None else of_column)
+    picked, ignored = _native.catalog_columns(list(named), read.spectra, read.velocities)
+    columns: Columns = {
+        role: np.asarray(named[name], dtype=np.str_)
+        if role == "sed"
+        else _column(named[name], name, unit if of_column is None else of_column)
         for role, name, of_column in picked
     }
     rows = max((array.size for array in columns.values() if array.ndim == 1), default=1)
     columns = {
         role: array if array.ndim else np.full(rows, array) for role, array in columns.items()
     }
+    if "sed" in columns:
+        columns["sed"] = columns["sed"].tolist()
     if "ra" in columns:
         place = columns.pop("ra"), columns.pop("dec")
         columns["x"], columns["y"] = _pixels_of(place, sky)
@@ -239,7 +276,12 @@ def _on_projection(columns: Columns, stacklevel: int) -> Columns:
     if known.all():
         return columns
     _warn_of_skipped(int(np.count_nonzero(~known)), "catalog", _OFF_PROJECTION, stacklevel + 1)
-    return {name: column[known] for name, column in columns.items()}
+    return {
+        name: [value for value, kept in zip(column, known, strict=True) if kept]
+        if isinstance(column, list)
+        else column[known]
+        for name, column in columns.items()
+    }
 
 
 def _check_magnitudes(named: dict[str, Any]) -> None:

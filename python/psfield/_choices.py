@@ -45,17 +45,6 @@ def real_or_none(value: Any, name: str) -> float | None:
     return None if value is None else real(value, name)
 
 
-def pair_or_none(value: Any, name: str) -> tuple[float, float] | None:
-    """Return two real numbers x and y, or None."""
-    if value is None:
-        return None
-    try:
-        x, y = value
-    except (TypeError, ValueError):
-        raise TypeError(f"{name} must be two numbers (x, y), got {value!r}") from None
-    return real(x, f"{name}: x"), real(y, f"{name}: y")
-
-
 def boolean(value: Any, name: str) -> bool:
     """Return a bool."""
     if not isinstance(value, (bool, np.bool_)):
@@ -68,11 +57,6 @@ def text(value: Any, name: str) -> str:
     if not isinstance(value, str):
         raise TypeError(f"{name} must be a string, got {value!r}")
     return str(value)
-
-
-def text_or_none(value: Any, name: str) -> str | None:
-    """Return a string, or None."""
-    return None if value is None else text(value, name)
 
 
 def choice(value: Any, name: str, known: Collection[str]) -> str:

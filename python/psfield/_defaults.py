@@ -1,36 +1,16 @@
-"""Defaults of arguments. They are defined in the Rust library and shared with the command line."""
+"""Names and defaults of arguments.
+
+They are defined in the Rust library and shared with the command line.
+"""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
+from types import SimpleNamespace
 from typing import Any, Literal, NamedTuple
 
 from psfield import _native
-
-
-class Defaults(NamedTuple):
-    """The default of each argument, by its name."""
-
-    tolerance: float
-    tolerance_on: Literal["l2", "aperture"]
-    precision: Literal["f32", "f64"]
-    device: Literal["auto", "cpu", "gpu"]
-    anchor: Literal["source", "output"]
-    method: Literal["auto", "lowrank"]
-    memory: int | None
-    oversample: int
-    scene_pixels: Literal["point", "integrated"]
-    interpolation: str
-    table_error: float
-    outside: Literal["nearest", "extend", "error"]
-    normalise: Literal["unit", "keep"]
-    oversampling: float
-    pixel_response_included: bool
-    stamp_interpolation: Literal["cubic-spline", "lanczos3"]
-    measure: Literal["l2", "l1"]
-    threshold: float
-    max_draws: int
-    seed: int
 
 
 class DetectorDefaults(NamedTuple):
@@ -56,9 +36,20 @@ class DetectorDefaults(NamedTuple):
 def _perfect_detector() -> DetectorDefaults:
     # The library omits parameters without a value.
     params: dict[str, Any] = dict.fromkeys(DetectorDefaults._fields)
-    params |= json.loads(_native.Detector("{}").params())
+    params |= json.loads(_native.Detector({}).params())
     return DetectorDefaults(**params)
 
 
-DEFAULTS = Defaults(**_native.DEFAULTS)
+def arguments(
+    kind: Literal["plan", "fit", "file", "grid"], given: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Return the settings of one kind among the arguments of a function, which are its locals."""
+    return {name: given[name] for name in _native.DEFAULTS[kind] if name in given}
+
+
+_KINDS = ("fit", "grid", "others", "plan")
+#: The default of each argument.
+DEFAULTS = SimpleNamespace(
+    **{name: value for kind in _KINDS for name, value in _native.DEFAULTS[kind].items()}
+)
 DETECTOR = _perfect_detector()

@@ -29,15 +29,13 @@ from psfield._choices import (
     boolean,
     choice,
     choice_or_none,
-    integer,
     integer_or_none,
-    pair_or_none,
     real,
     real_or_none,
     text,
-    text_or_none,
 )
-from psfield._defaults import DEFAULTS
+from psfield._colour import COLOUR, PathLike, curve
+from psfield._defaults import DEFAULTS, arguments
 from psfield._errors import PsfieldWarning
 from psfield._html import size, table
 from psfield._own import Decomposition, Interpolation, basis_stamps, interpolated, split
@@ -53,7 +51,6 @@ if TYPE_CHECKING:
     from psfield._spelling import American
 
 Centre = tuple[float, float]
-PathLike = str | os.PathLike[str]
 
 
 class PsfModel:
@@ -249,9 +246,9 @@ class PsfModel:
             _refuse_with("weights", basis=basis, shift_copies=shift_copies)
             cube, of_pixels = _weighted(cube, weights)
         x, y = points(positions)
-        grid = _grid(oversampling, centre, pixel_response_included, stamp_interpolation)
-        named, own = split(interpolation)
-        fit = _fit(rank, centring, noise, named, outside, normalise, shift_copies)
+        grid = arguments("grid", locals())
+        interpolation, own = split(interpolation)
+        fit = _fit(locals())
         field = shape_or_none(field_shape, "field_shape")
         states = _states(wavelengths_um, times_s, frame_numbers)
         of_basis: _native.PsfModel | tuple[Any, NDArray[np.float64]] | None = None
@@ -328,7 +325,7 @@ class PsfModel:
         """
         x, y = points(positions)
         named, own = split(interpolation)
-        grid = _grid(oversampling, centre, pixel_response_included, stamp_interpolation)
+        grid = arguments("grid", locals())
         native = _native.PsfModel.from_basis(
             None if mean is None else doubles(mean, "mean", "[y, x]"),
             stack(components, "components", "[component, y, x]"),
@@ -395,9 +392,14 @@ class PsfModel:
         cube = doubles(model.data, "data", "[position, y, x]")
         x, y = points(np.asarray(model.grid_xypos, dtype=float), "grid_xypos")
         _, ny, nx = cube.shape
-        grid = _grid(float(oversampling[0]), ((nx - 1) / 2, (ny - 1) / 2), True, "cubic-spline")
-        named, own = split(interpolation)
-        fit = _fit(None, None, None, named, None, None, None)
+        grid = {
+            "oversampling": oversampling[0],
+            "centre": ((nx - 1) / 2, (ny - 1) / 2),
+            "pixel_response_included": True,
+            "stamp_interpolation": "cubic-spline",
+        }
+        interpolation, own = split(interpolation)
+        fit = {"interpolation": british(interpolation)}
         field = shape_or_none(field_shape, "field_shape")
         native = _native.PsfModel.from_samples(cube, x, y, None, field, grid, fit, True, None, None)
         return cls._of(interpolated(native, own, table_error))
@@ -499,7 +501,7 @@ class PsfModel:
         ('met', (40, 60))
         """
         rows, columns = shape_of(shape, "shape")
-        named, own = split(interpolation)
+        interpolation, own = split(interpolation)
 
         def draw(x: float, y: float) -> NDArray[np.float64]:
             return doubles(function(x, y), f"the PSF at ({x:g}, {y:g})", "[y, x]")
@@ -509,7 +511,7 @@ class PsfModel:
             draw,
             stamp_shape,
             (rows, columns),
-            _grid(oversampling, centre, pixel_response_included, stamp_interpolation),
+            arguments("grid", locals()),
             {
                 "method": choice_or_none(method, "method", ("kriging", "mesh")),
                 "criterion": choice_or_none(
@@ -518,15 +520,15 @@ class PsfModel:
                     ("neighbours", "interpolation"),
                 ),
                 "measure": choice(measure, "measure", ("l1", "l2")),
-                "threshold": real(threshold, "threshold"),
+                "threshold": threshold,
                 "start": shape_or_none(start, "start"),
-                "max_draws": integer(max_draws, "max_draws", 1),
-                "accept_cap": boolean(accept_cap, "accept_cap"),
-                "verify": integer_or_none(verify, "verify"),
-                "seed": integer(seed, "seed"),
+                "max_draws": max_draws,
+                "accept_cap": accept_cap,
+                "verify": verify,
+                "seed": seed,
                 "uniform": shape_or_none(uniform, "uniform"),
             },
-            _fit(rank, centring, noise, named, outside, normalise, shift_copies),
+            _fit(locals()),
             as_callback(progress),
         )
         random = sampling.pop("verification")
@@ -612,12 +614,12 @@ class PsfModel:
             "telescope": os.fspath(telescope),
             "field": shape_or_none(field_shape, "field_shape"),
             "samples": shape_of(samples, "samples"),
-            "stamp_size": integer_or_none(stamp_size, "stamp_size", 1),
-            "oversampling": integer(oversampling, "oversampling", 1),
+            "stamp_size": stamp_size,
+            "oversampling": oversampling,
             "wavelengths_um": at,
         }
-        named, own = split(interpolation)
-        fit = _fit(rank, centring, 0.0, named, outside, normalise, None)
+        interpolation, own = split(interpolation)
+        fit = {**_fit(locals()), "noise": 0.0}
         return cls._of(interpolated(_native.sample_telescope(settings, fit), own, table_error))
 
     @classmethod
@@ -709,32 +711,17 @@ class PsfModel:
         >>> psfield.PsfModel.read("psf.fits")
         <PsfModel: 1 position, stamps 3 x 3, oversampling 1>
         """
-        at = None if positions is None else tuple(axis.tolist() for axis in points(positions))
         file = {
+            **arguments("file", locals()),
             "extension": None if extension is None else str(extension),
             "contexts": [
-                (str(name), real(value, f"contexts[{name!r}]"))
+                (name, real(value, f"contexts[{name!r}]"))
                 for name, value in (contexts or {}).items()
             ],
-            "detector": integer_or_none(detector, "detector"),
-            "plane_order": text_or_none(plane_order, "plane_order"),
-            "skip_invalid": boolean(skip_invalid, "skip_invalid"),
-            "wavelength_um": real_or_none(wavelength_um, "wavelength_um"),
-            "time_s": real_or_none(time_s, "time_s"),
-            "frame_number": real_or_none(frame_number, "frame_number"),
-            "pixel_scale_arcsec": real_or_none(pixel_scale_arcsec, "pixel_scale_arcsec"),
-            "field_centre": pair_or_none(field_centre, "field_centre"),
-            "positions": at,
-            "oversampling": real_or_none(oversampling, "oversampling"),
-            "centre": pair_or_none(centre, "centre"),
-            "pixel_response_included": (
-                None
-                if pixel_response_included is None
-                else boolean(pixel_response_included, "pixel_response_included")
-            ),
+            "positions": None if positions is None else np.column_stack(points(positions)),
         }
-        named, own = split(interpolation)
-        fit = _fit(rank, centring, noise, named, outside, normalise, shift_copies)
+        interpolation, own = split(interpolation)
+        fit = _fit(locals())
         native = _native.PsfModel.read(os.fspath(path), file, fit)
         return cls._of(interpolated(native, own, table_error))
 
@@ -814,8 +801,8 @@ class PsfModel:
         >>> psfield.PsfModel.from_samples([[1, 2, 1]], (0, 0)).centre
         (1.0, 0.0)
         """
-        value: Centre = self._handle.grid()["centre"]
-        return value
+        x, y = self._handle.grid()["centre"]
+        return x, y
 
     @property
     def pixel_response_included(self) -> bool:
@@ -981,9 +968,7 @@ class PsfModel:
         >>> bool(red.max() < blue.max())
         True
         """
-        native = self._handle.for_spectrum(
-            _curve(bandpass, "bandpass"), _curve(spectrum, "spectrum")
-        )
+        native = self._handle.for_spectrum(curve(bandpass, "bandpass"), curve(spectrum, "spectrum"))
         return PsfModel._of(native, self._sampling, self._given)
 
     @property
@@ -1264,11 +1249,11 @@ class PsfModel:
         ()
         """
         settings = {
-            "format": choice(format, "format", ("psf-model", "psf-samples", "psfex", "gridded")),
-            "degree": integer_or_none(degree, "degree"),
+            "format": format,
+            "degree": degree,
             "at": shape_or_none(grid_shape, "grid_shape"),
             "double": precision_of(precision, "precision") == "f64",
-            "overwrite": boolean(overwrite, "overwrite"),
+            "overwrite": overwrite,
         }
         return tuple(self._handle.write(os.fspath(path), settings))
 
@@ -1290,6 +1275,9 @@ class PsfModel:
         stamp_size: int | None = None,
         gpu_adapter: str | None = None,
         gpu_memory: int | None = None,
+        bandpass: PathLike | tuple[ArrayLike, ArrayLike] | None = None,
+        sed: PathLike | None = None,
+        dispersion: Mapping[str, float] | str | None = None,
     ) -> Plan:
         """Prepare the simulation of scenes of one shape.
 
@@ -1344,6 +1332,17 @@ class PsfModel:
             Part of the name of the GPU to use.
         gpu_memory : int, optional
             Largest number of bytes that the plan keeps on a GPU.
+        bandpass : path or (array_like, array_like), optional
+            Throughput of the instrument, as for `for_spectrum`. It makes a plan in colour: light
+            has spectra, and each source has the PSF of its own spectrum. The model must depend on
+            the wavelength. Fluxes are those that the detector sees in the bandpass. A plan in
+            colour makes the modes of the spectra when a scene first has them. What it says of its
+            tiles is that of the spectrum ``sed``, or of a flat one.
+        sed : str, optional
+            In colour: the spectrum, as for `for_spectrum`, of images and sources that name none.
+        dispersion : dict, optional
+            In colour: the dispersion of the atmosphere, such as ``{"zenith": 50, "scale": 0.2}``.
+            The keys are those of the command line's ``--dispersion``.
 
         Returns
         -------
@@ -1356,24 +1355,9 @@ class PsfModel:
         >>> model.plan((4, 6), tolerance=1e-4, precision="float64", device="cpu")
         <Plan: scenes 4 x 6, tolerance 0.0001, f64, on the CPU>
         """
-        return Plan(
-            self,
-            shape,
-            tolerance=tolerance,
-            precision=precision,
-            device=device,
-            frame=frame,
-            region=region,
-            tolerance_on=tolerance_on,
-            anchor=anchor,
-            method=method,
-            memory=memory,
-            oversample=oversample,
-            scene_pixels=scene_pixels,
-            stamp_size=stamp_size,
-            gpu_adapter=gpu_adapter,
-            gpu_memory=gpu_memory,
-        )
+        given = locals()
+        colour = {name: given[name] for name in COLOUR}
+        return Plan(self, shape, precision=precision, **arguments("plan", given), **colour)
 
     def __repr__(self) -> str:
         kind = "sample" if self._handle.has_samples() else "position"
@@ -1436,39 +1420,12 @@ def _again(
     return PsfModel._of(native, sampling, given, report)
 
 
-def _grid(
-    oversampling: float, centre: Centre | None, included: bool, interpolation: str
-) -> dict[str, Any]:
-    """Return the geometry of stamps, as the native module accepts it."""
-    return {
-        "oversampling": real(oversampling, "oversampling"),
-        "centre": pair_or_none(centre, "centre"),
-        "pixel_response_included": boolean(included, "pixel_response_included"),
-        "stamp_interpolation": choice(
-            interpolation, "stamp_interpolation", ("cubic-spline", "lanczos3")
-        ),
-    }
-
-
-def _fit(
-    rank: str | int | None,
-    centring: str | None,
-    noise: float | None,
-    interpolation: str | None,
-    outside: str | None,
-    normalise: str | None,
-    shift_copies: int | None,
-) -> dict[str, Any]:
-    """Return the settings of the fit, as the native module accepts them."""
-    return {
-        "rank": None if rank is None else str(rank),
-        "centring": text_or_none(centring, "centring"),
-        "noise": real_or_none(noise, "noise"),
-        "interpolation": text_or_none(british(interpolation), "interpolation"),
-        "outside": text_or_none(outside, "outside"),
-        "normalise": text_or_none(normalise, "normalise"),
-        "shift_copies": integer_or_none(shift_copies, "shift_copies"),
-    }
+def _fit(given: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the settings of the fit among arguments, as the native module accepts them."""
+    fit = arguments("fit", given)
+    if fit["rank"] is not None:
+        fit["rank"] = str(fit["rank"])
+    return {**fit, "interpolation": british(fit["interpolation"])}
 
 
 def _refuse_with(given: str, **settings: Any) -> None:
@@ -1496,19 +1453,6 @@ def _weighted(
             f"weights must have the shape of the stamps, {stamps.shape}, got {given.shape}"
         ) from None
     return np.where(each == 0, 0.0, stamps), each
-
-
-def _curve(
-    given: PathLike | tuple[ArrayLike, ArrayLike], name: str
-) -> str | tuple[list[float], list[float]]:
-    """Return the name of a curve, or its wavelengths and values."""
-    if isinstance(given, (str, os.PathLike)):
-        return os.fspath(given)
-    try:
-        wavelengths, values = given
-    except (TypeError, ValueError):
-        raise TypeError(f"{name} must be a name or a pair (wavelengths, values)") from None
-    return column(wavelengths, name).tolist(), column(values, name).tolist()
 
 
 def _states(

@@ -1,4 +1,4 @@
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, final
 
 import numpy as np
@@ -9,6 +9,7 @@ __all__ = [
     "Detector",
     "Plan",
     "PsfModel",
+    "Series",
     "Sources",
     "__version__",
     "adaptive_moments",
@@ -18,8 +19,8 @@ __all__ = [
     "image_cards",
     "measure_image",
     "measure_stamps",
+    "plan_settings",
     "quadrupole_moments",
-    "read_catalog",
     "sample_function",
     "sample_telescope",
     "set_threads",
@@ -27,32 +28,26 @@ __all__ = [
 ]
 
 __version__: str
-DEFAULTS: dict[str, Any]
+DEFAULTS: dict[str, dict[str, Any]]
 
 _Column = NDArray[np.float64]
 _Cube = NDArray[np.float64]
 _Callback = Callable[[int, int], object] | None
 _Shape = tuple[int, int]
+#: The images of a scene and the names of their spectra.
+_Images = list[tuple[str | None, NDArray[Any]]]
+#: Bandpass, dispersion and spectrum of a plan in colour.
+_Curve = str | tuple[list[float], list[float]]
+_Colour = tuple[_Curve, str | None, str | None] | None
 _States = tuple[str, list[float]] | None
 
 def set_threads(count: int) -> None: ...
 def threads() -> int: ...
 def image_cards(cards: str, first: tuple[float, float], oversample: int) -> str: ...
-def read_catalog(
-    path: str,
-    columns: str | None,
-    one_based: bool,
-    zero_point: float | None,
-    skip_invalid: bool,
-    table: str | None,
-    wcs: str | None,
-    wcs_extension: str | None,
-    wcs_cards: str | None,
-    flux_unit: str | None,
-) -> tuple[list[_Column], list[_Column], int, int, list[str]]: ...
 def catalog_columns(
-    names: list[str],
+    names: list[str], spectra: bool, velocities: bool
 ) -> tuple[list[tuple[str, str, str | None]], list[str]]: ...
+def plan_settings(given: Mapping[str, Any]) -> dict[str, Any]: ...
 def sample_function(
     function: Callable[[float, float], NDArray[np.float64]],
     stamp_shape: _Shape,
@@ -129,21 +124,45 @@ class PsfModel:
 
 @final
 class Sources:
-    def __new__(cls, columns: list[tuple[str, _Column]]) -> Sources: ...
+    def __new__(cls, columns: list[tuple[str, _Column | list[str]]]) -> Sources: ...
+    @staticmethod
+    def read(
+        path: str,
+        columns: str | None,
+        one_based: bool,
+        zero_point: float | None,
+        skip_invalid: bool,
+        table: str | None,
+        wcs: str | None,
+        wcs_extension: str | None,
+        wcs_cards: str | None,
+        flux_unit: str | None,
+        spectra: bool,
+        velocities: bool,
+    ) -> Sources: ...
+    def left_out(self) -> tuple[int, int, list[str]]: ...
+    def columns(self) -> dict[str, Any]: ...
     def __len__(self) -> int: ...
 
 @final
 class Plan:
-    def __new__(cls, model: PsfModel, settings: dict[str, Any]) -> Plan: ...
+    def __new__(
+        cls,
+        model: PsfModel,
+        shape: _Shape,
+        precision: str,
+        settings: Mapping[str, Any],
+        colour: _Colour,
+    ) -> Plan: ...
     def for_region(self, at: tuple[int, int, int, int]) -> Plan: ...
-    def for_model(self, model: PsfModel) -> Plan: ...
+    def with_psf(self, model: PsfModel) -> Plan: ...
     def light_region(self) -> tuple[int, int, int, int]: ...
     def frame_shape(self) -> _Shape: ...
     def blocks(self) -> list[tuple[int, int, int, int, int]]: ...
     def summary(self) -> dict[str, Any]: ...
     def simulate(
         self,
-        scene: NDArray[Any] | None,
+        images: _Images,
         sources: Sources | None,
         out: NDArray[Any] | None,
         progress: _Callback,
@@ -151,19 +170,38 @@ class Plan:
     def simulate_many(
         self, scenes: NDArray[Any], out: NDArray[Any] | None, progress: _Callback
     ) -> tuple[NDArray[Any] | None, list[str]]: ...
-    def adjoint(self, image: NDArray[Any], progress: _Callback) -> NDArray[Any]: ...
+    def adjoint(
+        self, image: NDArray[Any], spectra: list[str], progress: _Callback
+    ) -> list[NDArray[Any]]: ...
     def spot_check(
         self,
         image: NDArray[Any],
-        scene: NDArray[Any] | None,
+        images: _Images,
         sources: Sources | None,
         count: int,
         seed: int,
     ) -> str: ...
 
 @final
+class Series:
+    def __new__(
+        cls,
+        model: PsfModel,
+        shape: _Shape,
+        precision: str,
+        settings: Mapping[str, Any],
+        colour: _Colour,
+        images: _Images,
+        sources: Sources | None,
+        changes: dict[str, Any],
+    ) -> Series: ...
+    def exposure(
+        self, number: int, progress: _Callback
+    ) -> tuple[NDArray[Any], list[float], list[_Column], list[str]]: ...
+
+@final
 class Detector:
-    def __new__(cls, params: str) -> Detector: ...
+    def __new__(cls, params: Mapping[str, Any]) -> Detector: ...
     @staticmethod
     def from_toml(path: str) -> Detector: ...
     def params(self) -> str: ...

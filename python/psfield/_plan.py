@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 import warnings
-from collections.abc import Callable
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar, overload
 
 import numpy as np
@@ -15,8 +15,10 @@ from numpy.typing import ArrayLike, NDArray
 from psfield import _native
 from psfield._arrays import DTYPES, numbers, precision_of, shape_of
 from psfield._astropy import like, unit_of
-from psfield._catalog import is_path, sources_of
-from psfield._choices import choice, integer, integer_or_none, real, text_or_none
+from psfield._catalog import Reads, is_path, sources_of
+from psfield._choices import integer
+from psfield._colour import checked_colour, first_image, is_images, native_colour
+from psfield._defaults import arguments
 from psfield._errors import PsfieldWarning
 from psfield._html import FieldsAsTable, size, table
 from psfield._progress import Progress, as_callback
@@ -27,7 +29,11 @@ from psfield._tables import column_names
 if TYPE_CHECKING:
     from scipy.sparse.linalg import LinearOperator
 
-    from psfield._model import PsfModel
+
+class _Model(Protocol):
+    """A `PsfModel`, which makes plans."""
+
+    _handle: _native.PsfModel
 
 
 class _WithAttributes(Protocol):
@@ -127,12 +133,18 @@ class Plan:
 
     __slots__ = ("_handle", "_model", "_settings")
 
-    def __init__(self, model: PsfModel, shape: tuple[int, int], **settings: Any) -> None:
+    def __init__(self, model: _Model, shape: tuple[int, int], **settings: Any) -> None:
         if "tolerance" not in settings:
             raise TypeError("make a Plan with PsfModel.plan")
         self._model = model
         self._settings = {**checked(settings), "shape": shape_of(shape, "shape")}
-        self._handle = _native.Plan(model._handle, self._settings)
+        self._handle = _native.Plan(
+            model._handle,
+            self._settings["shape"],
+            self._settings["precision"],
+            arguments("plan", self._settings),
+            native_colour(self._settings),
+        )
 
     def for_region(self, region: tuple[int, int, int, int]) -> Plan:
         """Return a plan for another region of the same frame, with the tiles of this plan.
@@ -160,10 +172,12 @@ class Plan:
         """
         if region is None:
             raise TypeError("region must be (x0, y0, nx, ny), four integers, got None")
-        settings = {**self._settings, "region": region_of(region, "region")}
-        return self._derived(self._handle.for_region(settings["region"]), self._model, settings)
+        at = tuple(_native.plan_settings({"region": region})["region"])
+        return self._derived(
+            self._handle.for_region(at), self._model, {**self._settings, "region": at}
+        )
 
-    def for_model(self, model: PsfModel) -> Plan:
+    def with_psf(self, model: _Model) -> Plan:
         """Return a plan for another PSF, with the settings and the tiles of this plan.
 
         This takes much less time than `PsfModel.plan`, which has to choose the tiles. Use it for
@@ -186,21 +200,21 @@ class Plan:
         >>> sharp, wide = (psfield.PsfModel.from_samples(stamp, (0, 0)) for stamp in stamps)
         >>> plan = sharp.plan((3, 5), tolerance=1e-4)
         >>> scene = [[0, 0, 0, 0, 0], [0, 0, 9, 0, 0], [0, 0, 0, 0, 0]]
-        >>> plan.for_model(wide).simulate(scene).round(2)[1].tolist()
+        >>> plan.with_psf(wide).simulate(scene).round(2)[1].tolist()
         [0.0, 1.0, 1.0, 1.0, 0.0]
         """
-        return self._derived(self._handle.for_model(model._handle), model, self._settings)
+        return self._derived(self._handle.with_psf(model._handle), model, self._settings)
 
     @staticmethod
-    def _derived(handle: _native.Plan, model: PsfModel, settings: dict[str, Any]) -> Plan:
+    def _derived(handle: _native.Plan, model: _Model, settings: dict[str, Any]) -> Plan:
         """Return a plan that the native module made from another one."""
         other = Plan.__new__(Plan)
         other._handle, other._model, other._settings = handle, model, settings
         return other
 
     @property
-    def model(self) -> PsfModel:
-        """The model of the PSF.
+    def model(self) -> Any:
+        """The `PsfModel` of the PSF.
 
         Examples
         --------
@@ -405,7 +419,9 @@ class Plan:
             Flux in each pixel, ``[y, x]`` with the `shape` of the plan, finite. A plan for a region
             also accepts only its `light_region`. An array ``[n, y, x]`` (or a list of arrays, or
             an array with more axes before y, such as ``[n, 1, y, x]``) is a stack of scenes,
-            without a catalogue. For many small scenes this is faster than a loop.
+            without a catalogue. For many small scenes this is faster than a loop. A plan in colour
+            (``bandpass``) also takes a dict of images by the names of their spectra:
+            ``{"blackbody:4000": image, ...}``.
         catalog : table or path, optional
             Stars and galaxies, as a table (astropy Table, dict of arrays, structured array, data
             frame) or as a CSV or FITS file that `read_catalog` can read. The columns are ``x``,
@@ -417,7 +433,9 @@ class Plan:
             +y), and the reduced shear ``g1`` and ``g2`` that is applied to this profile (as
             GalSim's ``shear(g1=, g2=)``, without it ``q`` and ``angle`` are those of the image). A
             number in place of a column holds for all rows. Fluxes may be negative, but not 0. Stars
-            and galaxies do not depend on the scene's pixels (``oversample``).
+            and galaxies do not depend on the scene's pixels (``oversample``). A plan in colour
+            reads the spectrum of each source: the column ``sed`` (a name) or ``teff`` (a black
+            body, kelvin).
         out : numpy.ndarray, optional
             Array to which the image is written, with `image_shape` and `dtype`, or a stack of such
             images for a stack of scenes. Its content is undefined after an interruption.
@@ -472,12 +490,13 @@ class Plan:
             raise ValueError("there is nothing to simulate: give a scene, a catalog, or both")
         if is_stack(scene):
             return self._simulate_stack(scene, catalog, out, progress)
-        light, unit = None if scene is None else self._scene(scene), unit_of(scene)
+        images, scene = self._images(scene), first_image(scene)
+        light, unit = images[0][1] if images else None, unit_of(scene)
         sources = self._sources(catalog, scene, light, wcs, 4)
         if sources is not None and not len(sources):
             warnings.warn("catalog: there are no sources", PsfieldWarning, stacklevel=3)
         target, copied = self._target(out, light, unit)
-        image, texts = self._handle.simulate(light, sources, target, as_callback(progress))
+        image, texts = self._handle.simulate(images, sources, target, as_callback(progress))
         for text in texts:
             warnings.warn(text, PsfieldWarning, stacklevel=3)
         if copied:
@@ -493,6 +512,7 @@ class Plan:
                 "catalog: a stack of scenes has no catalogue: simulate the scenes one by one"
             )
         lights, unit = _stack(scenes, "scene", self.dtype)
+        check_spectrum(self._settings)
         self._check_scene_shape(lights.shape[-2:])
         outer = lights.shape[:-2]
         target, copied = self._target(out, lights, unit, outer)
@@ -508,7 +528,13 @@ class Plan:
         images = images.reshape(*outer, *self.image_shape)  # type: ignore[union-attr]
         return images if unit is None else images << unit
 
-    def adjoint(self, image: Any, *, progress: Progress | None = None) -> NDArray[Any]:
+    def adjoint(
+        self,
+        image: Any,
+        *,
+        spectra: Sequence[str] | None = None,
+        progress: Progress | None = None,
+    ) -> Any:
         """Apply the transpose of `simulate` to an image, for gradients and deconvolution.
 
         ``(A f) . g == f . (A^T g)`` for every scene ``f`` without a catalogue, and every image
@@ -518,14 +544,16 @@ class Plan:
         ----------
         image : array_like
             ``[y, x]`` with `image_shape`, or a stack of such images, as for `simulate`.
+        spectra : sequence of str, optional
+            In colour: the names of the spectra of the scene's images. Default: that of the plan.
         progress : callable or tqdm bar, optional
             ``progress(done, total)``, for each image of a stack anew.
 
         Returns
         -------
-        numpy.ndarray
+        numpy.ndarray or dict
             ``[y, x]`` with `shape`, or with the shape of `light_region` if the plan is for a
-            region. For a stack, a stack.
+            region. For a stack, a stack. With ``spectra``, a dict of such arrays by their names.
 
         Examples
         --------
@@ -537,15 +565,28 @@ class Plan:
         >>> bool(np.isclose(np.vdot(plan.simulate(f), g), np.vdot(f, plan.adjoint(g))))
         True
         """
-        if not is_stack(image):
-            return self._handle.adjoint(self._image(image), as_callback(progress))
-        images, _ = _stack(image, "image", self.dtype)
-        self._check_image_shape(images.shape[-2:])
-        scene_shape = self.shape if self.region is None else self._light_shape()
-        found = np.empty((*images.shape[:-2], *scene_shape), self.dtype)
-        for index in np.ndindex(images.shape[:-2]):
-            found[index] = self._handle.adjoint(images[index], as_callback(progress))
-        return found
+        if spectra is None:
+            check_spectrum(self._settings)
+            names = [] if self._settings["sed"] is None else [self._settings["sed"]]
+        else:
+            if self._settings["bandpass"] is None:
+                raise ValueError("spectra needs a plan in colour: PsfModel.plan(..., bandpass=)")
+            names = list(dict.fromkeys(spectra))
+        if is_stack(image):
+            images, _ = _stack(image, "image", self.dtype)
+            self._check_image_shape(images.shape[-2:])
+        else:
+            images = self._image(image)
+        outer = images.shape[:-2]
+        found = [
+            self._handle.adjoint(images[index], names, as_callback(progress))
+            for index in np.ndindex(outer)
+        ]
+        layers = [
+            np.reshape(layer, (*outer, *layer[0].shape)) if outer else layer[0]
+            for layer in zip(*found, strict=True)
+        ]
+        return layers[0] if spectra is None else dict(zip(names, layers, strict=True))
 
     def linear_operator(self) -> LinearOperator:
         """Return the plan as SciPy's `~scipy.sparse.linalg.LinearOperator`, for its solvers.
@@ -622,21 +663,19 @@ class Plan:
         most = max(500, self.image_shape[0] * self.image_shape[1])
         pixels = integer(pixels, "pixels", 1, most)
         seed = integer(seed, "seed", 0, 2**64 - 1)
-        light = None if scene is None else self._scene(scene)
+        images, scene = self._images(scene), first_image(scene)
+        light = images[0][1] if images else None
         sources = self._sources(catalog, scene, light, wcs, 3)
         if image is None:
-            image, _ = self._handle.simulate(light, sources, None, None)
-        found = self._handle.spot_check(self._image(image), light, sources, pixels, seed)
+            image, _ = self._handle.simulate(images, sources, None, None)
+        found = self._handle.spot_check(self._image(image), images, sources, pixels, seed)
         return SpotCheck(**json.loads(found))
 
-    def _scene(self, scene: Any) -> NDArray[Any]:
-        """Return the pixels of a scene in the type of the plan."""
-        if column_names(scene) is not None or is_path(scene):
-            kind = f"the path {scene!r}" if is_path(scene) else "a table"
-            raise TypeError(f"scene must be an array [y, x], got {kind}: did you mean catalog=?")
-        light = numbers(scene, "scene", self.dtype, "[y, x]")
-        self._check_scene_shape(light.shape)
-        return light
+    def _images(self, scene: Any) -> list[tuple[str | None, NDArray[Any]]]:
+        images = images_of(scene, self._settings)
+        for _, image in images:
+            self._check_scene_shape(image.shape)
+        return images
 
     def _sources(
         self, catalog: Any, scene: Any, light: NDArray[Any] | None, wcs: Any, stacklevel: int
@@ -648,7 +687,8 @@ class Plan:
         is_part = light is not None and light.shape != self.shape
         first = self.light_region[:2] if is_part else (0, 0)
         sky = sky_of(scene, wcs, self._settings["oversample"], first)
-        return sources_of(catalog, unit_of(scene), sky, stacklevel + 1)
+        reads = Reads(spectra=self._settings["bandpass"] is not None)
+        return sources_of(catalog, unit_of(scene), sky, reads, stacklevel + 1)
 
     def _check_scene_shape(self, shape: tuple[int, ...]) -> None:
         """Refuse a scene that is neither the whole scene nor the part that reaches the region."""
@@ -729,13 +769,14 @@ class Plan:
 
     def __repr__(self) -> str:
         (ny, nx), settings = self.shape, self._settings
+        colour = "" if settings["bandpass"] is None else " in colour"
         finer = "" if settings["oversample"] == 1 else f", oversample {settings['oversample']}"
         frame = "" if settings["frame"] is None else f", frame {settings['frame']}"
         part = "" if self.region is None else f", region {self.region}"
         device = self.summary.gpu or "the CPU"
         return (
-            f"<Plan: scenes {ny} x {nx}{finer}{frame}{part}, tolerance {settings['tolerance']:g},"
-            f" {settings['precision']}, on {device}>"
+            f"<Plan: scenes {ny} x {nx}{colour}{finer}{frame}{part},"
+            f" tolerance {settings['tolerance']:g}, {settings['precision']}, on {device}>"
         )
 
     def _repr_html_(self) -> str:
@@ -761,6 +802,43 @@ class Plan:
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _again, (self._model, self._settings)
+
+
+def images_of(scene: Any, settings: Mapping[str, Any]) -> list[tuple[str | None, NDArray[Any]]]:
+    """Return the images of a scene in the type of a plan, and the names of their spectra.
+
+    ``settings`` are checked arguments of a plan.
+    """
+    if scene is None:
+        return []
+    dtype = DTYPES[settings["precision"]]
+    if is_images(scene):
+        if settings["bandpass"] is None:
+            raise ValueError(
+                "scene: images by the names of their spectra need a plan in colour:"
+                " PsfModel.plan(..., bandpass=)"
+            )
+        units = {str(unit_of(image)) for image in scene.values()}
+        if len(units) > 1:
+            raise ValueError(f"scene: its images have different units: {', '.join(sorted(units))}")
+        return [
+            (os.fspath(name), numbers(image, f"scene[{name!r}]", dtype, "[y, x]"))
+            for name, image in scene.items()
+        ]
+    if column_names(scene) is not None or is_path(scene):
+        kind = f"the path {scene!r}" if is_path(scene) else "a table"
+        raise TypeError(f"scene must be an array [y, x], got {kind}: did you mean catalog=?")
+    check_spectrum(settings)
+    return [(None, numbers(scene, "scene", dtype, "[y, x]"))]
+
+
+def check_spectrum(settings: Mapping[str, Any]) -> None:
+    """Refuse an image without a spectrum if a plan is in colour and has none either."""
+    if settings["bandpass"] is not None and settings["sed"] is None:
+        raise ValueError(
+            "the image has no spectrum: give PsfModel.plan(..., sed=), or images by the names of"
+            " their spectra, {name: image}"
+        )
 
 
 def is_stack(scene: Any) -> bool:
@@ -791,45 +869,20 @@ def _stack(planes: Any, name: str, dtype: Any) -> tuple[NDArray[Any], Any]:
     return np.stack(pixels), units[0]
 
 
-def region_of(region: Any, name: str) -> tuple[int, int, int, int] | None:
-    """Return first column, first row, columns and rows as integers."""
-    if region is None:
-        return None
-    try:
-        x0, y0, nx, ny = (int(np.asarray(n).__index__()) for n in region)
-    except (TypeError, ValueError):
-        raise TypeError(f"{name} must be (x0, y0, nx, ny), four integers, got {region!r}") from None
-    if nx < 1 or ny < 1:
-        raise ValueError(f"{name} must have columns and rows, got {nx} x {ny}")
-    return x0, y0, nx, ny
+def checked(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the arguments of a plan, which may be among others, in plain types."""
+    given = arguments("plan", settings)
+    found = _native.plan_settings(given)
+    plain = {name: found[name] for name in given}
+    for name in {"frame", "region"} & given.keys():
+        plain[name] = None if found[name] is None else tuple(found[name])
+    return {
+        **plain,
+        **checked_colour(settings),
+        "precision": precision_of(settings["precision"], "precision"),
+    }
 
 
-#: The check of each argument of a plan except its shape.
-_CHECKS: dict[str, Callable[[Any, str], Any]] = {
-    "tolerance": real,
-    "precision": precision_of,
-    "device": partial(choice, known=("auto", "cpu", "gpu")),
-    "frame": region_of,
-    "region": region_of,
-    "tolerance_on": partial(choice, known=("l2", "aperture")),
-    "anchor": partial(choice, known=("source", "output")),
-    "method": partial(choice, known=("auto", "lowrank")),
-    "memory": integer_or_none,
-    "oversample": partial(integer, least=1),
-    "scene_pixels": partial(choice, known=("point", "integrated")),
-    "stamp_size": partial(integer_or_none, least=1),
-    "gpu_adapter": text_or_none,
-    "gpu_memory": integer_or_none,
-}
-
-PLAN_SETTINGS = frozenset(_CHECKS)
-
-
-def checked(settings: dict[str, Any]) -> dict[str, Any]:
-    """Return the arguments of a plan in the types of the native module."""
-    return {name: _CHECKS[name](value, name) for name, value in settings.items()}
-
-
-def _again(model: PsfModel, settings: dict[str, Any]) -> Plan:
+def _again(model: _Model, settings: dict[str, Any]) -> Plan:
     """Make a pickled plan again."""
     return Plan(model, **settings)

@@ -9,8 +9,10 @@ from numpy.typing import NDArray
 
 from psfield._arrays import plain, shape_of
 from psfield._catalog import is_path
+from psfield._colour import COLOUR, first_image, is_images
+from psfield._defaults import arguments
 from psfield._model import PsfModel
-from psfield._plan import PLAN_SETTINGS, Labelled, is_stack
+from psfield._plan import Labelled, is_stack
 from psfield._tables import column_names
 
 
@@ -51,7 +53,8 @@ def simulate(
     Parameters
     ----------
     scene : array_like, table, path or None
-        An image ``[y, x]``, or a catalogue of stars and galaxies. Both as for `Plan.simulate`.
+        An image ``[y, x]``, images by the names of their spectra, or a catalogue of stars and
+        galaxies. All as for `Plan.simulate`.
     model : PsfModel
         The PSF.
     catalog : table or path, optional
@@ -79,19 +82,21 @@ def simulate(
         raise TypeError(
             f"model must be a PsfModel, got {type(model).__name__}: psfield.simulate(scene, model)"
         )
-    if unknown := sorted(set(settings) - PLAN_SETTINGS):
+    if unknown := sorted(set(settings) - {*arguments("plan", settings), *COLOUR, "precision"}):
         raise TypeError(
             f"simulate() has no argument {unknown[0]!r}: it takes the arguments of PsfModel.plan."
             " For columns and magnitudes of a file of sources, see psfield.read_catalog"
         )
-    if scene is not None and (is_path(scene) or column_names(scene) is not None):
+    is_table = column_names(scene) is not None and not is_images(scene)
+    if scene is not None and (is_path(scene) or is_table):
         if catalog is not None:
             raise TypeError("scene and catalog are both catalogues: join them")
         scene, catalog = None, scene
     if scene is not None:
         if shape is not None:
             raise TypeError("shape is that of the scene's image: leave it out")
-        scene_shape = plain(scene[0] if is_stack(scene) else scene, "scene").shape[-2:]
+        first = scene[0] if is_stack(scene) else first_image(scene)
+        scene_shape = plain(first, "scene").shape[-2:]
     else:
         shape = model.field_shape if shape is None else shape
         if shape is None:

@@ -147,32 +147,8 @@ class Detector:
         pattern_seed: int = DETECTOR.pattern_seed,
         bad_pixels: Mapping[str, float] = DETECTOR.bad_pixels,
     ) -> None:
-        params = {
-            "name": name,
-            "electrons_per_flux": electrons_per_flux,
-            "exposure_s": exposure_s,
-            "photon_noise": photon_noise,
-            "sky_e": sky_e,
-            "sky_gradient_e_per_px": sky_gradient_e_per_px,
-            "dark_e_per_s": dark_e_per_s,
-            "response_rms": response_rms,
-            "full_well_e": full_well_e,
-            "read_noise_e": read_noise_e,
-            "gain_e_per_adu": gain_e_per_adu,
-            "bias_adu": bias_adu,
-            "bits": bits,
-            "pattern_seed": pattern_seed,
-            "bad_pixels": bad_pixels,
-        }
-        given = {key: value for key, value in params.items() if value is not None}
-        for key, value in given.items():
-            if isinstance(value, (float, np.floating)) and not np.isfinite(value):
-                raise ValueError(f"{key} must be finite, got {value}")
-        try:
-            encoded = json.dumps(given, default=_plain)
-        except TypeError as error:
-            raise TypeError(f"the detector: {error}") from None
-        self._handle = _native.Detector(encoded)
+        given = {name: value for name, value in locals().items() if name in DETECTOR._fields}
+        self._handle = _native.Detector(given)
 
     @classmethod
     def from_toml(cls, path: str | os.PathLike[str]) -> Detector:
@@ -281,12 +257,3 @@ class Detector:
 def _again(params: dict[str, Any]) -> Detector:
     """Make a pickled detector again."""
     return Detector(**params)
-
-
-def _plain(value: Any) -> Any:
-    """Return a number of NumPy as a plain number, and a mapping as a dict."""
-    if isinstance(value, np.generic):
-        return value.item()
-    if isinstance(value, Mapping):
-        return dict(value)
-    raise TypeError(f"{value!r} is not a number or a string")

@@ -286,7 +286,7 @@ def test_scenes_that_cannot_be(model, scene) -> None:
         ({"stamp_size": 0}, "stamp_size must be at least 1"),
         ({"frame": (0, 0, 151, 120)}, "reaches beyond the scene"),
         ({"frame": (-1, 0, 10, 10)}, "reaches beyond the scene"),
-        ({"frame": (0, 0, 0, 10)}, "must have columns and rows"),
+        ({"frame": (0, 0, 0, 10)}, "a frame of 0 x 10 pixels is empty"),
         ({"catalog": {"x": [1.0]}}, "there is no such column"),
     ],
     ids=str,

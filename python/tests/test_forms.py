@@ -255,7 +255,7 @@ class TestDetector:
         parameters = inspect.signature(detector.Detector).parameters
         own = {name: parameter.default for name, parameter in parameters.items()}
         # The library omits parameters without a value.
-        library = json.loads(_native.Detector("{}").params())
+        library = json.loads(_native.Detector({}).params())
         assert {name: value for name, value in own.items() if value is not None} == library
         assert all(p.kind is inspect.Parameter.KEYWORD_ONLY for p in parameters.values())
         # Every optional parameter is one of the library's.

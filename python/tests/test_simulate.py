@@ -401,7 +401,7 @@ def test_a_plan_for_another_model_keeps_the_tolerance(model, scene):
     samples = model.evaluate(*model.positions.T)[::-1]
     other = psfield.PsfModel.from_samples(samples, model.positions)
     plan = model.plan(scene.shape, tolerance=1e-3, device="cpu")
-    kept, new = plan.for_model(other), other.plan(scene.shape, tolerance=1e-3, device="cpu")
+    kept, new = plan.with_psf(other), other.plan(scene.shape, tolerance=1e-3, device="cpu")
     assert kept.model is other and kept.tolerance == 1e-3
     assert kept.summary.tile_shape == plan.summary.tile_shape
     # Each plan may differ by the tolerance.

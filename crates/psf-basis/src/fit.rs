@@ -2,8 +2,9 @@
 //! [`GivenStamps`] uses stamps from elsewhere.
 
 use ndarray::{Array2, Array3, ArrayView1, ArrayView2, ArrayView3, Axis, concatenate};
-use psf_types::{DataError, PsfBasis, PsfSamples, SampleCoefficients, named};
+use psf_types::{DataError, PsfBasis, PsfSamples, SampleCoefficients, named, through_text};
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
 use crate::circles::{Circles, SampleFlux};
 use crate::components::{Components, Krylov, is_large};
@@ -311,7 +312,8 @@ fn check_grid(samples: &PsfSamples, basis: &PsfBasis) -> Result<(), BasisError> 
 }
 
 /// The choice whether to subtract the mean stamp before the decomposition.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(try_from = "String", into = "String")]
 #[non_exhaustive]
 pub enum Centring {
     /// The mean of the samples is a separate stamp. Samples of unit flux then have components of
@@ -323,6 +325,7 @@ pub enum Centring {
 }
 
 named!(Centring, "centring", "mean or none", "mean" => Mean, "none" => None);
+through_text!(Centring);
 
 /// The leading left singular vectors of the matrix whose columns are the samples,
 /// `X - mean = U S V^T`, `B_k = U_k`. Of all bases of `K` components this one has the smallest sum

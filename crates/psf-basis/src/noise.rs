@@ -1,14 +1,17 @@
 //! White noise in samples, estimated from their singular values.
 
 use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis};
+use psf_types::DataError;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
+use serde::{Deserialize, Serialize};
 
 use crate::components::{Components, is_large};
 use crate::decomposition::{BasisError, columns_of, count_above, decompose, project};
 
-/// The noise in the samples' pixels.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
+/// The noise in the samples' pixels. Serde reads and writes the standard deviation, if it is known.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[serde(try_from = "Option<f64>", into = "Option<f64>")]
 #[non_exhaustive]
 pub enum PixelNoise {
     /// Estimate white noise, with one level for all samples or one per sample (bright and faint
@@ -19,6 +22,26 @@ pub enum PixelNoise {
     Estimate,
     /// White noise of this standard deviation, in the units of the stamps. 0 means no noise.
     Known(f64),
+}
+
+impl TryFrom<Option<f64>> for PixelNoise {
+    type Error = DataError;
+    fn try_from(sigma: Option<f64>) -> Result<Self, DataError> {
+        match sigma {
+            None => Ok(Self::Estimate),
+            Some(sigma) if sigma >= 0.0 && sigma.is_finite() => Ok(Self::Known(sigma)),
+            Some(sigma) => Err(DataError::setting("noise", "finite and 0 or more", sigma)),
+        }
+    }
+}
+
+impl From<PixelNoise> for Option<f64> {
+    fn from(noise: PixelNoise) -> Self {
+        match noise {
+            PixelNoise::Estimate => None,
+            PixelNoise::Known(sigma) => Some(sigma),
+        }
+    }
 }
 
 /// The floor that white noise causes in the singular values of an `L x P` matrix: `P` samples of

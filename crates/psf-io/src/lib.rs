@@ -69,7 +69,7 @@ mod units;
 
 pub use catalogue::columns::{CatalogColumns, CatalogOptions, NeededColumn};
 pub use catalogue::curves::{is_wavelength_unit, read_curve};
-pub use catalogue::number_table::NumberTable;
+pub use catalogue::memory_table::MemoryTable;
 pub use catalogue::sky_coordinates::SkyCoordinates;
 pub use catalogue::table_file::{read_columns, write_csv};
 pub use catalogue::world_header::WorldCoordinatesError;

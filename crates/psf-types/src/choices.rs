@@ -235,15 +235,18 @@ named!(StampInterpolation, "stamp interpolation", "cubic-spline or lanczos3", "c
 named!(Anchor, "anchor", "source or output", "source" => Source, "output" => Output);
 named!(ToleranceOn, "tolerance on", "l2 or aperture", "l2" => L2, "aperture" => Aperture);
 
-/// Makes serde read and write the text form of a type, so that files accept the same values as the
-/// command line.
+/// Makes serde read and write the text form of a type, so that files and Python accept the same
+/// values as the command line. The error of the text form is [`DataError`] if none is given.
 #[doc(hidden)]
 #[macro_export]
 macro_rules! through_text {
     ($($type:ident),+) => {$(
+        $crate::through_text!($type => $crate::DataError);
+    )+};
+    ($type:ident => $error:ty) => {
         impl TryFrom<String> for $type {
-            type Error = $crate::DataError;
-            fn try_from(text: String) -> Result<Self, $crate::DataError> {
+            type Error = $error;
+            fn try_from(text: String) -> Result<Self, $error> {
                 text.parse()
             }
         }
@@ -252,7 +255,7 @@ macro_rules! through_text {
                 value.to_string()
             }
         }
-    )+};
+    };
 }
 
 through_text!(

@@ -213,11 +213,27 @@ impl std::fmt::Display for FrameShape {
 /// A rectangle of pixels: columns `x0 .. x0 + nx` and rows `y0 .. y0 + ny`, never empty.
 ///
 /// `x0` and `y0` may be negative, because a scene may extend beyond the frame.
+///
+/// Serde reads and writes `(x0, y0, nx, ny)`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(try_from = "(i64, i64, usize, usize)", into = "(i64, i64, usize, usize)")]
 pub struct PixelRegion {
     x0: i64,
     y0: i64,
     shape: FrameShape,
+}
+
+impl TryFrom<(i64, i64, usize, usize)> for PixelRegion {
+    type Error = DataError;
+    fn try_from((x0, y0, nx, ny): (i64, i64, usize, usize)) -> Result<Self, DataError> {
+        Ok(Self::new(x0, y0, FrameShape::new(nx, ny)?))
+    }
+}
+
+impl From<PixelRegion> for (i64, i64, usize, usize) {
+    fn from(region: PixelRegion) -> Self {
+        (region.x0, region.y0, region.shape.nx, region.shape.ny)
+    }
 }
 
 impl PixelRegion {

@@ -2,24 +2,18 @@
 
 use std::path::PathBuf;
 
-use numpy::{IntoPyArray, PyArray1, PyReadonlyArray1};
+use numpy::{IntoPyArray, PyReadonlyArray1};
+use psfield::error::error_text;
 use psfield::psf_io::{
-    CatalogColumns, CatalogOptions, HduChoice, HeaderCards, NeededColumn, NumberTable, SkyCoordinates,
-    catalog_of, read_cards, read_catalog_with,
+    Catalog, CatalogOptions, HduChoice, HeaderCards, MemoryTable, NeededColumn, SkyCoordinates,
+    SourceColours, catalog_of, read_cards, read_catalog_with,
 };
 use psfield::psf_types::{PointSource, SersicSource};
 use pyo3::prelude::*;
+use pyo3::types::PyDict;
 
 use crate::error::{Failure, invalid};
 use crate::settings::parsed;
-
-/// A column of doubles.
-type Column<'py> = Bound<'py, PyArray1<f64>>;
-
-/// Stars `(x, y, flux)`, galaxies `(x, y, flux, re, n, q, angle)`, the number of invalid rows that
-/// were skipped, the number of rows that were skipped because the projection of the frame does
-/// not reach their position on the sky, and the columns that change a source and were not read.
-type Read<'py> = ([Column<'py>; 3], [Column<'py>; 7], usize, usize, Vec<String>);
 
 /// The cards of an image, from those of a scene that is `oversample` times finer. The first pixel of the
 /// image is pixel `first` (x, y) of the whole image. Both are the text of records of 80 characters.
@@ -29,120 +23,154 @@ pub(crate) fn image_cards(cards: &str, first: (f64, f64), oversample: usize) -> 
     binned.shifted_origin(first.0, first.1).to_text()
 }
 
-/// Reads a catalogue from a file. `wcs` is a file with world coordinates, `wcs_cards` the text of such a
-/// header. `flux_unit` is the unit of the image.
-#[pyfunction]
-pub(crate) fn read_catalog<'py>(
-    py: Python<'py>,
-    path: PathBuf,
-    columns: Option<&str>,
-    one_based: bool,
-    zero_point: Option<f64>,
-    skip_invalid: bool,
-    table: Option<&str>,
-    wcs: Option<PathBuf>,
-    wcs_extension: Option<&str>,
-    wcs_cards: Option<&str>,
-    flux_unit: Option<&str>,
-) -> PyResult<Read<'py>> {
-    let mut options = CatalogOptions::new()
-        .with_one_based(one_based)
-        .with_invalid_skipped(skip_invalid);
-    if let Some(columns) = columns {
-        options = options.with_columns(parsed(columns)?);
-    }
-    if let Some(zero_point) = zero_point {
-        options = options.with_zero_point(zero_point).map_err(Failure::from)?;
-    }
-    if let Some(unit) = flux_unit {
-        options = options.with_flux_unit(unit);
-    }
-    if let Some(table) = table {
-        options = options.with_table(parsed::<HduChoice>(table)?);
-    }
-    let cards = match (wcs, wcs_cards) {
-        (Some(wcs), _) => {
-            let extension = wcs_extension.map(parsed::<HduChoice>).transpose()?;
-            Some(read_cards(wcs, extension.as_ref()).map_err(Failure::from)?)
-        }
-        (None, cards) => cards.map(HeaderCards::from_text),
-    };
-    if let Some(cards) = cards {
-        options = options.with_sky(
-            SkyCoordinates::from_header(&cards)
-                .map_err(|e| invalid(format!("wcs: {}", psfield::error::error_text(&e))))?,
-        );
-    }
-    let catalog = py
-        .detach(|| read_catalog_with(path, &options))
-        .map_err(Failure::from)?;
-    let skipped = (catalog.invalid_rows(), catalog.rows_off_projection());
-    let ignored = catalog.ignored_columns().to_vec();
-    let (stars, galaxies) = catalog.into_parts();
-    let of_star = |value: fn(&PointSource) -> f64| -> Column<'py> {
-        stars.iter().map(value).collect::<Vec<_>>().into_pyarray(py)
-    };
-    let of_galaxy = |value: fn(&SersicSource) -> f64| -> Column<'py> {
-        galaxies.iter().map(value).collect::<Vec<_>>().into_pyarray(py)
-    };
-    let star_columns = [
-        of_star(|star| star.position().x()),
-        of_star(|star| star.position().y()),
-        of_star(|star| star.flux()),
-    ];
-    let galaxy_columns = [
-        of_galaxy(|galaxy| galaxy.position().x()),
-        of_galaxy(|galaxy| galaxy.position().y()),
-        of_galaxy(|galaxy| galaxy.flux()),
-        of_galaxy(|galaxy| galaxy.profile().half_light_radius_px()),
-        of_galaxy(|galaxy| galaxy.profile().index()),
-        of_galaxy(|galaxy| galaxy.profile().axis_ratio()),
-        of_galaxy(|galaxy| galaxy.profile().angle_deg()),
-    ];
-    Ok((star_columns, galaxy_columns, skipped.0, skipped.1, ignored))
-}
-
 /// The role of a column, its name, and the unit of its values.
 type RoleOfColumn = (&'static str, String, Option<&'static str>);
 
-/// The columns that a catalogue with these columns needs: their roles, names and units (`pix`, `deg`, `mag`, an
-/// empty text for numbers without a unit, or `None` for a flux), and the columns that may change a source and
-/// are not read.
+/// The columns that a catalogue with these columns needs: their roles, names and units
+/// ([`CatalogOptions::columns_of`]), and the columns that may change a source and are not read.
 #[pyfunction]
-pub(crate) fn catalog_columns(names: Vec<String>) -> PyResult<(Vec<RoleOfColumn>, Vec<String>)> {
-    let picked = CatalogColumns::default().columns_of("catalog", &names);
-    let ignored = CatalogOptions::new().ignored_columns(&names);
-    let picked = picked.map_err(|e| invalid(psfield::error::error_text(&e)))?;
+pub(crate) fn catalog_columns(
+    names: Vec<String>,
+    spectra: bool,
+    velocities: bool,
+) -> PyResult<(Vec<RoleOfColumn>, Vec<String>)> {
+    let options = CatalogOptions::new()
+        .with_colours(spectra)
+        .with_velocities(velocities);
+    let picked = options.columns_of("catalog", &names);
+    let ignored = options.ignored_columns(&names);
+    let picked = picked.map_err(|e| invalid(error_text(&e)))?;
     let of = |column: NeededColumn| (column.role, column.name, column.unit);
     Ok((picked.into_iter().map(of).collect(), ignored))
+}
+
+/// A column of a table in memory, where NaN is a missing number.
+#[derive(FromPyObject)]
+pub(crate) enum Column<'py> {
+    Numbers(PyReadonlyArray1<'py, f64>),
+    Texts(Vec<String>),
 }
 
 /// Stars and galaxies, with positions in pixels of the frame.
 #[pyclass(module = "psfield._native", frozen)]
 #[derive(Debug, Default)]
-pub(crate) struct Sources {
-    pub(crate) stars: Vec<PointSource>,
-    pub(crate) galaxies: Vec<SersicSource>,
-}
+pub(crate) struct Sources(pub(crate) Catalog);
 
 #[pymethods]
 impl Sources {
-    /// Takes the sources of columns of numbers, where NaN is a missing value.
+    /// Takes the sources of columns, and their spectra (`sed`, `teff`) and velocities (`vx`, `vy`) if there
+    /// are such columns.
     #[new]
-    fn new(columns: Vec<(String, PyReadonlyArray1<'_, f64>)>) -> PyResult<Self> {
+    fn new(columns: Vec<(String, Column<'_>)>) -> PyResult<Self> {
+        let options = CatalogOptions::new().with_colours(true).with_velocities(true);
         let made = || {
-            let mut table = NumberTable::new("catalog");
-            for (name, values) in &columns {
-                table = table.with_column(name, values.as_array().to_vec())?;
+            let mut table = MemoryTable::new("catalog");
+            for (name, column) in columns {
+                table = match column {
+                    Column::Numbers(values) => table.with_column(&name, values.as_array().to_vec())?,
+                    Column::Texts(texts) => table.with_texts(&name, texts)?,
+                };
             }
-            catalog_of(&table, &CatalogOptions::new())
+            catalog_of(&table, &options)
         };
-        let catalog = made().map_err(|e| invalid(psfield::error::error_text(&e)))?;
-        let (stars, galaxies) = catalog.into_parts();
-        Ok(Self { stars, galaxies })
+        Ok(Self(made().map_err(|e| invalid(error_text(&e)))?))
+    }
+
+    /// Reads a catalogue from a file. `wcs` is a file with world coordinates,
+    /// `wcs_cards` the text of such a header. `flux_unit` is the unit of the image.
+    #[staticmethod]
+    fn read(
+        py: Python<'_>,
+        path: PathBuf,
+        columns: Option<&str>,
+        one_based: bool,
+        zero_point: Option<f64>,
+        skip_invalid: bool,
+        table: Option<&str>,
+        wcs: Option<PathBuf>,
+        wcs_extension: Option<&str>,
+        wcs_cards: Option<&str>,
+        flux_unit: Option<&str>,
+        spectra: bool,
+        velocities: bool,
+    ) -> PyResult<Self> {
+        let mut options = CatalogOptions::new()
+            .with_one_based(one_based)
+            .with_invalid_skipped(skip_invalid)
+            .with_colours(spectra)
+            .with_velocities(velocities);
+        if let Some(columns) = columns {
+            options = options.with_columns(parsed(columns)?);
+        }
+        if let Some(zero_point) = zero_point {
+            options = options.with_zero_point(zero_point).map_err(Failure::from)?;
+        }
+        if let Some(unit) = flux_unit {
+            options = options.with_flux_unit(unit);
+        }
+        if let Some(table) = table {
+            options = options.with_table(parsed::<HduChoice>(table)?);
+        }
+        let cards = match (wcs, wcs_cards) {
+            (Some(wcs), _) => {
+                let extension = wcs_extension.map(parsed::<HduChoice>).transpose()?;
+                Some(read_cards(wcs, extension.as_ref()).map_err(Failure::from)?)
+            }
+            (None, cards) => cards.map(HeaderCards::from_text),
+        };
+        if let Some(cards) = cards {
+            options = options.with_sky(
+                SkyCoordinates::from_header(&cards)
+                    .map_err(|e| invalid(format!("wcs: {}", error_text(&e))))?,
+            );
+        }
+        let read = py.detach(|| read_catalog_with(path, &options));
+        Ok(Self(read.map_err(Failure::from)?))
+    }
+
+    /// The number of invalid rows that were skipped, the number of rows that were skipped because the
+    /// projection of the frame does not reach their position on the sky, and the columns that change a
+    /// source and were not read.
+    fn left_out(&self) -> (usize, usize, Vec<String>) {
+        let catalog = &self.0;
+        let ignored = catalog.ignored_columns().to_vec();
+        (catalog.invalid_rows(), catalog.rows_off_projection(), ignored)
+    }
+
+    /// The columns by name: stars first, whose `re` is 0.
+    fn columns<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let (stars, galaxies) = (self.0.stars(), self.0.galaxies());
+        let columns = PyDict::new(py);
+        let add = |name, of_star: &dyn Fn(&PointSource) -> f64, of_galaxy: fn(&SersicSource) -> f64| {
+            let values = stars.iter().map(of_star).chain(galaxies.iter().map(of_galaxy));
+            columns.set_item(name, values.collect::<Vec<_>>().into_pyarray(py))
+        };
+        add("x", &|star| star.position().x(), |galaxy| galaxy.position().x())?;
+        add("y", &|star| star.position().y(), |galaxy| galaxy.position().y())?;
+        add("flux", &|star| star.flux(), |galaxy| galaxy.flux())?;
+        if !galaxies.is_empty() {
+            add("re", &|_| 0.0, |galaxy| galaxy.profile().half_light_radius_px())?;
+            add("n", &|_| f64::NAN, |galaxy| galaxy.profile().index())?;
+            add("q", &|_| 1.0, |galaxy| galaxy.profile().axis_ratio())?;
+            add("angle", &|_| 0.0, |galaxy| galaxy.profile().angle_deg())?;
+        }
+        match self.0.colours() {
+            Some(SourceColours::Names(names)) => columns.set_item("sed", names.clone())?,
+            Some(SourceColours::Temperatures(all)) => {
+                columns.set_item("teff", all.clone().into_pyarray(py))?
+            }
+            _ => {}
+        }
+        for (axis, name) in ["vx", "vy"].into_iter().enumerate() {
+            if let Some(all) = self.0.velocities() {
+                let values: Vec<f64> = all.iter().map(|velocity| velocity[axis]).collect();
+                columns.set_item(name, values.into_pyarray(py))?;
+            }
+        }
+        Ok(columns)
     }
 
     fn __len__(&self) -> usize {
-        self.stars.len() + self.galaxies.len()
+        self.0.rows().len()
     }
 }

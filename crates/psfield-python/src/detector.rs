@@ -7,8 +7,10 @@ use psfield::PsfieldError;
 use psfield::detector::{self, BadPixelMask, DetectorParams};
 use psfield::psf_types::{Image, Real};
 use pyo3::prelude::*;
+use pyo3::types::PyMapping;
 
-use crate::error::{Failure, invalid};
+use crate::error::Failure;
+use crate::settings::from_python;
 use crate::threads;
 
 /// A detector: it converts light to counts in several steps.
@@ -20,11 +22,10 @@ type Exposed<'py> = (Bound<'py, PyAny>, Bound<'py, PyArray2<u8>>, String);
 
 #[pymethods]
 impl Detector {
-    /// A detector from its parameters as JSON. The keys are the same as in the TOML file.
+    /// A detector from its parameters by name. The names are the same as in the TOML file.
     #[new]
-    fn new(params: &str) -> PyResult<Self> {
-        let params: DetectorParams =
-            serde_json::from_str(params).map_err(|error| invalid(format!("the detector: {error}")))?;
+    fn new(params: &Bound<'_, PyMapping>) -> PyResult<Self> {
+        let params: DetectorParams = from_python(params)?;
         Ok(Self(detector::Detector::new(params).map_err(Failure::from)?))
     }
 

@@ -37,6 +37,14 @@ impl Failure {
             argument: Some(argument.into()),
         }
     }
+
+    /// The same failure, caused by this argument.
+    pub(crate) fn caused_by(self, argument: impl Into<Cow<'static, str>>) -> Self {
+        Self {
+            argument: Some(argument.into()),
+            ..self
+        }
+    }
 }
 
 impl From<Failure> for PyErr {

@@ -10,7 +10,9 @@
     reason = "each function is called from a single place in Python"
 )]
 
+mod arrays;
 mod catalog;
+mod colour;
 mod detector;
 mod error;
 mod memory;
@@ -18,7 +20,9 @@ mod metrics;
 mod plan;
 mod psf_model;
 mod sampling;
+mod series;
 mod settings;
+mod simulators;
 mod threads;
 
 use pyo3::prelude::*;
@@ -27,7 +31,7 @@ use pyo3::prelude::*;
 #[pymodule]
 mod _native {
     #[pymodule_export]
-    use crate::catalog::{Sources, catalog_columns, image_cards, read_catalog};
+    use crate::catalog::{Sources, catalog_columns, image_cards};
     #[pymodule_export]
     use crate::detector::Detector;
     #[pymodule_export]
@@ -35,11 +39,13 @@ mod _native {
         adaptive_moments, compare, fit_gaussian, measure_image, measure_stamps, quadrupole_moments,
     };
     #[pymodule_export]
-    use crate::plan::Plan;
+    use crate::plan::{Plan, plan_settings};
     #[pymodule_export]
     use crate::psf_model::PsfModel;
     #[pymodule_export]
     use crate::sampling::{sample_function, sample_telescope};
+    #[pymodule_export]
+    use crate::series::Series;
     #[pymodule_export]
     use crate::threads::{set_threads, threads};
 

@@ -3,27 +3,30 @@
 use std::sync::{Arc, Mutex};
 
 use ndarray::parallel::prelude::*;
-use ndarray::{Array, Array2, Array3, ArrayView2, ArrayViewMut2, ArrayViewMut3, Axis, Dimension, Ix2, Ix3};
-use numpy::{Element, IntoPyArray, PyArray, PyArrayMethods, PyReadonlyArray, PyReadwriteArray};
+use ndarray::{Array, Array2, Array3, ArrayViewMut2, ArrayViewMut3, Axis, Dimension, Ix2, Ix3};
+use numpy::{Element, IntoPyArray};
 use psfield::conv_core::{ConvReal, zeros};
 use psfield::psf_types::{Image, ImageView, NoProgress, PixelRegion};
 use psfield::{Method, Preparation, PsfieldError, Scene, SimulateOptions, SimulationWarning, Simulator};
 use pyo3::exceptions::PyOSError;
 use pyo3::prelude::*;
-use pyo3::types::PyDict;
+use pyo3::types::{PyDict, PyMapping};
 use rayon::ThreadPool;
 
+use crate::arrays::{Borrowed, readonly, writable};
 use crate::catalog::Sources;
+use crate::colour::{Colour, ColourArguments};
 use crate::error::{Failure, invalid, with_argument};
 use crate::memory;
 use crate::psf_model::PsfModel;
-use crate::settings::{parsed, region};
+use crate::settings::{from_python, to_python};
+use crate::simulators::{Images, Simulators, dark_light};
 use crate::threads::{self, Watch, pool};
 
 /// A simulator for scenes of one shape, with its plan.
 #[pyclass(frozen, module = "psfield._native")]
 pub(crate) struct Plan {
-    simulator: AnySimulator,
+    simulators: AnySimulators,
     /// Locked while a thread outside the pool prepares the simulator for a new kind of scene (with
     /// or without stars or galaxies). Plans for other regions use the same lock, because they share
     /// the plans for stars and galaxies.
@@ -32,83 +35,58 @@ pub(crate) struct Plan {
     process: u32,
 }
 
-enum AnySimulator {
-    Single(Arc<Simulator<f32>>),
-    Double(Arc<Simulator<f64>>),
+enum AnySimulators {
+    Single(Arc<Simulators<f32>>),
+    Double(Arc<Simulators<f64>>),
 }
 
 /// Runs one body of code in single or double precision.
 macro_rules! in_precision {
-    ($plan:expr, $simulator:ident => $body:expr) => {
-        match &$plan.simulator {
-            AnySimulator::Single($simulator) => $body,
-            AnySimulator::Double($simulator) => $body,
+    ($plan:expr, $simulators:ident => $body:expr) => {
+        match &$plan.simulators {
+            AnySimulators::Single($simulators) => $body,
+            AnySimulators::Double($simulators) => $body,
         }
     };
 }
 
-/// Makes a simulator from that of a plan, in the same precision.
+/// Makes simulators from those of a plan, in the same precision.
 macro_rules! another {
     ($plan:expr, $py:expr, |$of:ident, $watch:ident| $make:expr) => {
-        match &$plan.simulator {
-            AnySimulator::Single($of) => {
+        match &$plan.simulators {
+            AnySimulators::Single($of) => {
                 let $of = Arc::clone($of);
-                AnySimulator::Single(planned($py, move |$watch| $make)?)
+                AnySimulators::Single(planned($py, move |$watch| $make)?)
             }
-            AnySimulator::Double($of) => {
+            AnySimulators::Double($of) => {
                 let $of = Arc::clone($of);
-                AnySimulator::Double(planned($py, move |$watch| $make)?)
+                AnySimulators::Double(planned($py, move |$watch| $make)?)
             }
         }
     };
 }
 
-/// The arguments of a plan by name.
-#[derive(Debug, FromPyObject)]
-#[pyo3(from_item_all)]
-pub(crate) struct PlanSettings {
-    /// (ny, nx) of the scene.
-    shape: (usize, usize),
-    /// (x0, y0, nx, ny) in pixels of the image, counted from the scene's first pixel.
-    frame: Option<(i64, i64, usize, usize)>,
-    /// (x0, y0, nx, ny) in pixels of the image, counted from the frame's first pixel.
-    region: Option<(i64, i64, usize, usize)>,
-    tolerance: f64,
-    tolerance_on: String,
-    precision: String,
-    anchor: String,
-    method: String,
-    memory: Option<usize>,
-    oversample: usize,
-    scene_pixels: String,
-    stamp_size: Option<usize>,
-    device: String,
-    gpu_adapter: Option<String>,
-    gpu_memory: Option<u64>,
+/// Reads the settings of a plan. Errors name the argument.
+#[pyfunction]
+pub(crate) fn plan_settings<'py>(given: &Bound<'py, PyMapping>) -> PyResult<Bound<'py, PyDict>> {
+    to_python(given.py(), &options(given)?)
 }
 
-impl PlanSettings {
-    fn options(&self) -> PyResult<SimulateOptions> {
-        let method: Method = parsed(&self.method)?;
-        if !method.has_plan() {
-            return Err(invalid(format!("method must be auto or lowrank, got {method}")));
-        }
-        Ok(SimulateOptions {
-            method,
-            tolerance: self.tolerance,
-            tolerance_on: parsed(&self.tolerance_on)?,
-            anchor: parsed(&self.anchor)?,
-            memory: self.memory,
-            oversample: self.oversample,
-            scene_pixels: parsed(&self.scene_pixels)?,
-            stamp_size: self.stamp_size,
-            frame: self.frame.map(region).transpose()?,
-            region: self.region.map(region).transpose()?,
-            device: parsed(&self.device)?,
-            gpu_adapter: self.gpu_adapter.clone(),
-            gpu_memory: self.gpu_memory,
-        })
+pub(crate) fn options(given: &Bound<'_, PyMapping>) -> PyResult<SimulateOptions> {
+    let method = given.get_item("method");
+    if let Ok(name) = method.and_then(|method| method.extract::<String>())
+        && !name.parse().is_ok_and(Method::has_plan)
+    {
+        return Err(invalid(format!("method must be auto or lowrank, got {name}")));
     }
+    let options: SimulateOptions = from_python(given)?;
+    if options.plan_options().is_err() {
+        let tolerance = options.tolerance;
+        return Err(invalid(format!(
+            "tolerance must be at least 0 and below 1, got {tolerance}"
+        )));
+    }
+    Ok(options)
 }
 
 /// The image, or `None` if it was written to an array of the caller, and warnings in sentences.
@@ -121,8 +99,15 @@ type BlockRow = (i64, i64, usize, usize, usize);
 impl Plan {
     /// Makes a plan for scenes of one shape.
     #[new]
-    fn new(py: Python<'_>, model: &PsfModel, settings: PlanSettings) -> PyResult<Self> {
-        let (ny, nx) = settings.shape;
+    fn new(
+        py: Python<'_>,
+        model: &PsfModel,
+        shape: (usize, usize),
+        precision: &str,
+        settings: &Bound<'_, PyMapping>,
+        colour: Option<ColourArguments>,
+    ) -> PyResult<Self> {
+        let (ny, nx) = shape;
         let pixels = ny.saturating_mul(nx);
         if pixels > Simulator::<f32>::MAX_PIXELS {
             let most = Simulator::<f32>::MAX_PIXELS;
@@ -130,14 +115,19 @@ impl Plan {
                 "shape: {ny} x {nx} pixels are too many: at most 2^30 = {most}"
             )));
         }
-        let builder = model.0.simulator(settings.shape).options(settings.options()?);
-        let simulator = match settings.precision.as_str() {
-            "f32" => AnySimulator::Single(planned(py, move |_| builder.build())?),
-            "f64" => AnySimulator::Double(planned(py, move |_| builder.build())?),
+        let (psf, options) = (model.0.clone(), options(settings)?);
+        let colour = colour.map(Colour::new).transpose()?;
+        let simulators = match precision {
+            "f32" => AnySimulators::Single(planned(py, move |_| {
+                Simulators::new(psf, shape, options, colour)
+            })?),
+            "f64" => AnySimulators::Double(planned(py, move |_| {
+                Simulators::new(psf, shape, options, colour)
+            })?),
             other => return Err(invalid(format!("precision must be f32 or f64, got {other}"))),
         };
         Ok(Self {
-            simulator,
+            simulators,
             making: Arc::default(),
             process: std::process::id(),
         })
@@ -145,21 +135,21 @@ impl Plan {
 
     /// Makes a plan for another region of the same frame.
     fn for_region(&self, py: Python<'_>, at: (i64, i64, usize, usize)) -> PyResult<Self> {
-        let at = region(at)?;
-        let simulator = another!(self, py, |of, watch| of.for_region(at, watch));
+        let at = PixelRegion::try_from(at).map_err(Failure::from)?;
+        let simulators = another!(self, py, |of, watch| of.for_region(at, watch));
         Ok(Self {
-            simulator,
+            simulators,
             making: Arc::clone(&self.making),
             process: std::process::id(),
         })
     }
 
     /// Makes a plan for another PSF, with the settings of this plan and, if possible, its tiles.
-    fn for_model(&self, py: Python<'_>, model: &PsfModel) -> PyResult<Self> {
+    fn with_psf(&self, py: Python<'_>, model: &PsfModel) -> PyResult<Self> {
         let psf = model.0.clone();
-        let simulator = another!(self, py, |of, watch| of.with_psf(psf, watch));
+        let simulators = another!(self, py, |of, watch| of.with_psf(&psf, watch));
         Ok(Self {
-            simulator,
+            simulators,
             making: Arc::default(),
             process: std::process::id(),
         })
@@ -168,21 +158,19 @@ impl Plan {
     /// (x0, y0, nx, ny) of the part of the scene whose light reaches the image, in pixels of the
     /// scene.
     fn light_region(&self) -> PyResult<(i64, i64, usize, usize)> {
-        let light =
-            in_precision!(self, simulator => simulator.light_region(&NoProgress)).map_err(Failure::from)?;
-        Ok((light.x0(), light.y0(), light.shape().nx(), light.shape().ny()))
+        let light = in_precision!(self, of => of.first.light_region(&NoProgress));
+        Ok(light.map_err(Failure::from)?.into())
     }
 
     /// (ny, nx) of the image.
     fn frame_shape(&self) -> (usize, usize) {
-        let shape = in_precision!(self, simulator => simulator.image_shape());
+        let shape = in_precision!(self, of => of.first.image_shape());
         (shape.ny(), shape.nx())
     }
 
     /// The blocks, row by row, in pixels of the scene.
     fn blocks(&self) -> PyResult<Vec<BlockRow>> {
-        let blocks =
-            in_precision!(self, simulator => simulator.blocks(&NoProgress)).map_err(Failure::from)?;
+        let blocks = in_precision!(self, of => of.first.blocks(&NoProgress)).map_err(Failure::from)?;
         let values =
             |(at, modes): (PixelRegion, usize)| (at.x0(), at.y0(), at.shape().nx(), at.shape().ny(), modes);
         Ok(blocks.into_iter().map(values).collect())
@@ -192,7 +180,7 @@ impl Plan {
     fn summary<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let made = self.preparation()?;
         let (shape, options) =
-            in_precision!(self, simulator => (simulator.scene_shape(), simulator.options().clone()));
+            in_precision!(self, of => (of.first.scene_shape(), of.first.options().clone()));
         let summary = made.plan.ok_or_else(|| invalid("this plan has no summary"))?;
         let found = PyDict::new(py);
         found.set_item("text", summary.to_string())?;
@@ -217,11 +205,11 @@ impl Plan {
         Ok(found)
     }
 
-    /// Simulates the image of a scene and sources.
+    /// Simulates the image of a scene's images, each with the name of its spectrum, and of sources.
     fn simulate<'py>(
         &self,
         py: Python<'py>,
-        scene: Option<Bound<'py, PyAny>>,
+        images: Vec<(Option<String>, Bound<'py, PyAny>)>,
         sources: Option<PyRef<'py, Sources>>,
         out: Option<Bound<'py, PyAny>>,
         progress: Option<Py<PyAny>>,
@@ -230,14 +218,13 @@ impl Plan {
         memory::check("the image", self.image_bytes(usize::from(out.is_none())))?;
         let none = Sources::default();
         let sources = sources.as_deref().unwrap_or(&none);
-        in_precision!(self, simulator => {
-            let scene = scene.as_ref().map(|scene| readonly::<_, Ix2>(scene, "scene")).transpose()?;
+        in_precision!(self, simulators => {
+            let images = Borrowed::new(&images)?;
             let mut out = out.as_ref().map(writable::<_, Ix2>).transpose()?;
-            let light = scene.as_ref().map(|scene| scene.as_array());
-            let target = out.as_mut().map(|out| out.as_array_mut());
+            let (images, target) = (images.views(), out.as_mut().map(|out| out.as_array_mut()));
             let made = threads::run_beside(py, progress.as_ref(), &*pool()?, |watch, pool| {
-                let scene = self.ready(simulator, light, sources, watch, pool)?;
-                pool.install(|| simulated(simulator, &scene, target, watch))
+                let (simulator, scene) = self.ready(simulators, images, sources, watch, pool)?;
+                pool.install(|| simulated(&simulator, &scene, target, watch))
             })?;
             Ok(in_python(py, made?))
         })
@@ -252,20 +239,23 @@ impl Plan {
         progress: Option<Py<PyAny>>,
     ) -> PyResult<Simulated<'py>> {
         self.check_process()?;
-        in_precision!(self, simulator => {
+        in_precision!(self, simulators => {
             let scenes = readonly::<_, Ix3>(&scenes, "scene")?;
             let mut out = out.as_ref().map(writable::<_, Ix3>).transpose()?;
             let (lights, target) = (scenes.as_array(), out.as_mut().map(|out| out.as_array_mut()));
             memory::check("the stack of images", self.image_bytes(target.as_ref().map_or(lights.dim().0, |_| 0)))?;
             let made = threads::run_beside(py, progress.as_ref(), &*pool()?, |watch, pool| {
-                let check = |(n, light)| {
-                    let light = ImageView::new(light).map_err(Failure::of(format!("scene[{n}]")));
-                    light.map(Scene::from)
+                let none = Sources::default();
+                let scene = |(n, light)| {
+                    let scene = simulators.scene(vec![(None, light)], &none);
+                    scene.map_err(|failure| failure.caused_by(format!("scene[{n}]")))
                 };
-                let scenes = lights.outer_iter().enumerate().map(check);
-                let scenes: Vec<Scene<'_, _>> = pool.install(|| scenes.collect::<Result<_, _>>())?;
-                if let Some(light) = lights.outer_iter().next() {
-                    self.ready(simulator, Some(light), &Sources::default(), watch, pool)?;
+                let scenes = lights.outer_iter().enumerate().map(scene);
+                let scenes: Vec<(_, Scene<'_, _>)> = pool.install(|| scenes.collect::<Result<_, _>>())?;
+                let (of_scenes, scenes): (Vec<_>, Vec<_>) = scenes.into_iter().unzip();
+                let simulator = of_scenes.first().unwrap_or(&simulators.first);
+                if let Some(scene) = scenes.first() {
+                    self.prepare(simulator, scene, watch, pool)?;
                 }
                 pool.install(|| many_simulated(simulator, &scenes, target, watch))
             })?;
@@ -273,24 +263,27 @@ impl Plan {
         })
     }
 
-    /// Applies the transpose of the simulation to an image.
+    /// Applies the transpose of the simulation to an image. In colour, returns the light of each of these
+    /// spectra.
     fn adjoint<'py>(
         &self,
         py: Python<'py>,
         image: Bound<'py, PyAny>,
+        spectra: Vec<String>,
         progress: Option<Py<PyAny>>,
-    ) -> PyResult<Bound<'py, PyAny>> {
+    ) -> PyResult<Vec<Bound<'py, PyAny>>> {
         self.check_process()?;
-        in_precision!(self, simulator => {
+        memory::check("the adjoint", self.image_bytes(spectra.len().max(1)))?;
+        in_precision!(self, simulators => {
             let image = readonly::<_, Ix2>(&image, "image")?;
             let pixels = image.as_array();
-            memory::check("the adjoint", self.image_bytes(1))?;
             let made = threads::run(py, progress.as_ref(), |watch| -> Result<_, Failure> {
                 let image = ImageView::new(pixels).map_err(Failure::of("image"))?;
+                let simulator = simulators.of_spectra(&dark_light(&spectra))?;
                 Ok(simulator.adjoint(&image, watch)?)
             })?;
-            let light = made?.pop().expect("a scene has a layer");
-            Ok(light.into_pixels().into_pyarray(py).into_any())
+            let array = |light: Image<_>| light.into_pixels().into_pyarray(py).into_any();
+            Ok(made?.into_iter().map(array).collect())
         })
     }
 
@@ -299,7 +292,7 @@ impl Plan {
         &self,
         py: Python<'py>,
         image: Bound<'py, PyAny>,
-        scene: Option<Bound<'py, PyAny>>,
+        images: Vec<(Option<String>, Bound<'py, PyAny>)>,
         sources: Option<PyRef<'py, Sources>>,
         count: usize,
         seed: u64,
@@ -307,12 +300,11 @@ impl Plan {
         memory::check("the check", self.image_bytes(2))?;
         let none = Sources::default();
         let sources = sources.as_deref().unwrap_or(&none);
-        let check = in_precision!(self, simulator => {
-            let image = readonly::<_, Ix2>(&image, "image")?;
-            let scene = scene.as_ref().map(|scene| readonly::<_, Ix2>(scene, "scene")).transpose()?;
-            let (pixels, light) = (image.as_array(), scene.as_ref().map(|scene| scene.as_array()));
+        let check = in_precision!(self, simulators => {
+            let (image, images) = (readonly::<_, Ix2>(&image, "image")?, Borrowed::new(&images)?);
+            let (pixels, images) = (image.as_array(), images.views());
             threads::run_beside(py, None, &*pool()?, |watch, pool| {
-                let scene = self.ready(simulator, light, sources, watch, pool)?;
+                let (simulator, scene) = self.ready(simulators, images, sources, watch, pool)?;
                 pool.install(|| -> Result<_, Failure> {
                     let image = Image::new(pixels.to_owned())?;
                     Ok(simulator.spot_check(&scene, &image, (count, seed), watch)?)
@@ -324,38 +316,42 @@ impl Plan {
 }
 
 impl Plan {
-    /// Makes a scene, prepares the simulator for it, and returns the scene. If several threads need
-    /// the same preparation, one thread makes it. The others wait for it, or until they are
-    /// cancelled.
+    /// Makes a scene and prepares its simulator.
     fn ready<'a, T: ConvReal>(
         &self,
-        simulator: &Simulator<T>,
-        light: Option<ArrayView2<'a, T>>,
+        simulators: &Simulators<T>,
+        images: Images<'a, T>,
         sources: &'a Sources,
         watch: &Watch,
         pool: &ThreadPool,
-    ) -> Result<Scene<'a, T>, Failure> {
-        let scene = match light {
-            Some(light) => pool
-                .install(|| ImageView::new(light))
-                .map_err(Failure::of("scene"))?
-                .into(),
-            None => Scene::dark(),
-        };
-        let scene = scene.with_stars(&sources.stars).with_galaxies(&sources.galaxies);
-        if !simulator.is_prepared(&scene) {
+    ) -> Result<(Arc<Simulator<T>>, Scene<'a, T>), Failure> {
+        let (simulator, scene) = pool.install(|| simulators.scene(images, sources))?;
+        self.prepare(&simulator, &scene, watch, pool)?;
+        Ok((simulator, scene))
+    }
+
+    /// Prepares a simulator for a scene. If several threads need the same preparation, one thread makes it.
+    /// The others wait for it, or until they are cancelled.
+    fn prepare<T: ConvReal>(
+        &self,
+        simulator: &Simulator<T>,
+        scene: &Scene<'_, T>,
+        watch: &Watch,
+        pool: &ThreadPool,
+    ) -> Result<(), Failure> {
+        if !simulator.is_prepared(scene) {
             let _making = threads::turn(&self.making, watch)?;
-            pool.install(|| simulator.prepare(&scene, watch))?;
+            pool.install(|| simulator.prepare(scene, watch))?;
         }
-        Ok(scene)
+        Ok(())
     }
 
     /// The bytes of so many images of this plan.
     fn image_bytes(&self, count: usize) -> usize {
         let (ny, nx) = self.frame_shape();
-        let size = match &self.simulator {
-            AnySimulator::Single(_) => size_of::<f32>(),
-            AnySimulator::Double(_) => size_of::<f64>(),
+        let size = match &self.simulators {
+            AnySimulators::Single(_) => size_of::<f32>(),
+            AnySimulators::Double(_) => size_of::<f64>(),
         };
         [ny, nx, size]
             .iter()
@@ -375,7 +371,7 @@ impl Plan {
 
     /// Returns the preparation of the simulator for scenes with an image.
     fn preparation(&self) -> PyResult<Preparation<'_>> {
-        let made = in_precision!(self, simulator => simulator.prepare(&Scene::streamed(), &NoProgress));
+        let made = in_precision!(self, of => of.first.prepare(&Scene::streamed(), &NoProgress));
         Ok(made.map_err(Failure::from)?)
     }
 }
@@ -440,42 +436,20 @@ fn many_simulated<T: ConvReal>(
     Ok((made, warnings.unwrap_or_default()))
 }
 
-/// Builds a simulator, and makes its model and plan for scenes that contain an image. Those for
-/// stars and galaxies are made later, when a scene needs them.
+/// Builds simulators and, without colour, makes the model and the plan for scenes that contain an image. Those
+/// for stars and galaxies, or for spectra, are made later, when a scene needs them.
 fn planned<T: ConvReal>(
     py: Python<'_>,
-    make: impl FnOnce(&Watch) -> Result<Simulator<T>, PsfieldError> + Send + 'static,
-) -> PyResult<Arc<Simulator<T>>> {
+    make: impl FnOnce(&Watch) -> Result<Simulators<T>, PsfieldError> + Send + 'static,
+) -> PyResult<Arc<Simulators<T>>> {
     let made = threads::run_apart(py, move |watch, pool| {
         pool.install(|| -> Result<_, Failure> {
-            let simulator = make(watch)?;
-            simulator.prepare(&Scene::streamed(), watch)?;
-            Ok(Arc::new(simulator))
+            let simulators = make(watch)?;
+            if !simulators.in_colour() {
+                simulators.first.prepare(&Scene::streamed(), watch)?;
+            }
+            Ok(Arc::new(simulators))
         })
     })?;
     Ok(made?)
-}
-
-/// Borrows a NumPy array for reading. The Python code has already converted the array to the plan's
-/// precision.
-fn readonly<'py, T: Element, D: Dimension>(
-    array: &Bound<'py, PyAny>,
-    name: &str,
-) -> PyResult<PyReadonlyArray<'py, T, D>> {
-    let array = array.cast::<PyArray<T, D>>()?;
-    array.try_readonly().map_err(|_| {
-        invalid(format!(
-            "{name}: another call is writing its image to this array: wait until it returns"
-        ))
-    })
-}
-
-/// Borrows a NumPy array for writing.
-fn writable<'py, T: Element, D: Dimension>(
-    array: &Bound<'py, PyAny>,
-) -> PyResult<PyReadwriteArray<'py, T, D>> {
-    let array = array.cast::<PyArray<T, D>>()?;
-    array
-        .try_readwrite()
-        .map_err(|_| invalid("out: another call reads or writes this array: give each call its own array"))
 }

@@ -7,26 +7,26 @@ use numpy::{
     IntoPyArray, PyArray1, PyArray2, PyArray3, PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3,
 };
 use psfield::coeff_field::CoeffFieldError;
-use psfield::colours::{open_bandpass, open_spectrum};
 use psfield::convert::{PsfFormat, SamplesAt, to_gridded};
 use psfield::evaluate::{EvaluateOptions, OutputGrid, evaluate_stamps};
 use psfield::fit::{Fit, OwnInterpolation, fit_by, fit_in_basis, fit_weighted};
 use psfield::image_cards::provenance_cards;
-use psfield::psf_basis::{GivenStamps, PixelNoise};
+use psfield::psf_basis::GivenStamps;
 use psfield::psf_io::Precision;
 use psfield::psf_types::{
     FrameShape, Position, PsfBasis, PsfModelRecord, PsfSamples, SampleCoefficients, SamplePositions,
     SampleStates, StateKind,
 };
-use psfield::spectra::{Bandpass, Curve, FluxDensity, Spectrum};
 use psfield::stack_size::MAX_STACK_BYTES;
-use psfield::{FitOptions, Psf, PsfieldError};
+use psfield::{FitChoices, FitOptions, Psf, PsfieldError};
 use pyo3::prelude::*;
-use pyo3::types::PyDict;
+use pyo3::types::{PyDict, PyMapping};
+use serde::Deserialize;
 
+use crate::colour::Curved;
 use crate::error::{Failure, invalid, with_argument};
 use crate::memory;
-use crate::settings::{FileSettings, FitSettings, GridSettings, frame_shape, parsed, positions};
+use crate::settings::{GridSettings, frame_shape, from_python, parsed, positions, to_python};
 use crate::threads;
 
 /// A PSF that changes over the field.
@@ -51,13 +51,6 @@ enum GivenBasis<'py> {
 
 /// The name of the quantity on which the PSF depends besides the position, and its values.
 type States = Option<(String, Vec<f64>)>;
-/// A bandpass or a spectrum: its name, or wavelengths in micrometres and values.
-#[derive(FromPyObject)]
-enum Curved {
-    Name(String),
-    Rows((Vec<f64>, Vec<f64>)),
-}
-
 /// Bytes that a fit needs for each value of its samples.
 const FIT_BYTES: usize = 5 * size_of::<f64>();
 
@@ -97,21 +90,21 @@ impl PsfModel {
         y: PyReadonlyArray1<'_, f64>,
         states: States,
         field: Option<(usize, usize)>,
-        grid: GridSettings,
-        fit: FitSettings,
+        grid: &Bound<'_, PyMapping>,
+        fit: &Bound<'_, PyMapping>,
         gridded_library: bool,
         basis: Option<GivenBasis<'_>>,
         weights: Option<PyReadonlyArray3<'_, f64>>,
     ) -> PyResult<Self> {
         let (count, ny, nx) = stamps.as_array().dim();
-        let grid = grid.grid((ny, nx))?;
+        let grid = from_python::<GridSettings>(grid)?.grid((ny, nx))?;
         let positions = sample_positions(&x, &y, states, field)?;
         let defaults = match count {
             _ if gridded_library => FitOptions::of_gridded_library(&positions),
             1 => FitOptions::of_single_stamp(),
             _ => FitOptions::default(),
         };
-        let options = fit.choices()?.or(defaults);
+        let options = from_python::<FitChoices>(fit)?.or(defaults);
         let stamps = stamps.as_array();
         memory::check("the samples", stamps.len().saturating_mul(size_of::<f64>()))?;
         let samples = py
@@ -152,11 +145,11 @@ impl PsfModel {
         y: PyReadonlyArray1<'_, f64>,
         states: States,
         field: Option<(usize, usize)>,
-        grid: GridSettings,
+        grid: &Bound<'_, PyMapping>,
         choices: Choices,
     ) -> PyResult<Self> {
         let (_, ny, nx) = components.as_array().dim();
-        let grid = grid.grid((ny, nx))?;
+        let grid = from_python::<GridSettings>(grid)?.grid((ny, nx))?;
         let positions = sample_positions(&x, &y, states, field)?;
         let (interpolation, outside, normalise) =
             (parsed(&choices.0)?, parsed(&choices.1)?, parsed(&choices.2)?);
@@ -203,8 +196,13 @@ impl PsfModel {
 
     /// Reads any PSF file.
     #[staticmethod]
-    fn read(py: Python<'_>, path: PathBuf, file: FileSettings, fit: FitSettings) -> PyResult<Self> {
-        let (file, choices) = (file.options()?, fit.choices()?);
+    fn read(
+        py: Python<'_>,
+        path: PathBuf,
+        file: &Bound<'_, PyMapping>,
+        fit: &Bound<'_, PyMapping>,
+    ) -> PyResult<Self> {
+        let (file, choices) = (from_python(file)?, from_python(fit)?);
         let psf = threads::run_apart(py, move |_, pool| {
             pool.install(|| Psf::open_with(&path, &file, &choices))
         })?;
@@ -225,7 +223,7 @@ impl PsfModel {
         let (field, grid) = (self.field(), self.grid(py)?);
         if let Some((samples, options)) = self.0.samples() {
             let stamps = samples.stamps().to_owned().into_pyarray(py);
-            let fit = fit_settings(py, options)?;
+            let fit = to_python(py, &FitChoices::from(*options))?;
             let state = (
                 stamps,
                 x,
@@ -255,13 +253,7 @@ impl PsfModel {
 
     /// The grid of the stamps, in the form that the constructors accept.
     fn grid<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
-        let grid = self.0.grid();
-        let settings = PyDict::new(py);
-        settings.set_item("oversampling", grid.oversampling())?;
-        settings.set_item("centre", (grid.centre_x(), grid.centre_y()))?;
-        settings.set_item("pixel_response_included", grid.pixel_response_included())?;
-        settings.set_item("stamp_interpolation", grid.interpolation().to_string())?;
-        Ok(settings)
+        to_python(py, &GridSettings::of(self.0.grid())?)
     }
 
     /// (ny, nx) of the stamps.
@@ -289,18 +281,7 @@ impl PsfModel {
 
     /// Returns the PSF of a spectrum in a bandpass: the mean over the detected photons.
     fn for_spectrum(&self, py: Python<'_>, bandpass: Curved, spectrum: Curved) -> PyResult<Self> {
-        let spectral = |error| Failure::from(PsfieldError::from(error));
-        let bandpass = match bandpass {
-            Curved::Name(name) => open_bandpass(&name).map_err(Failure::from)?,
-            Curved::Rows(rows) => Bandpass::new(Curve::new(rows.0, rows.1).map_err(spectral)?),
-        };
-        let spectrum = match spectrum {
-            Curved::Name(name) => open_spectrum(&name).map_err(Failure::from)?,
-            Curved::Rows(rows) => Spectrum::table(
-                Curve::new(rows.0, rows.1).map_err(spectral)?,
-                FluxDensity::PerWavelength,
-            ),
-        };
+        let (bandpass, spectrum) = (bandpass.bandpass()?, spectrum.spectrum()?);
         let mixed = move |psf: &Psf| psf.for_spectra(&bandpass, &[spectrum])?.at_state(0.0);
         self.apart(py, mixed).map(Self)
     }
@@ -398,7 +379,8 @@ impl PsfModel {
     }
 
     /// Writes a file. Returns notes for the user, in sentences.
-    fn write(&self, py: Python<'_>, path: PathBuf, settings: WriteSettings) -> PyResult<Vec<String>> {
+    fn write(&self, py: Python<'_>, path: PathBuf, settings: &Bound<'_, PyMapping>) -> PyResult<Vec<String>> {
+        let settings: WriteSettings = from_python(settings)?;
         threads::run(py, None, |_| settings.write(&path, &self.0))?
     }
 }
@@ -425,22 +407,6 @@ fn points<'py>(py: Python<'py>, of: &SamplePositions) -> Points<'py> {
     (x.into_pyarray(py), y.into_pyarray(py))
 }
 
-fn fit_settings<'py>(py: Python<'py>, options: &FitOptions) -> PyResult<Bound<'py, PyDict>> {
-    let settings = PyDict::new(py);
-    settings.set_item("rank", options.rank.to_string())?;
-    settings.set_item("centring", options.centring.to_string())?;
-    let noise = match options.noise {
-        PixelNoise::Known(sigma) => Some(sigma),
-        _ => None,
-    };
-    settings.set_item("noise", noise)?;
-    settings.set_item("interpolation", options.interpolation.to_string())?;
-    settings.set_item("outside", options.outside.to_string())?;
-    settings.set_item("normalise", options.normalisation.to_string())?;
-    settings.set_item("shift_copies", options.shift_copies)?;
-    Ok(settings)
-}
-
 fn choices_of(record: &PsfModelRecord) -> Choices {
     (
         record.interpolation().to_string(),
@@ -460,8 +426,7 @@ fn arrays_of<'py>(py: Python<'py>, record: &PsfModelRecord) -> Basis<'py> {
 }
 
 /// The arguments of `write` by name.
-#[derive(Debug, FromPyObject)]
-#[pyo3(from_item_all)]
+#[derive(Debug, Deserialize)]
 struct WriteSettings {
     format: String,
     /// The degree of PSFEx's polynomial.

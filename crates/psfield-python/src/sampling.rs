@@ -1,5 +1,6 @@
 //! Samples a PSF that a Python function draws, or that of a telescope.
 
+use std::num::NonZeroUsize;
 use std::path::Path;
 use std::sync::{Mutex, PoisonError};
 
@@ -13,26 +14,26 @@ use psfield::psf_sample::{
 use psfield::psf_types::{
     FrameShape, Position, Progress, PsfSamples, PsfSource, SourceError, StampGrid, StateKind,
 };
-use psfield::{FitOptions, Psf, PsfieldError};
+use psfield::{FitChoices, FitOptions, Psf, PsfieldError};
 use pyo3::prelude::*;
-use pyo3::types::PyDict;
+use pyo3::types::{PyDict, PyMapping};
+use serde::Deserialize;
 
 use crate::error::{Failure, invalid};
 use crate::psf_model::PsfModel;
-use crate::settings::{FitSettings, GridSettings, frame_shape};
+use crate::settings::{GridSettings, frame_shape, from_python};
 use crate::threads::{self, Watch};
 
-/// The settings of the sampling, read from a Python object by their names.
-#[derive(Debug, FromPyObject)]
-#[pyo3(from_item_all)]
-pub(crate) struct SamplingSettings {
+/// The settings of the sampling by name.
+#[derive(Debug, Deserialize)]
+struct SamplingSettings {
     method: Option<String>,
     criterion: Option<String>,
     measure: String,
     threshold: f64,
     /// (ny, nx) of the starting grid.
     start: Option<(usize, usize)>,
-    max_draws: usize,
+    max_draws: NonZeroUsize,
     accept_cap: bool,
     verify: Option<usize>,
     seed: u64,
@@ -50,7 +51,7 @@ impl SamplingSettings {
             measure: self.measure.parse().map_err(Failure::from)?,
             threshold: self.threshold,
             start: self.start.map(|(ny, nx)| (nx, ny)),
-            max_draws: self.max_draws,
+            max_draws: self.max_draws.get(),
             verify: self.verify,
             seed: self.seed,
             uniform: self.uniform.map(|(ny, nx)| (nx, ny)),
@@ -60,19 +61,21 @@ impl SamplingSettings {
 
 /// Samples the function `f(x, y)` over a field. Returns the model and a report of the sampling.
 #[pyfunction]
-pub(crate) fn sample_function(
-    py: Python<'_>,
+pub(crate) fn sample_function<'py>(
+    py: Python<'py>,
     function: Py<PyAny>,
     stamp_shape: (usize, usize),
     field: (usize, usize),
-    grid: GridSettings,
-    sampling: SamplingSettings,
-    fit: FitSettings,
+    grid: &Bound<'_, PyMapping>,
+    sampling: &Bound<'_, PyMapping>,
+    fit: &Bound<'_, PyMapping>,
     progress: Option<Py<PyAny>>,
-) -> PyResult<(PsfModel, Bound<'_, PyDict>)> {
-    let (grid, field) = (grid.grid(stamp_shape)?, frame_shape(field)?);
+) -> PyResult<(PsfModel, Bound<'py, PyDict>)> {
+    let grid = from_python::<GridSettings>(grid)?.grid(stamp_shape)?;
+    let field = frame_shape(field)?;
+    let sampling: SamplingSettings = from_python(sampling)?;
     let method = sampling.options()?.method().map_err(Failure::from)?;
-    let options = fit.choices()?.or(FitOptions::default());
+    let options = from_python::<FitChoices>(fit)?.or(FitOptions::default());
     if let Some((ny, nx)) = sampling.uniform {
         psfield::stack_size::check_stack(nx.saturating_mul(ny), grid).map_err(Failure::from)?;
     }
@@ -139,10 +142,9 @@ fn report_of<'py>(py: Python<'py>, report: &SamplingReport, samples: usize) -> P
     Ok(found)
 }
 
-/// The PSF of a telescope, as read from Python arguments by name.
-#[derive(Debug, FromPyObject)]
-#[pyo3(from_item_all)]
-pub(crate) struct TelescopeSettings {
+/// The PSF of a telescope, by the names of the arguments.
+#[derive(Debug, Deserialize)]
+struct TelescopeSettings {
     /// The name of a built-in telescope, or the path of a TOML file.
     telescope: String,
     /// (ny, nx) of the frame.
@@ -150,8 +152,8 @@ pub(crate) struct TelescopeSettings {
     /// (ny, nx) of the grid of samples.
     samples: (usize, usize),
     /// Frame pixels.
-    stamp_size: Option<usize>,
-    oversampling: usize,
+    stamp_size: Option<NonZeroUsize>,
+    oversampling: NonZeroUsize,
     wavelengths_um: Option<Vec<f64>>,
 }
 
@@ -159,10 +161,11 @@ pub(crate) struct TelescopeSettings {
 #[pyfunction]
 pub(crate) fn sample_telescope(
     py: Python<'_>,
-    settings: TelescopeSettings,
-    fit: FitSettings,
+    settings: &Bound<'_, PyMapping>,
+    fit: &Bound<'_, PyMapping>,
 ) -> PyResult<PsfModel> {
-    let options = fit.choices()?.or(FitOptions::default());
+    let settings: TelescopeSettings = from_python(settings)?;
+    let options = from_python::<FitChoices>(fit)?.or(FitOptions::default());
     let name = &settings.telescope;
     if !Telescope::PRESETS.contains(&name.as_str()) && !Path::new(name).exists() {
         return Err(invalid(format!(
@@ -186,12 +189,13 @@ impl TelescopeSettings {
         }
         let frame_pixels = |stamp_pixels: usize| stamp_pixels.div_ceil(params.stamp.oversampling);
         let size = match self.stamp_size {
-            Some(size) => (size, size),
+            Some(size) => (size.get(), size.get()),
             None => (frame_pixels(params.stamp.nx), frame_pixels(params.stamp.ny)),
         };
-        let pixels = |size: usize| size.saturating_mul(self.oversampling);
+        let oversampling = self.oversampling.get();
+        let pixels = |size: usize| size.saturating_mul(oversampling);
         (params.stamp.nx, params.stamp.ny) = (pixels(size.0), pixels(size.1));
-        params.stamp.oversampling = self.oversampling;
+        params.stamp.oversampling = oversampling;
         let telescope = Telescope::new(params)?;
         let (ny, nx) = self.samples;
         let method = UniformSampling::new(nx, ny)?;

@@ -1,16 +1,19 @@
-//! Python arguments by name, and their defaults.
+//! Settings by name, which cross between Python and the library by serde.
 
 use std::str::FromStr;
 
 use psfield::fit::OwnInterpolation;
-use psfield::psf_basis::PixelNoise;
 use psfield::psf_sample::SamplingOptions;
-use psfield::psf_types::{FrameShape, PixelRegion, Position, Real, StampGrid};
+use psfield::psf_types::{FrameShape, Position, Real, StampGrid, StampInterpolation};
 use psfield::{FitChoices, FitOptions, PsfFileOptions, PsfieldError, SimulateOptions};
+use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
-use pyo3::types::PyDict;
+use pyo3::types::{PyDict, PyMapping};
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+use serde_json::{Map, Value, json};
 
-use crate::error::{Failure, invalid};
+use crate::error::{Failure, invalid, with_argument};
 
 /// Parses a choice from its name.
 pub(crate) fn parsed<C>(text: &str) -> PyResult<C>
@@ -21,54 +24,110 @@ where
     Ok(text.parse().map_err(Failure::from)?)
 }
 
-fn chosen<C>(text: Option<&str>) -> PyResult<Option<C>>
-where
-    C: FromStr,
-    C::Err: Into<PsfieldError>,
-{
-    text.map(parsed).transpose()
-}
-
-/// The settings of the fit that the caller gave.
-#[derive(Debug, Default, FromPyObject)]
-#[pyo3(from_item_all)]
-pub(crate) struct FitSettings {
-    rank: Option<String>,
-    centring: Option<String>,
-    noise: Option<f64>,
-    interpolation: Option<String>,
-    outside: Option<String>,
-    normalise: Option<String>,
-    shift_copies: Option<usize>,
-}
-
-impl FitSettings {
-    pub(crate) fn choices(&self) -> PyResult<FitChoices> {
-        let bad = |sigma: f64| !(sigma >= 0.0 && sigma.is_finite());
-        if self.noise.is_some_and(bad) {
-            return Err(invalid("noise (sigma) must be finite and 0 or more"));
+/// Reads settings from Python arguments by name. Errors name the argument.
+pub(crate) fn from_python<T: DeserializeOwned>(arguments: &Bound<'_, PyMapping>) -> PyResult<T> {
+    let mut all = Map::new();
+    for item in arguments.items()? {
+        let (name, given): (String, Bound<'_, PyAny>) = item.extract()?;
+        let value = plain(&name, &given)?;
+        let problem = |value: Value| {
+            let alone = Map::from_iter([(name.clone(), value)]);
+            let error = T::deserialize(Value::Object(alone)).err()?.to_string();
+            Some(error).filter(|error| !error.starts_with("missing field"))
+        };
+        if let Some(mut error) = problem(value.clone()) {
+            if value.is_array() && error.starts_with("invalid") {
+                // This error is of an item. That of a truth value says what the sequence must be.
+                error = problem(Value::Bool(false)).unwrap_or(error);
+            }
+            return Err(refused(&name, &given, error));
         }
-        Ok(FitChoices {
-            rank: chosen(self.rank.as_deref())?,
-            centring: chosen(self.centring.as_deref())?,
-            noise: self.noise.map(PixelNoise::Known),
-            interpolation: chosen(self.interpolation.as_deref())?,
-            outside: chosen(self.outside.as_deref())?,
-            normalisation: chosen(self.normalise.as_deref())?,
-            shift_copies: self.shift_copies,
-        })
+        all.insert(name, value);
+    }
+    T::deserialize(Value::Object(all)).map_err(|error| invalid(error.to_string()))
+}
+
+/// Converts an argument to JSON. Numbers of NumPy are numbers.
+fn plain(name: &str, given: &Bound<'_, PyAny>) -> PyResult<Value> {
+    if given.is_none() {
+        return Ok(Value::Null);
+    }
+    if let Ok(text) = given.extract::<String>() {
+        return Ok(text.into());
+    }
+    if let Ok(truth) = given.extract::<bool>() {
+        return Ok(truth.into());
+    }
+    if let Ok(whole) = given.call_method0("__index__") {
+        let number = whole.extract().map(|number: i64| number.into());
+        let number = number.or_else(|_| whole.extract().map(|number: u64| number.into()));
+        return number.map_err(|_| invalid(format!("{name} must be at most {}, got {whole}", u64::MAX)));
+    }
+    if let Ok(mapping) = given.cast::<PyMapping>() {
+        let items: Vec<(String, Bound<'_, PyAny>)> = mapping.items()?.extract()?;
+        let field = |(key, item): (String, _)| plain(&key, &item).map(|value| (key, value));
+        return items.into_iter().map(field).collect();
+    }
+    if let Ok(items) = given.try_iter() {
+        return items.map(|item| plain(name, &item?)).collect();
+    }
+    match given.extract::<f64>() {
+        Ok(number) if number.is_finite() => Ok(number.into()),
+        Ok(_) => Err(invalid(format!("{name} must be finite, got {given}"))),
+        // No setting accepts this value.
+        Err(_) => Ok(Value::Array(vec![Value::Null])),
     }
 }
 
+/// Makes the exception for an argument that serde refused.
+fn refused(name: &str, given: &Bound<'_, PyAny>, error: String) -> PyErr {
+    let of_type = error.split_once(", expected ");
+    let Some((problem, expected)) = of_type.filter(|_| error.starts_with("invalid")) else {
+        let argument = Some(name).filter(|name| !error.starts_with(name));
+        return invalid(with_argument(error, argument));
+    };
+    let wrong_type = !problem.starts_with("invalid value");
+    let expected = match expected {
+        "f64" => "a number",
+        "a boolean" => "True or False",
+        "a tuple of size 2" => "two numbers (x, y)",
+        "a tuple of size 4" => "(x0, y0, nx, ny), four integers",
+        "a nonzero usize" if !wrong_type => "at least 1",
+        _ if problem.starts_with("invalid value: integer `-") => "at least 0",
+        "usize" | "u64" | "u32" | "a nonzero usize" if wrong_type => "an integer",
+        "usize" | "u64" | "u32" => "smaller",
+        other if other.starts_with("struct ") => "a mapping",
+        other => other,
+    };
+    let Ok(got) = given.repr() else {
+        return invalid(error);
+    };
+    let each = if given.cast::<PyMapping>().is_ok() {
+        "each value of "
+    } else {
+        ""
+    };
+    let text = format!("{each}{name} must be {expected}, got {got}");
+    if wrong_type {
+        PyTypeError::new_err(text)
+    } else {
+        invalid(text)
+    }
+}
+
+/// Returns settings by name as a Python dict.
+pub(crate) fn to_python<'py>(py: Python<'py>, settings: &impl Serialize) -> PyResult<Bound<'py, PyDict>> {
+    let text = serde_json::to_string(settings).expect("settings have a JSON form");
+    Ok(py.import("json")?.call_method1("loads", (text,))?.cast_into()?)
+}
+
 /// The geometry of stamps: the relation between their pixels and the frame's pixels.
-#[derive(Debug, FromPyObject)]
-#[pyo3(from_item_all)]
+#[derive(Debug, Serialize, Deserialize)]
 pub(crate) struct GridSettings {
     oversampling: f64,
-    /// (x, y).
-    centre: Option<(f64, f64)>,
+    centre: Option<Position>,
     pixel_response_included: bool,
-    stamp_interpolation: String,
+    stamp_interpolation: StampInterpolation,
 }
 
 impl GridSettings {
@@ -77,55 +136,24 @@ impl GridSettings {
         let made = || {
             let grid = StampGrid::new(nx, ny)?.with_oversampling(self.oversampling)?;
             match self.centre {
-                Some((x, y)) => grid.with_centre(x, y),
+                Some(centre) => grid.with_centre(centre.x(), centre.y()),
                 None => Ok(grid),
             }
         };
         Ok(made()
             .map_err(Failure::from)?
             .with_pixel_response_included(self.pixel_response_included)
-            .with_interpolation(parsed(&self.stamp_interpolation)?))
+            .with_interpolation(self.stamp_interpolation))
     }
-}
 
-/// The fields of [`PsfFileOptions`] by name.
-#[derive(Debug, FromPyObject)]
-#[pyo3(from_item_all)]
-pub(crate) struct FileSettings {
-    extension: Option<String>,
-    contexts: Vec<(String, f64)>,
-    detector: Option<usize>,
-    plane_order: Option<String>,
-    skip_invalid: bool,
-    wavelength_um: Option<f64>,
-    time_s: Option<f64>,
-    frame_number: Option<f64>,
-    pixel_scale_arcsec: Option<f64>,
-    field_centre: Option<(f64, f64)>,
-    positions: Option<(Vec<f64>, Vec<f64>)>,
-    oversampling: Option<f64>,
-    centre: Option<(f64, f64)>,
-    pixel_response_included: Option<bool>,
-}
-
-impl FileSettings {
-    pub(crate) fn options(self) -> PyResult<PsfFileOptions> {
-        let position = |at: Option<(f64, f64)>| at.map(|(x, y)| Position::new(x, y)).transpose();
-        Ok(PsfFileOptions {
-            extension: chosen(self.extension.as_deref())?,
-            contexts: self.contexts,
-            detector: self.detector,
-            plane_order: chosen(self.plane_order.as_deref())?,
-            skip_invalid: self.skip_invalid,
-            wavelength_um: self.wavelength_um,
-            time_s: self.time_s,
-            frame_number: self.frame_number,
-            pixel_scale_arcsec: self.pixel_scale_arcsec,
-            field_centre: position(self.field_centre).map_err(Failure::from)?,
-            positions: self.positions.map(|(x, y)| positions(&x, &y)).transpose()?,
-            oversampling: self.oversampling,
-            centre: position(self.centre).map_err(Failure::from)?,
-            pixel_response_included: self.pixel_response_included,
+    /// The settings of a grid.
+    pub(crate) fn of(grid: StampGrid) -> PyResult<Self> {
+        let centre = Position::new(grid.centre_x(), grid.centre_y()).map_err(Failure::from)?;
+        Ok(Self {
+            oversampling: grid.oversampling(),
+            centre: Some(centre),
+            pixel_response_included: grid.pixel_response_included(),
+            stamp_interpolation: grid.interpolation(),
         })
     }
 }
@@ -133,11 +161,6 @@ impl FileSettings {
 /// Makes a shape from `(ny, nx)`, the order of NumPy.
 pub(crate) fn frame_shape((ny, nx): (usize, usize)) -> PyResult<FrameShape> {
     Ok(FrameShape::new(nx, ny).map_err(Failure::from)?)
-}
-
-/// Makes a region from `(x0, y0, nx, ny)`.
-pub(crate) fn region((x0, y0, nx, ny): (i64, i64, usize, usize)) -> PyResult<PixelRegion> {
-    Ok(PixelRegion::new(x0, y0, frame_shape((ny, nx))?))
 }
 
 /// Makes positions from columns x and y of the same length.
@@ -153,31 +176,24 @@ pub(crate) fn positions(x: &[f64], y: &[f64]) -> PyResult<Vec<Position>> {
     Ok(made.map_err(Failure::from)?)
 }
 
-/// The defaults of the library, by the names of the Python arguments.
+/// The defaults of the library by the names of the Python arguments, for each kind of settings.
 pub(crate) fn defaults(py: Python<'_>) -> PyResult<Bound<'_, PyDict>> {
-    let (simulation, fit) = (SimulateOptions::default(), FitOptions::default());
     let sampling = SamplingOptions::default();
+    let others = json!({
+        "precision": f32::NAME,
+        "table_error": OwnInterpolation::TABLE_ERROR,
+        "measure": sampling.measure.to_string(),
+        "threshold": sampling.threshold,
+        "max_draws": sampling.max_draws,
+        "seed": sampling.seed,
+    });
     let grid = StampGrid::new(1, 1).map_err(Failure::from)?;
-    let values = PyDict::new(py);
-    values.set_item("tolerance", simulation.tolerance)?;
-    values.set_item("tolerance_on", simulation.tolerance_on.to_string())?;
-    values.set_item("precision", f32::NAME)?;
-    values.set_item("device", simulation.device.to_string())?;
-    values.set_item("anchor", simulation.anchor.to_string())?;
-    values.set_item("method", simulation.method.to_string())?;
-    values.set_item("memory", simulation.memory)?;
-    values.set_item("oversample", simulation.oversample)?;
-    values.set_item("scene_pixels", simulation.scene_pixels.to_string())?;
-    values.set_item("interpolation", fit.interpolation.to_string())?;
-    values.set_item("table_error", OwnInterpolation::TABLE_ERROR)?;
-    values.set_item("outside", fit.outside.to_string())?;
-    values.set_item("normalise", fit.normalisation.to_string())?;
-    values.set_item("oversampling", grid.oversampling())?;
-    values.set_item("pixel_response_included", grid.pixel_response_included())?;
-    values.set_item("stamp_interpolation", grid.interpolation().to_string())?;
-    values.set_item("measure", sampling.measure.to_string())?;
-    values.set_item("threshold", sampling.threshold)?;
-    values.set_item("max_draws", sampling.max_draws)?;
-    values.set_item("seed", sampling.seed)?;
-    Ok(values)
+    let kinds = json!({
+        "plan": SimulateOptions::default(),
+        "fit": FitChoices::from(FitOptions::default()),
+        "file": PsfFileOptions::default(),
+        "grid": GridSettings::of(grid)?,
+        "others": others,
+    });
+    to_python(py, &kinds)
 }

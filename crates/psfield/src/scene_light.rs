@@ -217,7 +217,10 @@ impl<T: ConvReal> SceneLight<T> {
     ///
     /// # Errors
     /// [`ErrorKind::Data`] for an image with a value that is not finite.
-    pub fn into_scene(self) -> Result<Scene<'static, T>, PsfieldError> {
+    pub fn into_scene<'a>(self) -> Result<Scene<'a, T>, PsfieldError>
+    where
+        T: 'a,
+    {
         let mut sources = LayerSources::new(self.images.len());
         for (place, source) in sources_of(&self.catalog).enumerate() {
             for (layer, part) in self.layers_of(place) {

@@ -1,11 +1,13 @@
 //! Every setting of a simulation.
 
+use std::num::NonZeroUsize;
 use std::str::FromStr;
 
 use conv_core::{
     BasisConvolution, ConvReal, ConvolutionMethod, Direct, PatchConvolution, Paths, PlanOptions,
 };
-use psf_types::{Anchor, PixelRegion, ToleranceOn, named};
+use psf_types::{Anchor, PixelRegion, ToleranceOn, named, through_text};
+use serde::{Deserialize, Deserializer, Serialize};
 
 use crate::error::PsfieldError;
 
@@ -19,7 +21,8 @@ use crate::error::PsfieldError;
 /// let options = SimulateOptions { tolerance: 1e-3, ..SimulateOptions::default() };
 /// assert_eq!(options.method, Method::Auto);
 /// ```
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
 pub struct SimulateOptions {
     /// The convolution method.
     pub method: Method,
@@ -40,6 +43,7 @@ pub struct SimulateOptions {
     /// Pixels of the scene's image along each side of a pixel of the frame, 1 to
     /// [`MAX_OVERSAMPLE`](Self::MAX_OVERSAMPLE). Pixel `i` of the frame has its centre at
     /// the coordinate `oversample i + (oversample - 1) / 2` of the scene.
+    #[serde(deserialize_with = "above_zero")]
     pub oversample: usize,
     /// The meaning of the values of the scene's image: light at points, or integrated over pixels.
     /// Stars and galaxies do not depend on it.
@@ -49,6 +53,7 @@ pub struct SimulateOptions {
     /// PSF, where all values are zero, is left out. For [`ScenePixels::Integrated`], the margin of
     /// the filter is added afterwards. Stamps that draw stars and galaxies are only cut. None: the
     /// stamps' own size.
+    #[serde(deserialize_with = "above_zero_if_given")]
     pub stamp_size: Option<usize>,
     /// The part of the scene that the image shows, in pixels of the frame counted from the scene's
     /// first pixel. None: all of it. Field positions of the PSF count from the first pixel of the
@@ -88,6 +93,14 @@ impl Default for SimulateOptions {
     }
 }
 
+fn above_zero<'de, D: Deserializer<'de>>(from: D) -> Result<usize, D::Error> {
+    NonZeroUsize::deserialize(from).map(NonZeroUsize::get)
+}
+
+fn above_zero_if_given<'de, D: Deserializer<'de>>(from: D) -> Result<Option<usize>, D::Error> {
+    Ok(Option::deserialize(from)?.map(NonZeroUsize::get))
+}
+
 impl SimulateOptions {
     /// The largest `oversample`: pixels of the scene along each side of a frame pixel.
     pub const MAX_OVERSAMPLE: usize = 64;
@@ -111,7 +124,8 @@ impl SimulateOptions {
 }
 
 /// The meaning of the values of a scene's image. Written as `point` or `integrated`.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(try_from = "String", into = "String")]
 #[non_exhaustive]
 pub enum ScenePixels {
     /// Each value is light at the centre of its pixel: `image = sum_j f_j h(. - j)`.
@@ -127,9 +141,11 @@ pub enum ScenePixels {
 }
 
 named!(ScenePixels, "scene pixels", "point or integrated", "point" => Point, "integrated" => Integrated);
+through_text!(ScenePixels);
 
 /// The device that convolves images. Written as `auto`, `cpu` or `gpu`.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(try_from = "String", into = "String")]
 #[non_exhaustive]
 pub enum Device {
     /// A GPU if the plan is predicted to be faster there, else the processor. Never uses an adapter
@@ -143,9 +159,11 @@ pub enum Device {
 }
 
 named!(Device, "device", "auto, cpu or gpu", "auto" => Auto, "cpu" => Cpu, "gpu" => Gpu);
+through_text!(Device);
 
 /// The convolution method. Written as `auto`, `lowrank`, `basis`, `patch=N` or `direct`.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(try_from = "String", into = "String")]
 #[non_exhaustive]
 pub enum Method {
     /// The fast engine ([`conv_core::Engine`]). Each tile of the image is computed in the cheapest
@@ -211,6 +229,8 @@ impl std::fmt::Display for Method {
     }
 }
 
+through_text!(Method => PsfieldError);
+
 impl FromStr for Method {
     type Err = PsfieldError;
     fn from_str(text: &str) -> Result<Self, PsfieldError> {
@@ -236,6 +256,33 @@ mod tests {
         }
         for text in ["", "patch", "patch=0", "patch=-1", "low-rank"] {
             assert!(text.parse::<Method>().is_err(), "{text}");
+        }
+    }
+
+    #[test]
+    fn settings_come_back_from_json() {
+        let region = PixelRegion::new(-3, 2, psf_types::FrameShape::new(7, 5).unwrap());
+        let options = SimulateOptions {
+            method: Method::Patch(64),
+            frame: Some(region),
+            stamp_size: Some(9),
+            ..SimulateOptions::default()
+        };
+        let text = serde_json::to_string(&options).unwrap();
+        assert!(text.contains(r#""frame":[-3,2,7,5]"#), "{text}");
+        assert_eq!(serde_json::from_str::<SimulateOptions>(&text).unwrap(), options);
+        assert_eq!(
+            serde_json::from_str::<SimulateOptions>("{}").unwrap(),
+            SimulateOptions::default()
+        );
+        for text in [
+            r#"{"oversample": 0}"#,
+            r#"{"stamp_size": 0}"#,
+            r#"{"speed": 1}"#,
+            r#"{"device": "tpu"}"#,
+            r#"{"region": [0, 0, 0, 5]}"#,
+        ] {
+            assert!(serde_json::from_str::<SimulateOptions>(text).is_err(), "{text}");
         }
     }
 }

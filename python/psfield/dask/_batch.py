@@ -13,9 +13,11 @@ from typing import TYPE_CHECKING, Any, Literal
 import dask
 import dask.system
 from dask.base import tokenize
+from numpy.typing import ArrayLike
 
 from psfield._arrays import Precision, shape_or_none
 from psfield._choices import integer, integer_or_none
+from psfield._colour import PathLike
 from psfield._defaults import DEFAULTS
 from psfield._errors import PsfieldWarning
 from psfield._model import PsfModel
@@ -55,6 +57,9 @@ def batch(
     oversample: int = DEFAULTS.oversample,
     scene_pixels: Literal["point", "integrated"] = DEFAULTS.scene_pixels,
     stamp_size: int | None = None,
+    bandpass: PathLike | tuple[ArrayLike, ArrayLike] | None = None,
+    sed: PathLike | None = None,
+    dispersion: Mapping[str, float] | str | None = None,
 ) -> list[JobResult]:
     """Simulate many frames on the workers of a Dask cluster, which write them to files.
 
@@ -102,6 +107,8 @@ def batch(
     progress : callable or tqdm bar, optional
         ``progress(done, total)``. For a generator, the total is the number of jobs taken so far.
     frame, tolerance_on, anchor, method, memory, oversample, scene_pixels, stamp_size
+        As for `PsfModel.plan`.
+    bandpass, sed, dispersion
         As for `PsfModel.plan`. Each plan keeps up to ``memory`` bytes, and a worker keeps the four
         plans that it used last.
 
@@ -144,20 +151,7 @@ def batch(
     >>> [result.status for result in results]
     ['written', 'written']
     """
-    settings = checked_for_workers(
-        model,
-        tolerance=tolerance,
-        precision=precision,
-        device=device,
-        frame=frame,
-        tolerance_on=tolerance_on,
-        anchor=anchor,
-        method=method,
-        memory=memory,
-        oversample=oversample,
-        scene_pixels=scene_pixels,
-        stamp_size=stamp_size,
-    )
+    settings = checked_for_workers(model, locals())
     if isinstance(jobs, (str, bytes, Mapping)):
         raise TypeError(
             f"jobs must be a list or another iterable of jobs, got {type(jobs).__name__}"

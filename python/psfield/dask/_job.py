@@ -11,6 +11,7 @@ import numpy as np
 
 from psfield._arrays import plain
 from psfield._catalog import is_path
+from psfield._colour import first_image, is_images
 from psfield._model import PsfModel
 
 #: Extensions of files that astropy reads.
@@ -23,8 +24,9 @@ class Job(TypedDict, total=False):
     Attributes
     ----------
     scene : array_like, path or callable
-        Flux in each pixel, ``[y, x]``, or a FITS file or an ``.npy`` file, or a function that draws
-        the scene on the worker. The function receives the seed of the job, or no argument if the
+        Flux in each pixel, ``[y, x]``, or (in colour) a dict of such images by the names of their
+        spectra, or a FITS file or an ``.npy`` file, or a function that draws the scene on the
+        worker. The function receives the seed of the job, or no argument if the
         job has none.
     extension : str or int
         Image of the scene's FITS file: its number or its name. Default: the primary if it has
@@ -140,6 +142,8 @@ def scene_of(job: Mapping[str, Any]) -> tuple[Any, Any]:
         scene, header = _read(os.fspath(scene), job.get("extension"))
     elif callable(scene):
         scene = _call(scene, job)
+    if is_images(scene):
+        return scene, None
     pixels = plain(scene, "scene")
     if pixels.ndim != 2:
         raise ValueError(f"scene must be an array [y, x], got one of shape {pixels.shape}")
@@ -175,7 +179,7 @@ def shape_without_reading(job: Mapping[str, Any]) -> tuple[int, int] | None:
 
         with fits.open(path) as hdus:
             return tuple(_image(hdus, path, job.get("extension")).shape)
-    shape = np.shape(scene)
+    shape = np.shape(first_image(scene))
     return shape if len(shape) == 2 else None
 
 

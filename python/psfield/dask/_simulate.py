@@ -46,6 +46,8 @@ def simulate(
     tiles and modes of the whole scene. Chunks that no light reaches cost nothing. The PSF is sent
     to each worker once.
 
+    In colour, add lazy images: one for each spectrum, through ``model.for_spectrum(...)``.
+
     Parameters
     ----------
     scene : dask.array.Array
@@ -102,20 +104,7 @@ def simulate(
     1.0
     """
     _check_scene(scene)
-    settings = checked_for_workers(
-        model,
-        tolerance=tolerance,
-        precision=precision,
-        device=device,
-        frame=frame,
-        tolerance_on=tolerance_on,
-        anchor=anchor,
-        method=method,
-        memory=memory,
-        oversample=oversample,
-        scene_pixels=scene_pixels,
-        stamp_size=stamp_size,
-    )
+    settings = checked_for_workers(model, locals())
     rows, columns = settings["shape"] = scene.shape
     x0, y0, nx, ny = _frame_of(settings["frame"], (rows, columns), settings["oversample"])
     of_rows, of_columns = reach(

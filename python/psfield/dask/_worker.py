@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from distributed import Worker, WorkerPlugin
 
+from psfield._colour import first_image, is_images
 from psfield._model import PsfModel
 from psfield._plan import Plan
 from psfield.dask._cores import set_threads_of
@@ -88,7 +89,7 @@ def _run(settings: BatchSettings, task: Task) -> tuple[JobResult, bool]:
 def _make(settings: BatchSettings, index: int, job: Mapping[str, Any], target: str) -> None:
     """Simulate the frame of a job and write it."""
     scene, header = scene_of(job)
-    shape = settings.shape if scene is None else np.shape(scene)
+    shape = settings.shape if scene is None else np.shape(first_image(scene))
     if shape is None:
         raise ValueError(
             "shape is not known: a job with only a catalog needs batch(..., shape=(ny, nx))"
@@ -99,7 +100,7 @@ def _make(settings: BatchSettings, index: int, job: Mapping[str, Any], target: s
     )
     psf = psf_of(job)
     if psf is not None:
-        plan = plan.for_model(psf)
+        plan = plan.with_psf(psf)
     image = plan.simulate(scene, catalog_of(job))
     frames = {"image": image}
     detector = job.get("detector", settings.detector)
@@ -109,8 +110,8 @@ def _make(settings: BatchSettings, index: int, job: Mapping[str, Any], target: s
         if "truth" in settings.keep:
             frames["truth"] = image
     if "scene" in settings.keep:
-        light = np.zeros(plan.shape) if scene is None else scene
-        frames["scene"] = np.asarray(light, plan.dtype)
+        lights = [] if scene is None else list(scene.values()) if is_images(scene) else [scene]
+        frames["scene"] = np.asarray(sum(lights, np.zeros(plan.shape)), plan.dtype)
     if isinstance(settings.output, ZarrFrames):
         settings.output.write(index, frames)
     else:

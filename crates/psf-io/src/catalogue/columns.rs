@@ -7,7 +7,7 @@ use psf_types::DataError;
 use crate::catalogue::column_units::{DEGREES, MAGNITUDES, NONE, PIXELS};
 use crate::catalogue::sky_coordinates::SkyCoordinates;
 use crate::error::IoError;
-use crate::fits::columns::{find, missing_column};
+use crate::fits::columns::missing_column;
 use crate::fits::hdu::HduChoice;
 
 /// The columns of a catalogue by role, with default or chosen names.
@@ -150,7 +150,7 @@ pub struct NeededColumn {
     /// Its name in the table.
     pub name: String,
     /// The unit of its values: `pix`, `deg`, `mag`, an empty text for numbers without a unit, or `None` for a
-    /// flux, which has the unit of the image.
+    /// flux, which has the unit of the image, and for `sed`, which holds texts.
     pub unit: Option<&'static str>,
 }
 
@@ -204,29 +204,6 @@ impl CatalogColumns {
         let mut all = self.positions(path, names)?;
         all.columns.extend(others.columns);
         Ok(all)
-    }
-
-    /// The columns that a catalogue needs of a table with these column names. `table` is the path of the table,
-    /// or its name in messages.
-    ///
-    /// # Errors
-    /// [`IoErrorKind::Table`](crate::IoErrorKind::Table) for a column that does not exist.
-    pub fn columns_of(
-        &self,
-        table: impl AsRef<Path>,
-        names: &[String],
-    ) -> Result<Vec<NeededColumn>, IoError> {
-        let table = table.as_ref();
-        let picked = self.sources(table, names)?;
-        let of = |(role, name): (Role, &str)| {
-            let place = find(table, names.iter(), name)?;
-            Ok(NeededColumn {
-                role: ROLES[role as usize],
-                name: names[place].clone(),
-                unit: role.unit(),
-            })
-        };
-        picked.iter().map(of).collect()
     }
 
     /// The columns of these roles. A missing one is an error.

@@ -39,7 +39,7 @@ use crate::error::{IoError, IoErrorKind, Place};
 use crate::fits::columns::Table;
 use crate::fits::structure::FitsStructure;
 use columns::{CatalogColumns, CatalogOptions};
-use number_table::NumberTable;
+use memory_table::MemoryTable;
 use rows::Rows;
 use table_file::AnyTable;
 
@@ -47,7 +47,7 @@ mod column_units;
 pub(crate) mod columns;
 pub(crate) mod curves;
 mod ecsv;
-pub(crate) mod number_table;
+pub(crate) mod memory_table;
 mod rows;
 pub(crate) mod sky_coordinates;
 pub(crate) mod table_file;
@@ -220,11 +220,11 @@ pub fn read_catalog_with(path: impl AsRef<Path>, options: &CatalogOptions) -> Re
 }
 
 /// Takes the stars and galaxies of a table in memory, as [`read_catalog_with`] takes those of a file. The
-/// values have the units of their roles ([`CatalogColumns::columns_of`]).
+/// values have the units of their roles ([`CatalogOptions::columns_of`]).
 ///
 /// # Errors
 /// The errors of [`read_catalog_with`] but for those of files.
-pub fn catalog_of(table: &NumberTable, options: &CatalogOptions) -> Result<Catalog, IoError> {
+pub fn catalog_of(table: &MemoryTable, options: &CatalogOptions) -> Result<Catalog, IoError> {
     let path = table.name();
     let columns = options.columns.sources(path, &table.names())?;
     let rows = Rows::of_table(path, options, columns, &AnyTable::Memory(table))?;

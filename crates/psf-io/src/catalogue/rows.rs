@@ -5,11 +5,11 @@ use std::path::Path;
 use psf_types::{DataError, PointSource, Position, SersicProfile, SersicSource};
 
 use super::column_units::{KELVIN, PIXELS_PER_SECOND, factor, is_logarithmic};
-use super::columns::{CatalogColumns, CatalogOptions, Picked, ROLES, Role};
+use super::columns::{CatalogColumns, CatalogOptions, NeededColumn, Picked, ROLES, Role};
 use super::table_file::{AnyTable, TableFile};
 use super::{Catalog, SourceColours};
 use crate::error::{IoError, IoErrorKind, Place};
-use crate::fits::columns::{Nans, NumberColumns, bad_value, missing_column};
+use crate::fits::columns::{Nans, NumberColumns, bad_value, find, missing_column};
 
 /// The rows of a catalogue's table, with the columns that are needed.
 pub(super) struct Rows<'a> {
@@ -324,6 +324,39 @@ fn in_unit(
 const NEVER_READ: [&str; 5] = ["pmra", "pmdec", "parallax", "epoch", "ref_epoch"];
 
 impl CatalogOptions {
+    /// The columns that a catalogue needs of a table with these column names. `table` is the path of the table,
+    /// or its name in messages.
+    ///
+    /// # Errors
+    /// [`IoErrorKind::Table`] for a column that does not exist.
+    pub fn columns_of(
+        &self,
+        table: impl AsRef<Path>,
+        names: &[String],
+    ) -> Result<Vec<NeededColumn>, IoError> {
+        let table = table.as_ref();
+        let picked = self.columns.sources(table, names)?;
+        let mut wanted: Vec<(&'static str, &str, Option<&'static str>)> = picked
+            .iter()
+            .map(|(role, name)| (ROLES[role as usize], name, role.unit()))
+            .collect();
+        let has = |column: &str| names.iter().any(|name| name.eq_ignore_ascii_case(column));
+        if self.with_colours && has(SED) {
+            wanted.push((SED, SED, None));
+        } else if self.with_colours && has(TEFF) {
+            wanted.push((TEFF, TEFF, Some(KELVIN)));
+        }
+        if self.with_velocities {
+            let velocities = VELOCITIES.into_iter().filter(|column| has(column));
+            wanted.extend(velocities.map(|name| (name, name, Some(PIXELS_PER_SECOND))));
+        }
+        let of = |(role, name, unit)| {
+            let name = names[find(table, names.iter(), name)?].clone();
+            Ok(NeededColumn { role, name, unit })
+        };
+        wanted.into_iter().map(of).collect()
+    }
+
     /// The columns among `names` that may change a source and are not read.
     pub fn ignored_columns(&self, names: &[String]) -> Vec<String> {
         let is = |name: &str, of: &[&str]| of.iter().any(|other| name.eq_ignore_ascii_case(other));

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use serde::Serialize;
 
-use crate::catalogue::number_table::NumberTable;
+use crate::catalogue::memory_table::MemoryTable;
 use crate::catalogue::text_table::{NOT_CSV, TextTable};
 use crate::error::{IoError, IoErrorKind, unwritable};
 use crate::fits::columns::{Nans, NumberColumns, Table, missing_column};
@@ -24,7 +24,7 @@ pub(crate) enum TableFile {
 pub(crate) enum AnyTable<'a> {
     Text(&'a TextTable),
     Fits(Table<'a>),
-    Memory(&'a NumberTable),
+    Memory(&'a MemoryTable),
 }
 
 impl TableFile {
@@ -108,7 +108,7 @@ impl AnyTable<'_> {
         match self {
             Self::Text(table) => table.read_texts(name),
             Self::Fits(table) => table.read_texts(name),
-            Self::Memory(table) => Err(table.holds_numbers(name)),
+            Self::Memory(table) => table.read_texts(name),
         }
     }
 

@@ -3,7 +3,8 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use psf_types::DataError;
+use psf_types::{DataError, through_text};
+use serde::{Deserialize, Serialize};
 
 use crate::error::{IoError, IoErrorKind, Place, invalid};
 use crate::fits::card::{Card, CardValue, FromValue};
@@ -344,7 +345,8 @@ impl Hdu {
 /// assert_eq!(second.to_string(), "SCI,2");
 /// # Ok::<(), psf_types::DataError>(())
 /// ```
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(try_from = "String", into = "String")]
 pub enum HduChoice {
     /// An HDU number, counted from 0 (the primary HDU).
     Number(usize),
@@ -369,6 +371,8 @@ impl HduChoice {
         }
     }
 }
+
+through_text!(HduChoice);
 
 impl std::str::FromStr for HduChoice {
     type Err = DataError;

@@ -38,7 +38,8 @@
 use std::path::Path;
 
 use ndarray::Axis;
-use psf_types::{Position, named};
+use psf_types::{Position, named, through_text};
+use serde::{Deserialize, Serialize};
 
 use crate::error::{IoError, IoErrorKind, invalid};
 use crate::fits::card::{Card, FromValue};
@@ -239,7 +240,8 @@ const SORTED_SINCE_VERSION: (u32, u32) = (1, 3);
 /// The rule that assigns the positions of an [STPSF library](crate::stpsf) to its planes.
 ///
 /// Text form: `auto`, `cards` or `sorted`.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(try_from = "String", into = "String")]
 #[non_exhaustive]
 pub enum PlaneOrder {
     /// Uses `PLANEORD` if present, else `VERSION`: sorted from 1.3 on, and in the order of the
@@ -255,6 +257,7 @@ pub enum PlaneOrder {
 }
 
 named!(PlaneOrder, "plane order", "auto, cards or sorted", "auto" => Auto, "cards" => Cards, "sorted" => Sorted);
+through_text!(PlaneOrder);
 
 /// The positions of the planes, and a note that states the order used.
 fn assign(

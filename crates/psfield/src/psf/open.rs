@@ -8,6 +8,7 @@ use psf_types::{
     Interpolation, Normalisation, OutsidePolicy, Position, PsfBasis, PsfModelRecord, PsfSamples,
     SamplePositions, StateKind,
 };
+use serde::{Deserialize, Serialize};
 
 use super::format_records::{record_of_psfex, record_of_scopesim};
 use super::{Note, Origin, Psf, SourceFile};
@@ -16,7 +17,8 @@ use crate::fit::FitOptions;
 
 /// Settings that a PSF file does not state, or leaves to the user. Each setting applies to some
 /// formats. It is an error to give a setting for a file of another format.
-#[derive(Debug, Clone, PartialEq, Default)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
 pub struct PsfFileOptions {
     /// Chooses one of several models in a file (PSFEx; of a table of models, a row by its `CCDNAME` or its
     /// number from 0), or one of several images (STPSF, STDPSF, a cube or a single stamp).
@@ -144,7 +146,8 @@ impl PsfFileOptions {
 /// let options = choices.or(FitOptions::default());
 /// assert_eq!(options, FitOptions { normalisation: Normalisation::Keep, ..FitOptions::default() });
 /// ```
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
 pub struct FitChoices {
     /// Number of components to keep.
     pub rank: Option<RankSelection>,
@@ -159,6 +162,7 @@ pub struct FitChoices {
     pub outside: Option<OutsidePolicy>,
     /// The scaling of samples and PSFs: to unit flux, or none. This choice also applies to a stored
     /// model.
+    #[serde(rename = "normalise")]
     pub normalisation: Option<Normalisation>,
     /// The number of shifted copies of each sample.
     pub shift_copies: Option<usize>,
