@@ -38,7 +38,7 @@ def main(folder):
     with open(folder / "stars.csv", newline="") as table:
         stars = [{k: float(v) for k, v in row.items()} for row in csv.DictReader(table)]
     assert len(stars) == report["stars"]
-    # The flux is kept but for what crosses the frame's edges, both ways.
+    # The flux is kept except what crosses the frame's edges, both ways.
     inside = sum(s["flux"] for s in stars if 0 <= s["x"] <= 1023 and 0 <= s["y"] <= 1023)
     light = sum(scene) + inside
     assert abs(sum(image) / light - 1) < 0.01, (sum(image), light)

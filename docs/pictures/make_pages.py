@@ -323,9 +323,13 @@ def paths(program):
     """Which features work on which paths: the table of the page."""
     rows = read_table("docs/paths.md", "What works where")
     names = ["simulate", "batch", "series", "Plan", "series", "batch", "simulate"]
-    figure, ax = plt.subplots(figsize=(6.6, 4.2), layout="constrained")
+    _, ax = plt.subplots(figsize=(8.4, 4.4), layout="constrained")
     works = np.array([[cell == "yes" for cell in row[1:]] for row in rows])
-    ax.imshow(works, cmap=mpl.colors.ListedColormap(["#f2d9c4", "#9cc5a1"]), origin="upper")
+    colours = mpl.colors.ListedColormap(["#f2d9c4", "#9cc5a1"])
+    ax.imshow(works, cmap=colours, origin="upper", aspect="auto")
+    ax.set_xticks(np.arange(-0.5, 7), minor=True)
+    ax.set_yticks(np.arange(-0.5, len(rows)), minor=True)
+    ax.grid(which="minor", color="white")
     for y, row in enumerate(rows):
         for x, cell in enumerate(row[1:]):
             ax.text(x, y, "" if cell == "yes" else cell, ha="center", va="center")
@@ -333,8 +337,8 @@ def paths(program):
     ax.set_xticks(range(len(names)), names)
     ax.xaxis.tick_top()
     for x, text in ((1, "command line"), (3.5, "Python"), (5.5, "Dask")):
-        ax.text(x, -1.6, text, ha="center", weight="bold")
-    ax.tick_params(length=0)
+        ax.text(x, -1.5, text, ha="center", weight="bold")
+    ax.tick_params(which="both", length=0)
 
 
 def migration(program):

@@ -21,6 +21,15 @@ Column = NDArray[np.float64]
 #: Columns by their roles. Those of ``sed`` are lists of texts.
 Columns = dict[str, Any]
 
+#: How a file is read that is given as a catalogue.
+_PLAIN = {
+    "columns": None,
+    "one_based": False,
+    "zero_point": None,
+    "skip_invalid": False,
+    "table": None,
+    "wcs_extension": None,
+}
 _OFF_PROJECTION = "outside the projection of the world coordinates"
 
 
@@ -99,10 +108,16 @@ def read_catalog(
     >>> stars["x"].tolist(), stars["y"].tolist(), stars["flux"].round(6).tolist()
     ([2.0], [1.0], [100.0])
     """
-    settings = (columns, one_based, zero_point, skip_invalid, None if table is None else str(table))
-    extension = None if wcs_extension is None else str(wcs_extension)
+    settings = {
+        "columns": columns,
+        "one_based": one_based,
+        "zero_point": zero_point,
+        "skip_invalid": skip_invalid,
+        "table": None if table is None else str(table),
+        "wcs_extension": None if wcs_extension is None else str(wcs_extension),
+    }
     read = Reads(spectra=spectra, velocities=velocities)
-    return _read(os.fspath(path), settings, wcs, extension, None, read, 3).columns()
+    return _read(os.fspath(path), settings, wcs, None, read, 3).columns()
 
 
 @dataclass(frozen=True)
@@ -114,29 +129,18 @@ class Reads:
 
 
 def _read(
-    path: str,
-    settings: tuple[str | None, bool, float | None, bool, str | None],
-    wcs: Any,
-    wcs_extension: str | None,
-    unit: Any,
-    read: Reads,
-    stacklevel: int,
+    path: str, settings: dict[str, Any], wcs: Any, unit: Any, read: Reads, stacklevel: int
 ) -> _native.Sources:
     """Read a file, as `read_catalog` does. Fluxes that have a unit are converted to ``unit``."""
-    wcs_path = os.fspath(wcs) if is_path(wcs) else None
     sky = None if is_path(wcs) else sky_of(None, wcs, 1, (0, 0))
-    cards = None if sky is None else sky.cards()
-    flux_unit = None if unit is None else str(unit)
-    sources = _native.Sources.read(
-        path,
-        *settings,
-        wcs_path,
-        wcs_extension,
-        cards,
-        flux_unit,
-        read.spectra,
-        read.velocities,
-    )
+    more = {
+        "wcs": os.fspath(wcs) if is_path(wcs) else None,
+        "wcs_cards": None if sky is None else sky.cards(),
+        "flux_unit": None if unit is None else str(unit),
+        "spectra": read.spectra,
+        "velocities": read.velocities,
+    }
+    sources = _native.Sources.read(path, settings | more)
     invalid, outside, ignored = sources.left_out()
     _warn_of_skipped(invalid, path, "invalid", stacklevel)
     _warn_of_skipped(outside, path, _OFF_PROJECTION, stacklevel)
@@ -179,10 +183,10 @@ def sources_of(
     if is_path(catalog):
         # A file of pixel positions needs no world coordinates, and gwcs has none for files.
         has_cards = sky is not None and hasattr(sky.wcs, "to_header")
-        settings = (None, False, None, False, None)
         wcs = sky if has_cards else None
-        return _read(os.fspath(catalog), settings, wcs, None, unit, read, stacklevel + 1)
-    return _native.Sources(list(_table_columns(catalog, unit, sky, read, stacklevel + 1).items()))
+        return _read(os.fspath(catalog), _PLAIN, wcs, unit, read, stacklevel + 1)
+    columns, rows = _table_columns(catalog, unit, sky, read, stacklevel + 1)
+    return _native.Sources(list(columns.items()), rows)
 
 
 def columns_of(
@@ -197,13 +201,13 @@ def columns_of(
     if catalog is None or is_path(catalog):
         sources = sources_of(catalog, unit, sky, read, stacklevel + 1)
         return None if sources is None else sources.columns()
-    return _table_columns(catalog, unit, sky, read, stacklevel + 1)
+    return _table_columns(catalog, unit, sky, read, stacklevel + 1)[0]
 
 
 def _table_columns(
     catalog: Any, unit: Any, sky: Sky | None, read: Reads, stacklevel: int
-) -> Columns:
-    """Return the columns of a table by their roles."""
+) -> tuple[Columns, list[int] | None]:
+    """Return the columns of a table by their roles, and the rows that they hold, if not all."""
     table = column_names(catalog)
     if table is None:
         raise TypeError(
@@ -219,7 +223,7 @@ def _table_columns(
     _check_magnitudes(named)
     picked, ignored = _native.catalog_columns(list(named), read.spectra, read.velocities)
     columns: Columns = {
-        role: np.asarray(named[name], dtype=np.str_)
+        role: _texts(named[name], name)
         if role == "sed"
         else _column(named[name], name, unit if of_column is None else of_column)
         for role, name, of_column in picked
@@ -234,7 +238,7 @@ def _table_columns(
         place = columns.pop("ra"), columns.pop("dec")
         columns["x"], columns["y"] = _pixels_of(place, sky)
     _warn_of_ignored(ignored, "catalog", stacklevel)
-    return columns if place is None else _on_projection(columns, stacklevel)
+    return (columns, None) if place is None else _on_projection(columns, stacklevel)
 
 
 def _sky_coord(named: dict[str, Any]) -> Any:
@@ -270,18 +274,28 @@ def _pixels_of(place: Any, sky: Sky | None) -> tuple[Column, Column]:
     return sky.pixels(place)
 
 
-def _on_projection(columns: Columns, stacklevel: int) -> Columns:
+def _on_projection(columns: Columns, stacklevel: int) -> tuple[Columns, list[int] | None]:
     """Leave out the sources for which the projection has no pixel, with a warning."""
     known = np.isfinite(columns["x"]) & np.isfinite(columns["y"])
     if known.all():
-        return columns
+        return columns, None
     _warn_of_skipped(int(np.count_nonzero(~known)), "catalog", _OFF_PROJECTION, stacklevel + 1)
-    return {
-        name: [value for value, kept in zip(column, known, strict=True) if kept]
-        if isinstance(column, list)
-        else column[known]
+    rows: list[int] = np.flatnonzero(known).tolist()
+    columns = {
+        name: [column[row] for row in rows] if isinstance(column, list) else column[known]
         for name, column in columns.items()
     }
+    return columns, rows
+
+
+def _texts(values: Any, name: str) -> NDArray[np.str_]:
+    """Return a column of texts, in which missing and masked values are empty."""
+    array = np.asarray(np.ma.getdata(values), dtype=object)
+    if array.ndim > 1:
+        raise ValueError(f"catalog: {name} must be a column, got an array of shape {array.shape}")
+    masked = np.broadcast_to(np.ma.getmaskarray(values), array.shape)
+    is_text = np.array([isinstance(text, str) for text in array.flat], bool).reshape(array.shape)
+    return np.where(is_text & ~masked, array, "").astype(np.str_)
 
 
 def _check_magnitudes(named: dict[str, Any]) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from psfield._arrays import column
+from psfield._astropy import in_unit
 
 PathLike: TypeAlias = str | os.PathLike[str]
 #: A bandpass or a spectrum as the native module takes it.
@@ -27,7 +28,7 @@ def curve(given: PathLike | tuple[ArrayLike, ArrayLike], name: str) -> Curve:
         wavelengths, values = given
     except (TypeError, ValueError):
         raise TypeError(f"{name} must be a name or a pair (wavelengths, values)") from None
-    return column(wavelengths, name).tolist(), column(values, name).tolist()
+    return column(in_unit(wavelengths, "um", name), name).tolist(), column(values, name).tolist()
 
 
 def checked_colour(settings: Mapping[str, Any]) -> dict[str, Any]:
@@ -59,13 +60,16 @@ def native_colour(settings: Mapping[str, Any]) -> tuple[Curve, str | None, str |
 
 
 def is_images(scene: Any) -> bool:
-    """Return whether a scene is a mapping of images ``[y, x]`` by the names of their spectra."""
-    if not isinstance(scene, Mapping) or not scene:
+    """Return whether a scene is a mapping of images by the names of their spectra.
+
+    A catalogue is a mapping of columns.
+    """
+    if not isinstance(scene, Mapping):
         return False
     # CCDData has a shape, but no other properties of an array.
     shapes = (getattr(image, "shape", None) for image in scene.values())
-    return all(
-        len(np.shape(image) if shape is None else shape) == 2
+    return any(
+        len(np.shape(image) if shape is None else shape) >= 2
         for image, shape in zip(scene.values(), shapes, strict=True)
     )
 

@@ -1335,11 +1335,13 @@ class PsfModel:
         bandpass : path or (array_like, array_like), optional
             Throughput of the instrument, as for `for_spectrum`. It makes a plan in colour: light
             has spectra, and each source has the PSF of its own spectrum. The model must depend on
-            the wavelength. Fluxes are those that the detector sees in the bandpass. A plan in
-            colour makes the modes of the spectra when a scene first has them. What it says of its
-            tiles is that of the spectrum ``sed``, or of a flat one.
+            the wavelength. Fluxes are those that the detector sees in the bandpass. Each new set of
+            spectra is planned when a scene first has it, and the plans of four sets are kept. What
+            the plan says of its tiles is that of the spectrum ``sed``, or of a flat one. Images of
+            several spectra are convolved on the CPU.
         sed : str, optional
-            In colour: the spectrum, as for `for_spectrum`, of images and sources that name none.
+            In colour: the spectrum of images and sources that name none, by its name or its file,
+            as for `for_spectrum`.
         dispersion : dict, optional
             In colour: the dispersion of the atmosphere, such as ``{"zenith": 50, "scale": 0.2}``.
             The keys are those of the command line's ``--dispersion``.
@@ -1347,6 +1349,13 @@ class PsfModel:
         Returns
         -------
         Plan
+
+        Raises
+        ------
+        ValueError
+            An argument is invalid, or does not fit to others or to the model.
+        OSError
+            A file cannot be read, or the GPU cannot be used.
 
         Examples
         --------

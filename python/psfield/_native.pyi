@@ -124,22 +124,11 @@ class PsfModel:
 
 @final
 class Sources:
-    def __new__(cls, columns: list[tuple[str, _Column | list[str]]]) -> Sources: ...
-    @staticmethod
-    def read(
-        path: str,
-        columns: str | None,
-        one_based: bool,
-        zero_point: float | None,
-        skip_invalid: bool,
-        table: str | None,
-        wcs: str | None,
-        wcs_extension: str | None,
-        wcs_cards: str | None,
-        flux_unit: str | None,
-        spectra: bool,
-        velocities: bool,
+    def __new__(
+        cls, columns: list[tuple[str, _Column | list[str]]], rows: list[int] | None = None
     ) -> Sources: ...
+    @staticmethod
+    def read(path: str, settings: dict[str, Any]) -> Sources: ...
     def left_out(self) -> tuple[int, int, list[str]]: ...
     def columns(self) -> dict[str, Any]: ...
     def __len__(self) -> int: ...

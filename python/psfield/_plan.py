@@ -410,8 +410,9 @@ class Plan:
         """Return the image of a scene, of a catalogue of sources, or of both.
 
         A scene is not copied if it has the type of the plan and the byte order of the machine, and
-        the pixels of a row are adjacent in memory. The order of the rows does not matter. The call
-        releases the interpreter while it works, and Ctrl-C cancels it.
+        the pixels of a row are adjacent in memory, unless the plan is in colour. The order of the
+        rows does not matter. The call releases the interpreter while it works, and Ctrl-C cancels
+        it.
 
         Parameters
         ----------
@@ -495,7 +496,8 @@ class Plan:
         sources = self._sources(catalog, scene, light, wcs, 4)
         if sources is not None and not len(sources):
             warnings.warn("catalog: there are no sources", PsfieldWarning, stacklevel=3)
-        target, copied = self._target(out, light, unit)
+        overlap = [pixels for _, pixels in images]
+        target, copied = self._target(out, overlap, unit)
         image, texts = self._handle.simulate(images, sources, target, as_callback(progress))
         for text in texts:
             warnings.warn(text, PsfieldWarning, stacklevel=3)
@@ -515,7 +517,7 @@ class Plan:
         check_spectrum(self._settings)
         self._check_scene_shape(lights.shape[-2:])
         outer = lights.shape[:-2]
-        target, copied = self._target(out, lights, unit, outer)
+        target, copied = self._target(out, [lights], unit, outer)
         lights = lights.reshape(-1, *lights.shape[-2:])
         flat = None if target is None else target.reshape(-1, *self.image_shape)
         images, texts = self._handle.simulate_many(lights, flat, as_callback(progress))
@@ -571,7 +573,9 @@ class Plan:
         else:
             if self._settings["bandpass"] is None:
                 raise ValueError("spectra needs a plan in colour: PsfModel.plan(..., bandpass=)")
-            names = list(dict.fromkeys(spectra))
+            if isinstance(spectra, str) or not spectra:
+                raise TypeError(f"spectra must be a list of names, got {spectra!r}")
+            names = sorted({os.fspath(name) for name in spectra})
         if is_stack(image):
             images, _ = _stack(image, "image", self.dtype)
             self._check_image_shape(images.shape[-2:])
@@ -733,7 +737,7 @@ class Plan:
             )
 
     def _target(
-        self, out: Any, light: NDArray[Any] | None, unit: Any, outer: tuple[int, ...] = ()
+        self, out: Any, lights: list[NDArray[Any]], unit: Any, outer: tuple[int, ...] = ()
     ) -> tuple[NDArray[Any] | None, bool]:
         """Return the array that the native module writes to.
 
@@ -752,7 +756,7 @@ class Plan:
             raise ValueError("out is read-only")
         if hasattr(out, "unit") and out.unit != unit:
             raise ValueError(f"out has the unit {out.unit}, but the scene has {unit or 'none'}")
-        overlaps = light is not None and np.may_share_memory(out, light)
+        overlaps = any(np.may_share_memory(out, light) for light in lights)
         # Several threads must not write to rows or images that share memory.
         apart = all(
             abs(stride) >= abs(inner) * length or count == 1
@@ -773,7 +777,9 @@ class Plan:
         finer = "" if settings["oversample"] == 1 else f", oversample {settings['oversample']}"
         frame = "" if settings["frame"] is None else f", frame {settings['frame']}"
         part = "" if self.region is None else f", region {self.region}"
-        device = self.summary.gpu or "the CPU"
+        # Without a spectrum of its own, the plan would be made only to tell its device.
+        lazy = settings["bandpass"] is not None and settings["sed"] is None
+        device = "any device" if lazy else self.summary.gpu or "the CPU"
         return (
             f"<Plan: scenes {ny} x {nx}{colour}{finer}{frame}{part},"
             f" tolerance {settings['tolerance']:g}, {settings['precision']}, on {device}>"
@@ -821,6 +827,9 @@ def images_of(scene: Any, settings: Mapping[str, Any]) -> list[tuple[str | None,
         units = {str(unit_of(image)) for image in scene.values()}
         if len(units) > 1:
             raise ValueError(f"scene: its images have different units: {', '.join(sorted(units))}")
+        for name in scene:
+            if not isinstance(name, (str, os.PathLike)):
+                raise TypeError(f"scene: the name of a spectrum must be a string, got {name!r}")
         return [
             (os.fspath(name), numbers(image, f"scene[{name!r}]", dtype, "[y, x]"))
             for name, image in scene.items()

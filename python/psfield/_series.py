@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import operator
 import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -12,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from psfield import _native
 from psfield._arrays import Precision, column, shape_of
-from psfield._astropy import unit_of
+from psfield._astropy import in_unit, unit_of
 from psfield._catalog import Reads, sources_of
 from psfield._choices import integer, real
 from psfield._colour import COLOUR, first_image, native_colour
@@ -26,7 +28,7 @@ from psfield._sky import sky_of
 from psfield._tables import column_names, find_columns
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class SeriesExposure(FieldsAsTable):
     """An exposure of a series. `Series` makes it.
 
@@ -82,14 +84,18 @@ class Series(Sequence[SeriesExposure]):
 
     def __getitem__(self, number: Any) -> Any:
         if isinstance(number, slice):
-            return [self.exposure(i) for i in range(*number.indices(len(self)))]
-        at = integer(number, "number", -len(self), 2**63 - 1)
-        if at >= len(self):
+            numbers = range(*number.indices(len(self)))
+            return list(map(self.exposure, numbers))
+        at = operator.index(number)
+        if not -len(self) <= at < len(self):
             raise IndexError(f"the series has {len(self)} exposures, got number {number}")
         return self._exposure(at % len(self), None, 3)
 
     def __iter__(self) -> Iterator[SeriesExposure]:
-        return (self._exposure(number, None, 2) for number in range(len(self)))
+        return (self._exposure(number, None, 3) for number in range(len(self)))
+
+    def __repr__(self) -> str:
+        return f"<Series: {len(self)} exposures of {self._exposure_s:g} s>"
 
     def exposure(self, number: int, *, progress: Progress | None = None) -> SeriesExposure:
         """Simulate an exposure.
@@ -179,7 +185,8 @@ def series(
         Columns ``row`` (of the catalogue, from 0), ``time``, ``factor``: the flux is that of the
         catalogue times the factor, which is linear between the times.
     shape : (int, int), optional
-        Rows and columns of the scene, if there is only a catalogue. Default: ``model.field_shape``.
+        Rows and columns of the images, if there is only a catalogue. Default:
+        ``model.field_shape``.
     precision : {'f32', 'f64'} or dtype
         Precision of the computation and of the images.
     **settings
@@ -188,7 +195,13 @@ def series(
     Returns
     -------
     Series
-        A sequence of `SeriesExposure`.
+        A sequence of `SeriesExposure`. Images are plain arrays, in the unit of the scene.
+
+    Raises
+    ------
+    ValueError
+        The times, the path or the light curves do not fit together, the PSF is not known at one of
+        the times, or an argument of the plan is invalid.
 
     Examples
     --------
@@ -218,7 +231,7 @@ def series(
     changes = {
         "starts_s": starts,
         "exposure_s": exposure_s,
-        "drift_px_per_s": tuple(float(drift) for drift in drift_px_per_s),
+        "drift_px_per_s": _pair(drift_px_per_s, "drift_px_per_s"),
         "jitter_px": real(jitter_px, "jitter_px"),
         "path": _columns(path, "path", ("time", "dx", "dy")),
         "light_curves": _columns(light_curves, "light_curves", ("row", "time", "factor")),
@@ -226,15 +239,21 @@ def series(
     images = images_of(scene, plain)
     first = first_image(scene)
     if images:
+        if shape is not None:
+            raise TypeError("shape is that of the scene's images: leave it out")
         scene_shape = images[0][1].shape
     else:
         shape = model.field_shape if shape is None else shape
         if shape is None:
             raise ValueError("shape: give rows and columns, because the model has no field_shape")
-        scene_shape = shape_of(shape, "shape")
+        finer = plain.get("oversample", 1)
+        rows, columns = shape_of(shape, "shape")
+        scene_shape = (rows * finer, columns * finer)
     sky = sky_of(first, wcs, plain.get("oversample", 1), (0, 0))
     reads = Reads(spectra=plain["bandpass"] is not None, velocities=True)
-    sources = sources_of(catalog, unit_of(first), sky, reads, 2)
+    sources = sources_of(catalog, unit_of(first), sky, reads, 3)
+    if sources is not None and not len(sources):
+        warnings.warn("catalog: there are no sources", PsfieldWarning, stacklevel=2)
     handle = _native.Series(
         model._handle,
         scene_shape,
@@ -255,7 +274,7 @@ def _starts(
     if starts_s is not None:
         if count is not None or cadence_s is not None:
             raise ValueError("give either starts_s, or count and cadence_s")
-        starts: list[float] = column(starts_s, "starts_s").tolist()
+        starts: list[float] = _column(starts_s, "s", "starts_s")
         return starts
     if count is None:
         raise ValueError("count: give the number of exposures, or starts_s")
@@ -273,4 +292,30 @@ def _columns(
     found = {} if names is None else find_columns(names, columns, name)
     if len(found) < len(columns):
         raise ValueError(f"{name} must be a table with columns {', '.join(columns)}")
-    return tuple(column(table[found[of]], f"{name}: {of}").tolist() for of in columns)
+    return tuple(_column(table[found[of]], _UNITS[of], f"{name}: {of}") for of in columns)
+
+
+#: The units of the columns of tables.
+_UNITS = {"time": "s", "dx": "pix", "dy": "pix", "row": "", "factor": ""}
+
+
+def _column(values: Any, unit: str, name: str) -> list[float]:
+    """Return a column of numbers in a unit."""
+    array = column(in_unit(values, unit, name), name)
+    if array.ndim > 1:
+        raise ValueError(f"{name} must be a column, got an array of shape {array.shape}")
+    numbers: list[float] = array.tolist()
+    return numbers
+
+
+def _pair(values: Any, name: str) -> tuple[float, float]:
+    """Return two finite numbers, along x and y."""
+    try:
+        x, y = (real(value, name) for value in values)
+    except TypeError:
+        raise TypeError(f"{name} must be two numbers (x, y), got {values!r}") from None
+    except ValueError:
+        raise ValueError(f"{name} must be two numbers (x, y), got {values!r}") from None
+    if not math.isfinite(x) or not math.isfinite(y):
+        raise ValueError(f"{name} must be finite, got {values!r}")
+    return x, y

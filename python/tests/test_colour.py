@@ -13,7 +13,7 @@ RED, BLUE = "blackbody:3000", "blackbody:12000"
 
 def chromatic():
     """A PSF that widens with the wavelength and over the field."""
-    y, x = np.mgrid[-10:11, -10:11]
+    y, x = np.mgrid[-20:21, -20:21] / 2.0
     stamps, positions, wavelengths = [], [], []
     for wavelength in (0.45, 0.6, 0.75):
         for at in ((0, 0), (59, 0), (0, 49), (59, 49)):
@@ -22,7 +22,12 @@ def chromatic():
             positions.append(at)
             wavelengths.append(wavelength)
     return psfield.PsfModel.from_samples(
-        stamps, positions, wavelengths_um=wavelengths, noise=0, interpolation="bilinear"
+        stamps,
+        positions,
+        wavelengths_um=wavelengths,
+        oversampling=2,
+        noise=0,
+        interpolation="bilinear",
     )
 
 
@@ -101,13 +106,17 @@ def test_dispersion_moves_blue_light_to_the_zenith(model):
         ({"dispersion": {"zenith": 50}}, None, "dispersion needs bandpass="),
         ({"bandpass": BAND}, light(), "the image has no spectrum"),
         ({"bandpass": BAND}, {"no such": light()}, "no such"),
-        ({}, {RED: light()}, "need a plan in colour"),
         ({"bandpass": "none.csv"}, None, "none.csv"),
     ],
 )
 def test_what_does_not_fit_is_named(model, settings, scene, text):
     with pytest.raises((ValueError, OSError), match=text):
         model.plan((50, 60), **settings).simulate(scene, {"x": 1, "y": 1, "flux": 1, "sed": RED})
+
+
+def test_images_by_spectrum_need_a_bandpass(model):
+    with pytest.raises(ValueError, match="need a plan in colour"):
+        model.at(wavelength_um=0.6).plan((50, 60)).simulate({RED: light()})
 
 
 def test_without_a_bandpass_spectra_are_not_read(model):
@@ -170,7 +179,7 @@ def test_a_series_of_frames_takes_the_psf_of_each():
     scene[15, 20] = 1.0
     sharp, wide = psfield.series(model, scene, exposure_s=5, starts_s=[0, 100], precision="f64")
     assert sharp.image.max() > 3 * wide.image.max()
-    expected = model.at(frame=1).plan((30, 40), precision="f64").simulate(scene)
+    expected = model.at(frame_number=1).plan((30, 40), precision="f64").simulate(scene)
     assert np.allclose(wide.image, expected, rtol=0, atol=1e-9)
     with pytest.raises(ValueError, match="exposure 2"):
         psfield.series(model, scene, exposure_s=5, count=3)
@@ -192,3 +201,86 @@ def test_a_series_that_does_not_fit_is_named(changes, text):
     star = {"x": 3, "y": 2, "flux": 1}
     with pytest.raises(ValueError, match=text):
         psfield.series(model, catalog=star, shape=(5, 7), exposure_s=10, **changes)
+
+
+def test_the_order_of_spectra_does_not_matter(model):
+    plan = model.plan((50, 60), 1e-4, "f64", bandpass=BAND)
+    one, other = light(1), light(2)
+    assert np.array_equal(
+        plan.simulate({RED: one, BLUE: other}), plan.simulate({BLUE: other, RED: one})
+    )
+    out = np.zeros((50, 60))
+    assert plan.simulate({RED: one, BLUE: out}, out=out) is out
+    assert np.array_equal(out, plan.simulate({RED: one}))
+
+
+def test_a_spectrum_is_beside_its_catalogue(tmp_path, monkeypatch, model):
+    folder = tmp_path / "sub"
+    folder.mkdir()
+    (folder / "red.csv").write_text("wavelength_um,flux\n0.4,0\n0.8,1\n")
+    (folder / "stars.csv").write_text("x,y,flux,sed\n20.3,10,5,red.csv\n")
+    monkeypatch.chdir(tmp_path)
+    plan = model.plan((50, 60), 1e-4, "f64", bandpass=BAND)
+    image = plan.simulate(catalog="sub/stars.csv")
+    read = psfield.read_catalog("sub/stars.csv", spectra=True)
+    assert np.array_equal(plan.simulate(catalog=read), image)
+
+
+@pytest.mark.parametrize("sed", [np.ma.array([RED, BLUE], mask=[False, True]), [RED, None]])
+def test_a_missing_spectrum_is_named_with_its_row(model, sed):
+    plan = model.plan((50, 60), bandpass=BAND)
+    catalog = {"x": [1, 2], "y": [1, 2], "flux": [1, 2], "sed": sed}
+    with pytest.raises((ValueError, OSError), match=r"row 1.*the name of the spectrum is missing"):
+        plan.simulate(catalog=catalog)
+
+
+def test_adjoints_and_images_need_names(model):
+    plan = model.plan((50, 60), bandpass=BAND)
+    with pytest.raises(TypeError, match="spectra must be a list of names"):
+        plan.adjoint(light(), spectra=RED)
+    with pytest.raises(TypeError, match="the name of a spectrum must be a string"):
+        plan.simulate({1: light()})
+    with pytest.raises(ValueError, match=r"scene\['powerlaw:1'\] must be an array \[y, x\]"):
+        plan.simulate({"powerlaw:1": np.zeros((2, 50, 60))})
+    with pytest.raises(ValueError, match=r"scene\[.powerlaw:1.\].*NaN"):
+        plan.simulate({"powerlaw:1": np.full((50, 60), np.nan)})
+
+
+def test_the_shape_of_a_series_is_that_of_its_images():
+    y, x = np.mgrid[-20:21, -20:21] / 2.0
+    model = psfield.PsfModel.from_samples(
+        np.exp(-(x**2 + y**2) / 2), (0, 0), oversampling=2, field_shape=(50, 60)
+    )
+    star = {"x": [20.0], "y": [10.0], "flux": [5.0]}
+    night = psfield.series(model, catalog=star, exposure_s=1, count=1, oversample=2)
+    assert night[0].image.shape == (50, 60)
+    with pytest.raises(IndexError):
+        night[-2]
+    with pytest.raises(TypeError, match="drift_px_per_s must be two numbers"):
+        psfield.series(model, catalog=star, exposure_s=1, count=1, drift_px_per_s=0.1)
+    with pytest.raises(TypeError, match="leave it out"):
+        psfield.series(model, np.ones((50, 60)), exposure_s=1, count=1, shape=(3, 3))
+
+
+def test_light_curves_keep_the_rows_of_a_table():
+    u = pytest.importorskip("astropy.units")
+    coordinates = pytest.importorskip("astropy.coordinates")
+    wcs = pytest.importorskip("astropy.wcs").WCS(naxis=2)
+    wcs.wcs.ctype, wcs.wcs.crval = ["RA---TAN", "DEC--TAN"], [10, 20]
+    wcs.wcs.crpix, wcs.wcs.cdelt = [30, 25], [-1e-4, 1e-4]
+    y, x = np.mgrid[-20:21, -20:21] / 2.0
+    model = psfield.PsfModel.from_samples(np.exp(-(x**2 + y**2) / 2), (0, 0), oversampling=2)
+    # The first source is on the other side of the sky.
+    places = coordinates.SkyCoord([190, 10] * u.deg, [-20, 20] * u.deg)
+    with pytest.warns(psfield.PsfieldWarning, match="1 row skipped"):
+        night = psfield.series(
+            model,
+            catalog={"pos": places, "flux": [5, 7]},
+            shape=(50, 60),
+            wcs=wcs,
+            exposure_s=1,
+            starts_s=[0] * u.min,
+            light_curves={"row": [1, 1], "time": [0, 1] * u.hour, "factor": [2, 2]},
+        )
+    assert night[0].sources["row"].tolist() == [1]
+    assert night[0].sources["flux"].tolist() == [14.0]

@@ -110,7 +110,7 @@ class Case:
         psf = "colours.fits" if "bandpass" in words else options.get("psf", "psf.fits")
         self.options = {"psf": psf, "tolerance": 1e-5, "precision": "f64", **options}
         if "scene" not in options:
-            self.options["shape"] = "{},{}".format(*SHAPE)
+            self.options["shape"] = f"{SHAPE[1]},{SHAPE[0]}"
         self.words = {"tolerance": 1e-5, "precision": "f64", **words}
         if "bandpass" in self.words:
             self.words["bandpass"] = str(folder / "band.csv")
@@ -124,7 +124,7 @@ class Case:
         self.model = psfield.PsfModel.read(folder / psf)
         if feature == "own interpolation or basis":
             model = psfield.PsfModel.read(folder / "psf.fits")
-            stamps = model.evaluate(*model.positions.T, pixels="native")
+            stamps = model.evaluate(*model.positions.T, pixels="stamp")
             self.model = psfield.PsfModel.from_samples(
                 stamps, model.positions, oversampling=2, interpolation=mean_of_all
             )
@@ -235,9 +235,10 @@ class Case:
         return self.scene.shape
 
 
-def mean_of_all(positions, values, at):
-    """Interpolate: the mean of all samples, everywhere."""
-    return np.repeat(np.mean(values, axis=0, keepdims=True), len(at), axis=0)
+def mean_of_all(positions, values):
+    """Return an interpolation: the mean of all samples, everywhere."""
+    mean = np.mean(values, axis=0, keepdims=True)
+    return lambda at: np.repeat(mean, len(at), axis=0)
 
 
 def toml(options):

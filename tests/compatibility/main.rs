@@ -1,6 +1,7 @@
-//! Every release must read the files of earlier releases. `v0.1.0` holds files that psfield 0.1.0
-//! wrote and the images that it simulated from them (`psfield batch jobs.toml` in that folder). The
-//! tests of the command line run the same list.
+//! Every release must read the files of earlier releases. `v0.1.0` and `v0.2.0` hold files that these
+//! versions of psfield wrote, and the images that they simulated from them (`psfield batch jobs.toml` in
+//! the folder, whose comment tells how the files were made). The tests of the command line run the same
+//! lists.
 
 use std::path::{Path, PathBuf};
 
@@ -19,13 +20,13 @@ const NEAR: f64 = 3.5;
 
 fn file(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR"))
-        .join("compatibility/v0.1.0")
+        .join("compatibility")
         .join(name)
 }
 
 /// Relative L2 difference from the image of the release, at the pixels near stars.
 fn difference(psf: &Psf, expected: &str) -> f64 {
-    let catalog = read_catalog_with(file("stars.csv"), &CatalogOptions::default()).unwrap();
+    let catalog = read_catalog_with(file("v0.1.0/stars.csv"), &CatalogOptions::default()).unwrap();
     let (stars, galaxies) = catalog.into_parts();
     assert_eq!((stars.len(), galaxies.len()), (4, 0));
     let near = |y: usize, x: usize| {
@@ -52,14 +53,14 @@ fn difference(psf: &Psf, expected: &str) -> f64 {
 
 #[test]
 fn a_model_of_0_1_0_gives_the_image_of_0_1_0() {
-    let psf = Psf::open(file("model.fits")).unwrap();
+    let psf = Psf::open(file("v0.1.0/model.fits")).unwrap();
     assert_eq!(psf.kind(), Some(FileKind::PsfModel));
     assert_eq!(psf.model().unwrap().rank(), 4);
-    let difference = difference(&psf, "expected_stars.fits");
+    let difference = difference(&psf, "v0.1.0/expected_stars.fits");
     assert!(difference < EDGES, "{difference:e}");
     // The comparison notices a missing component.
     let truncated = psf.record().unwrap().truncated(1).unwrap();
-    assert!(self::difference(&truncated.into(), "expected_stars.fits") > 1e-3);
+    assert!(self::difference(&truncated.into(), "v0.1.0/expected_stars.fits") > 1e-3);
 }
 
 #[test]
@@ -69,16 +70,55 @@ fn samples_of_0_1_0_give_the_image_of_0_1_0() {
         interpolation: Interpolation::Bilinear,
         ..FitOptions::default()
     };
-    let psf = Psf::open(file("samples.fits")).unwrap().with_fit_options(options);
-    let difference = difference(&psf, "expected_samples.fits");
+    let psf = Psf::open(file("v0.1.0/samples.fits"))
+        .unwrap()
+        .with_fit_options(options);
+    let difference = difference(&psf, "v0.1.0/expected_samples.fits");
     assert!(difference < EDGES, "{difference:e}");
 }
 
 #[test]
 fn a_telescope_and_a_detector_of_0_1_0_are_read() {
-    let telescope = Telescope::from_toml_file(file("telescope.toml")).unwrap();
+    let telescope = Telescope::from_toml_file(file("v0.1.0/telescope.toml")).unwrap();
     let field = telescope.field();
     assert_eq!((field.nx(), field.ny()), (96, 80));
-    let detector = Detector::from_toml_file(file("detector.toml")).unwrap();
+    let detector = Detector::from_toml_file(file("v0.1.0/detector.toml")).unwrap();
     assert_eq!(detector.params().read_noise_e, 3.0);
+}
+
+/// The image of the stars of 0.2.0 through a PSF, relative to the expected one (L2).
+fn difference_of_0_2_0(psf: &Psf, expected: &str) -> f64 {
+    let catalog = read_catalog_with(file("v0.2.0/stars.csv"), &CatalogOptions::default()).unwrap();
+    let (stars, _) = catalog.into_parts();
+    assert_eq!(stars.len(), 4);
+    let simulator = psf.simulator((48, 64)).tolerance(0.0).build::<f64>().unwrap();
+    let image = simulator.simulate(&Scene::dark().with_stars(stars)).unwrap();
+    let (expected, _) = read_image::<f64>(file(expected)).unwrap().into_parts();
+    relative_l2(&image, &expected)
+}
+
+/// Rounding of f64, which differs between instruction sets.
+const ROUNDING: f64 = 1e-12;
+
+#[test]
+fn a_model_with_wavelengths_of_0_2_0_gives_the_image_of_0_2_0() {
+    let psf = Psf::open(file("v0.2.0/model.fits")).unwrap();
+    assert_eq!(psf.states().unwrap().values(), [0.55, 0.65, 0.75]);
+    let record = psf.record().unwrap();
+    assert!(matches!(record.interpolation(), Interpolation::Kriging(Some(_))));
+    let expected = "v0.2.0/expected_model.fits";
+    let difference = difference_of_0_2_0(&psf.at_state(0.6).unwrap(), expected);
+    assert!(difference < ROUNDING, "{difference:e}");
+    // The comparison notices another wavelength.
+    assert!(difference_of_0_2_0(&psf.at_state(0.61).unwrap(), expected) > 1e-3);
+}
+
+#[test]
+fn a_table_of_0_2_0_gives_the_image_of_0_2_0() {
+    let psf = Psf::open(file("v0.2.0/table.fits")).unwrap();
+    let record = psf.record().unwrap();
+    assert!(matches!(record.interpolation(), Interpolation::Table { .. }));
+    assert_eq!(record.table_of(), Some("a wave"));
+    let difference = difference_of_0_2_0(&psf, "v0.2.0/expected_table.fits");
+    assert!(difference < ROUNDING, "{difference:e}");
 }

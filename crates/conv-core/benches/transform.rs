@@ -1,20 +1,18 @@
 //! The engine's transforms of a square tile, step by step, compared with realfft and rustfft at the
 //! same size.
 
+#[path = "common/rows_then_columns.rs"]
+mod rows_then_columns;
+
 use std::hint::black_box;
-use std::sync::Arc;
 
 use conv_core::ConvReal;
 use conv_core::internals::{Aligned, Inlined, Lanes, TileTransform, WithIsa};
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
-use realfft::{RealFftPlanner, RealToComplex};
-use rustfft::num_complex::Complex;
-use rustfft::{Fft, FftPlanner};
+use rows_then_columns::RowsThenColumns;
 
 const SIZES: [usize; 5] = [128, 192, 256, 320, 512];
 const STAMP: usize = 64;
-/// The number of rows whose spectra are transposed together: whole cache lines.
-const BLOCK: usize = 16;
 
 /// The transform of the largest square tile that fits with a stamp, and its planes.
 struct SquareTransform<T: ConvReal> {
@@ -105,73 +103,6 @@ impl<T: ConvReal> WithIsa<T> for Run<'_, T> {
     }
 }
 
-/// Computes the spectrum of a square plane, which holds a tile as large as [`SquareTransform`]'s.
-/// Uses realfft along the tile's rows and rustfft along columns. The spectrum stays transposed.
-struct RowsThenColumns<T: ConvReal> {
-    size: usize,
-    along_rows: Arc<dyn RealToComplex<T>>,
-    along_columns: Arc<dyn Fft<T>>,
-    plane: Vec<T>,
-    row: Vec<T>,
-    /// The spectra of [`BLOCK`] rows.
-    block: Vec<Complex<T>>,
-    spectrum: Vec<Complex<T>>,
-    scratch: Vec<Complex<T>>,
-}
-
-impl<T: ConvReal> RowsThenColumns<T> {
-    fn new(size: usize) -> Self {
-        let along_rows = RealFftPlanner::new().plan_fft_forward(size);
-        let along_columns = FftPlanner::new().plan_fft_forward(size);
-        let zeros = |length: usize| vec![Complex::new(T::zero(), T::zero()); length];
-        Self {
-            size,
-            plane: (0..size * size).map(|i| T::nearest((i % 17) as f64)).collect(),
-            row: vec![T::zero(); size],
-            block: zeros(BLOCK * (size / 2 + 1)),
-            spectrum: zeros((size / 2 + 1) * size),
-            scratch: zeros(
-                along_rows
-                    .get_scratch_len()
-                    .max(along_columns.get_inplace_scratch_len()),
-            ),
-            along_rows,
-            along_columns,
-        }
-    }
-
-    fn forward(&mut self) {
-        let half = self.size / 2 + 1;
-        let tile = self.size + 1 - STAMP;
-        for column in self.spectrum.chunks_exact_mut(self.size) {
-            column[tile..].fill(Complex::new(T::zero(), T::zero()));
-        }
-        for first in (0..tile).step_by(BLOCK) {
-            for (values, into) in self.plane[first * self.size..tile * self.size]
-                .chunks_exact(self.size)
-                .zip(self.block.chunks_exact_mut(half))
-            {
-                self.row.copy_from_slice(values);
-                self.along_rows
-                    .process_with_scratch(
-                        &mut self.row,
-                        into,
-                        &mut self.scratch[..self.along_rows.get_scratch_len()],
-                    )
-                    .expect("buffers of the plan's size");
-            }
-            for (k, column) in self.spectrum.chunks_exact_mut(self.size).enumerate() {
-                for (value, from) in column[first..tile].iter_mut().zip(self.block.chunks_exact(half)) {
-                    *value = from[k];
-                }
-            }
-        }
-        for column in self.spectrum.chunks_exact_mut(self.size) {
-            self.along_columns.process_with_scratch(column, &mut self.scratch);
-        }
-    }
-}
-
 fn transforms<T: ConvReal>(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group(format!("transform-{}", T::NAME));
     for size in SIZES {
@@ -192,7 +123,7 @@ fn transforms<T: ConvReal>(criterion: &mut Criterion) {
             ours.run(Step::Forward);
             ours.run(Step::Kernel);
         }
-        let mut theirs = RowsThenColumns::<T>::new(size);
+        let mut theirs = RowsThenColumns::<T>::new(size, size + 1 - STAMP);
         group.bench_function(BenchmarkId::new("realfft-forward", size), |bencher| {
             bencher.iter(|| black_box(&mut theirs).forward());
         });

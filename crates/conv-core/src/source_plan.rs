@@ -3,10 +3,10 @@
 use ndarray::ArrayViewMut2;
 use psf_types::{Anchor, PixelRegion, PointSource, Position, Progress, PsfModel};
 
-use crate::galaxies::{Catalogue as Extended, ExtendedSources, GalaxyDrawer, GalaxyErrors};
+use crate::galaxies::{ExtendedSources, ExtendedToDraw, GalaxyDrawer, GalaxyErrors};
 use crate::plan::{PlanOptions, check_layers, share_stamps};
 use crate::sources::SourcePsfs;
-use crate::stars::{Catalogue as Stars, StarDrawer, StarPainter};
+use crate::stars::{StarDrawer, StarPainter, StarsToDraw};
 use crate::{ConvError, ConvReal};
 
 /// A plan for drawing sources through one model: stars, which are points, and extended sources such as
@@ -200,7 +200,7 @@ impl<T: ConvReal> SourcePlan<T> {
         image: ArrayViewMut2<'_, T>,
         progress: &dyn Progress,
     ) -> Result<(), ConvError> {
-        let catalogue = Stars {
+        let catalogue = StarsToDraw {
             stars,
             frame,
             progress,
@@ -223,7 +223,7 @@ impl<T: ConvReal> SourcePlan<T> {
         image: ArrayViewMut2<'_, T>,
         progress: &dyn Progress,
     ) -> Result<(), ConvError> {
-        let catalogue = Extended {
+        let catalogue = ExtendedToDraw {
             sources,
             frame,
             progress,
@@ -245,7 +245,7 @@ impl<T: ConvReal> SourcePlan<T> {
         pixels: &[(usize, usize)],
         progress: &dyn Progress,
     ) -> Result<Vec<f64>, ConvError> {
-        let catalogue = Extended {
+        let catalogue = ExtendedToDraw {
             sources,
             frame,
             progress,
@@ -266,7 +266,7 @@ impl<T: ConvReal> SourcePlan<T> {
         rounding: f64,
         take: impl FnMut(usize, GalaxyErrors),
     ) -> Result<(), ConvError> {
-        let catalogue = Extended {
+        let catalogue = ExtendedToDraw {
             sources,
             frame,
             progress: &psf_types::NoProgress,

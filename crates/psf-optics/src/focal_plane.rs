@@ -4,6 +4,7 @@
 use std::sync::{Arc, Mutex};
 
 use ndarray::ArrayViewMut2;
+use psf_types::maths::smooth_size;
 use rustfft::num_complex::Complex64;
 use rustfft::{Fft, FftPlanner};
 
@@ -57,7 +58,7 @@ impl std::fmt::Debug for FocalPlane {
 impl FocalPlane {
     /// The length of the transforms for a pupil of `side` cells and lags up to `lags`.
     pub(crate) fn transform_length(side: usize, lags: usize) -> usize {
-        even_smooth_at_least(side + lags)
+        smooth_size(side + lags, 2, 7)
     }
 
     pub(crate) fn new(pupil: PupilCells, lags: usize, period: usize, seeing: Option<Vec<f64>>) -> Self {
@@ -275,21 +276,6 @@ fn mean_over_cell(g: f64) -> f64 {
     1.0 - z2 / 6.0 * (1.0 - z2 / 20.0 * (1.0 - z2 / 42.0 * (1.0 - z2 / 72.0)))
 }
 
-/// The smallest even length of at least `n` that has no prime factors but 2, 3, 5 and 7.
-pub(crate) fn even_smooth_at_least(n: usize) -> usize {
-    let smooth = |mut n: usize| {
-        for p in [2, 3, 5, 7] {
-            while n.is_multiple_of(p) {
-                n /= p;
-            }
-        }
-        n == 1
-    };
-    (n.max(2)..usize::MAX)
-        .find(|&n| n.is_multiple_of(2) && smooth(n))
-        .expect("a power of 2 is found")
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -300,11 +286,5 @@ mod tests {
             let exact = (g / 2.0f64).sin() / (g / 2.0);
             assert!((mean_over_cell(g) - exact).abs() < 3e-6, "{g}");
         }
-    }
-
-    #[test]
-    fn lengths() {
-        let got: Vec<_> = [0, 2, 11, 12, 129, 291, 977].map(even_smooth_at_least).into();
-        assert_eq!(got, [2, 2, 12, 12, 140, 294, 980]);
     }
 }

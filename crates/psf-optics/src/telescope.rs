@@ -4,11 +4,12 @@ use std::f64::consts::{PI, TAU};
 use std::path::Path;
 
 use ndarray::ArrayViewMut2;
+use psf_types::maths::smooth_size;
 use psf_types::{FrameShape, Position, PsfSource, SourceError, StampGrid};
 use rustfft::num_complex::Complex64;
 
 use crate::error::require;
-use crate::focal_plane::{AxisTransfer, FocalPlane, even_smooth_at_least};
+use crate::focal_plane::{AxisTransfer, FocalPlane};
 use crate::pupil::{Aperture, PupilCells};
 use crate::seeing::Seeing;
 use crate::wavefront::Wavefront;
@@ -109,7 +110,7 @@ impl Telescope {
         if period.max(diameter) > Self::MAX_TRANSFORM as f64 {
             return Err(too_large(period.max(diameter)));
         }
-        let period = even_smooth_at_least(period as usize);
+        let period = smooth_size(period as usize, 2, 7);
         let diameter = period as f64 * cells_per_pixel;
 
         let cell_m = params.aperture.diameter_m / diameter;

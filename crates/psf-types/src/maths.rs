@@ -171,6 +171,31 @@ const fn legendre_and_slope(degree: usize, t: f64) -> (f64, f64) {
     value
 }
 
+/// The smallest multiple of `step` of at least `at_least` whose quotient by `step` has no prime factor above
+/// `prime` (5 or 7), so that Fourier transforms of this size are fast.
+///
+/// ```
+/// assert_eq!(psf_types::maths::smooth_size(97, 2, 7), 98);
+/// ```
+///
+/// # Panics
+/// For a step of 0.
+pub fn smooth_size(at_least: usize, step: usize, prime: usize) -> usize {
+    let is_smooth = |mut n: usize| {
+        for p in [2, 3, 5, 7].into_iter().filter(|&p| p <= prime) {
+            while n.is_multiple_of(p) {
+                n /= p;
+            }
+        }
+        n == 1
+    };
+    let mut quotient = at_least.div_ceil(step).max(1);
+    while !is_smooth(quotient) {
+        quotient += 1;
+    }
+    quotient * step
+}
+
 /// `sin(pi t) / (pi t)`.
 #[inline]
 pub fn sinc(t: f64) -> f64 {
@@ -275,6 +300,17 @@ impl ConvexHull {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn smooth_sizes_are_the_smallest_ones() {
+        let even = |n| smooth_size(n, 2, 7);
+        assert_eq!(
+            [0, 2, 11, 97, 1055, 2079, 9248].map(even),
+            [2, 2, 12, 98, 1080, 2100, 9408]
+        );
+        assert_eq!([7, 49, 50].map(|n| smooth_size(n, 1, 5)), [8, 50, 50]);
+        assert_eq!(smooth_size(29, 4, 5), 32);
+    }
 
     fn is_exact<const N: usize>() {
         let rule = gauss_legendre::<N>();

@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use numpy::{IntoPyArray, PyReadonlyArray1};
+use psfield::colours::spectrum_in;
 use psfield::error::error_text;
 use psfield::psf_io::{
     Catalog, CatalogOptions, HduChoice, HeaderCards, MemoryTable, NeededColumn, SkyCoordinates,
@@ -51,17 +52,83 @@ pub(crate) enum Column<'py> {
     Texts(Vec<String>),
 }
 
+/// How a file is read: the arguments of `psfield.read_catalog`.
+#[derive(FromPyObject)]
+#[pyo3(from_item_all)]
+#[allow(clippy::struct_excessive_bools, reason = "the arguments of a Python function")]
+pub(crate) struct ReadSettings {
+    columns: Option<String>,
+    one_based: bool,
+    zero_point: Option<f64>,
+    skip_invalid: bool,
+    table: Option<String>,
+    /// A file with world coordinates.
+    wcs: Option<PathBuf>,
+    wcs_extension: Option<String>,
+    /// The text of a header with world coordinates.
+    wcs_cards: Option<String>,
+    /// The unit of the image.
+    flux_unit: Option<String>,
+    spectra: bool,
+    velocities: bool,
+}
+
+impl ReadSettings {
+    fn options(self) -> PyResult<CatalogOptions> {
+        let mut options = CatalogOptions::new()
+            .with_one_based(self.one_based)
+            .with_invalid_skipped(self.skip_invalid)
+            .with_colours(self.spectra)
+            .with_velocities(self.velocities);
+        if let Some(columns) = self.columns.as_deref() {
+            options = options.with_columns(parsed(columns)?);
+        }
+        if let Some(zero_point) = self.zero_point {
+            options = options.with_zero_point(zero_point).map_err(Failure::from)?;
+        }
+        if let Some(unit) = self.flux_unit {
+            options = options.with_flux_unit(unit);
+        }
+        if let Some(table) = self.table.as_deref() {
+            options = options.with_table(parsed::<HduChoice>(table)?);
+        }
+        let cards = match (self.wcs, self.wcs_cards.as_deref()) {
+            (Some(wcs), _) => {
+                let extension = self
+                    .wcs_extension
+                    .as_deref()
+                    .map(parsed::<HduChoice>)
+                    .transpose()?;
+                Some(read_cards(wcs, extension.as_ref()).map_err(Failure::from)?)
+            }
+            (None, cards) => cards.map(HeaderCards::from_text),
+        };
+        if let Some(cards) = cards {
+            options = options.with_sky(
+                SkyCoordinates::from_header(&cards)
+                    .map_err(|e| invalid(format!("wcs: {}", error_text(&e))))?,
+            );
+        }
+        Ok(options)
+    }
+}
+
 /// Stars and galaxies, with positions in pixels of the frame.
 #[pyclass(module = "psfield._native", frozen)]
 #[derive(Debug, Default)]
-pub(crate) struct Sources(pub(crate) Catalog);
+pub(crate) struct Sources {
+    pub(crate) catalog: Catalog,
+    /// The folder in which relative names of spectra begin.
+    pub(crate) folder: PathBuf,
+}
 
 #[pymethods]
 impl Sources {
-    /// Takes the sources of columns, and their spectra (`sed`, `teff`) and velocities (`vx`, `vy`) if there
+    /// Takes the sources of columns, which may be some `rows` of a table, and their spectra (`sed`, `teff`) and velocities (`vx`, `vy`) if there
     /// are such columns.
     #[new]
-    fn new(columns: Vec<(String, Column<'_>)>) -> PyResult<Self> {
+    #[pyo3(signature = (columns, rows=None))]
+    fn new(columns: Vec<(String, Column<'_>)>, rows: Option<Vec<usize>>) -> PyResult<Self> {
         let options = CatalogOptions::new().with_colours(true).with_velocities(true);
         let made = || {
             let mut table = MemoryTable::new("catalog");
@@ -73,73 +140,38 @@ impl Sources {
             }
             catalog_of(&table, &options)
         };
-        Ok(Self(made().map_err(|e| invalid(error_text(&e)))?))
+        let catalog = made().map_err(|e| invalid(error_text(&e)))?;
+        Ok(Self {
+            catalog: match rows {
+                Some(rows) => catalog.with_rows_of(&rows),
+                None => catalog,
+            },
+            folder: PathBuf::new(),
+        })
     }
 
-    /// Reads a catalogue from a file. `wcs` is a file with world coordinates,
-    /// `wcs_cards` the text of such a header. `flux_unit` is the unit of the image.
+    /// Reads a catalogue from a file.
     #[staticmethod]
-    fn read(
-        py: Python<'_>,
-        path: PathBuf,
-        columns: Option<&str>,
-        one_based: bool,
-        zero_point: Option<f64>,
-        skip_invalid: bool,
-        table: Option<&str>,
-        wcs: Option<PathBuf>,
-        wcs_extension: Option<&str>,
-        wcs_cards: Option<&str>,
-        flux_unit: Option<&str>,
-        spectra: bool,
-        velocities: bool,
-    ) -> PyResult<Self> {
-        let mut options = CatalogOptions::new()
-            .with_one_based(one_based)
-            .with_invalid_skipped(skip_invalid)
-            .with_colours(spectra)
-            .with_velocities(velocities);
-        if let Some(columns) = columns {
-            options = options.with_columns(parsed(columns)?);
-        }
-        if let Some(zero_point) = zero_point {
-            options = options.with_zero_point(zero_point).map_err(Failure::from)?;
-        }
-        if let Some(unit) = flux_unit {
-            options = options.with_flux_unit(unit);
-        }
-        if let Some(table) = table {
-            options = options.with_table(parsed::<HduChoice>(table)?);
-        }
-        let cards = match (wcs, wcs_cards) {
-            (Some(wcs), _) => {
-                let extension = wcs_extension.map(parsed::<HduChoice>).transpose()?;
-                Some(read_cards(wcs, extension.as_ref()).map_err(Failure::from)?)
-            }
-            (None, cards) => cards.map(HeaderCards::from_text),
-        };
-        if let Some(cards) = cards {
-            options = options.with_sky(
-                SkyCoordinates::from_header(&cards)
-                    .map_err(|e| invalid(format!("wcs: {}", error_text(&e))))?,
-            );
-        }
+    fn read(py: Python<'_>, path: PathBuf, settings: ReadSettings) -> PyResult<Self> {
+        let options = settings.options()?;
+        let folder = path.parent().map(PathBuf::from).unwrap_or_default();
         let read = py.detach(|| read_catalog_with(path, &options));
-        Ok(Self(read.map_err(Failure::from)?))
+        let catalog = read.map_err(Failure::from)?;
+        Ok(Self { catalog, folder })
     }
 
     /// The number of invalid rows that were skipped, the number of rows that were skipped because the
     /// projection of the frame does not reach their position on the sky, and the columns that change a
     /// source and were not read.
     fn left_out(&self) -> (usize, usize, Vec<String>) {
-        let catalog = &self.0;
+        let catalog = &self.catalog;
         let ignored = catalog.ignored_columns().to_vec();
         (catalog.invalid_rows(), catalog.rows_off_projection(), ignored)
     }
 
     /// The columns by name: stars first, whose `re` is 0.
     fn columns<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
-        let (stars, galaxies) = (self.0.stars(), self.0.galaxies());
+        let (stars, galaxies) = (self.catalog.stars(), self.catalog.galaxies());
         let columns = PyDict::new(py);
         let add = |name, of_star: &dyn Fn(&PointSource) -> f64, of_galaxy: fn(&SersicSource) -> f64| {
             let values = stars.iter().map(of_star).chain(galaxies.iter().map(of_galaxy));
@@ -154,15 +186,18 @@ impl Sources {
             add("q", &|_| 1.0, |galaxy| galaxy.profile().axis_ratio())?;
             add("angle", &|_| 0.0, |galaxy| galaxy.profile().angle_deg())?;
         }
-        match self.0.colours() {
-            Some(SourceColours::Names(names)) => columns.set_item("sed", names.clone())?,
+        match self.catalog.colours() {
+            Some(SourceColours::Names(names)) => {
+                let name = |name: &String| spectrum_in(&self.folder, name);
+                columns.set_item("sed", names.iter().map(name).collect::<Vec<_>>())?;
+            }
             Some(SourceColours::Temperatures(all)) => {
-                columns.set_item("teff", all.clone().into_pyarray(py))?
+                columns.set_item("teff", all.clone().into_pyarray(py))?;
             }
             _ => {}
         }
         for (axis, name) in ["vx", "vy"].into_iter().enumerate() {
-            if let Some(all) = self.0.velocities() {
+            if let Some(all) = self.catalog.velocities() {
                 let values: Vec<f64> = all.iter().map(|velocity| velocity[axis]).collect();
                 columns.set_item(name, values.into_pyarray(py))?;
             }
@@ -171,6 +206,6 @@ impl Sources {
     }
 
     fn __len__(&self) -> usize {
-        self.0.rows().len()
+        self.catalog.rows().len()
     }
 }

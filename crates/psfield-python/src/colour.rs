@@ -1,9 +1,8 @@
 //! Bandpasses, spectra, and what a plan in colour sees of them.
 
-use std::path::Path;
-
 use psfield::colours::{open_bandpass, open_spectrum};
 use psfield::conv_core::ConvReal;
+use psfield::psf_types::ImageView;
 use psfield::spectra::{Bandpass, Curve, FluxDensity, Spectrum};
 use psfield::{Dispersion, Psf, PsfieldError, SceneLight};
 use pyo3::prelude::*;
@@ -44,7 +43,8 @@ fn curve((wavelengths_um, values): (Vec<f64>, Vec<f64>)) -> PyResult<Curve> {
 /// A bandpass, a dispersion in the form of the command line, and a spectrum by name.
 pub(crate) type ColourArguments = (Curved, Option<String>, Option<String>);
 
-/// What decides the PSF of a spectrum, and the spectrum of light without one of its own.
+/// The bandpass and the dispersion, which decide the PSF of a spectrum, and the spectrum of light without one
+/// of its own.
 #[derive(Debug, Clone)]
 pub(crate) struct Colour {
     bandpass: Bandpass,
@@ -76,12 +76,17 @@ pub(crate) fn light_of_scene<T: ConvReal>(
     let sed = colour.and_then(|colour| colour.sed.as_deref());
     let mut light = SceneLight::new();
     for (spectrum, image) in images {
+        let name = spectrum
+            .as_ref()
+            .map_or("scene".to_owned(), |name| format!("scene[{name:?}]"));
+        ImageView::new(image).map_err(Failure::of(name))?;
         light.add_image(spectrum.as_deref().or(sed), image.to_owned())?;
     }
     if colour.is_some() {
-        light.set_catalog_with_spectra(sources.0.clone(), sed, Path::new(""))?;
+        light.set_catalog_with_spectra(sources.catalog.clone(), sed, &sources.folder)?;
     } else {
-        light.set_catalog(sources.0.clone());
+        light.set_catalog(sources.catalog.clone());
     }
+    light.sort_spectra();
     Ok(light)
 }

@@ -38,7 +38,7 @@ impl Failure {
         }
     }
 
-    /// The same failure, caused by this argument.
+    /// Returns the same failure, caused by this argument.
     pub(crate) fn caused_by(self, argument: impl Into<Cow<'static, str>>) -> Self {
         Self {
             argument: Some(argument.into()),

@@ -436,8 +436,8 @@ fn many_simulated<T: ConvReal>(
     Ok((made, warnings.unwrap_or_default()))
 }
 
-/// Builds simulators and, without colour, makes the model and the plan for scenes that contain an image. Those
-/// for stars and galaxies, or for spectra, are made later, when a scene needs them.
+/// Builds simulators, and makes the model and the plan for scenes that contain an image, unless their spectra
+/// are not known. Those for stars and galaxies, or for other spectra, are made later, when a scene needs them.
 fn planned<T: ConvReal>(
     py: Python<'_>,
     make: impl FnOnce(&Watch) -> Result<Simulators<T>, PsfieldError> + Send + 'static,
@@ -445,7 +445,7 @@ fn planned<T: ConvReal>(
     let made = threads::run_apart(py, move |watch, pool| {
         pool.install(|| -> Result<_, Failure> {
             let simulators = make(watch)?;
-            if !simulators.in_colour() {
+            if simulators.has_spectrum() {
                 simulators.first.prepare(&Scene::streamed(), watch)?;
             }
             Ok(Arc::new(simulators))

@@ -29,7 +29,7 @@ pub(crate) fn from_python<T: DeserializeOwned>(arguments: &Bound<'_, PyMapping>)
     let mut all = Map::new();
     for item in arguments.items()? {
         let (name, given): (String, Bound<'_, PyAny>) = item.extract()?;
-        let value = plain(&name, &given)?;
+        let value = plain(&name, &given, MOST_LEVELS)?;
         let problem = |value: Value| {
             let alone = Map::from_iter([(name.clone(), value)]);
             let error = T::deserialize(Value::Object(alone)).err()?.to_string();
@@ -47,8 +47,11 @@ pub(crate) fn from_python<T: DeserializeOwned>(arguments: &Bound<'_, PyMapping>)
     T::deserialize(Value::Object(all)).map_err(|error| invalid(error.to_string()))
 }
 
+/// No setting has more levels of lists or dicts in one another.
+const MOST_LEVELS: usize = 4;
+
 /// Converts an argument to JSON. Numbers of NumPy are numbers.
-fn plain(name: &str, given: &Bound<'_, PyAny>) -> PyResult<Value> {
+fn plain(name: &str, given: &Bound<'_, PyAny>, levels: usize) -> PyResult<Value> {
     if given.is_none() {
         return Ok(Value::Null);
     }
@@ -61,15 +64,28 @@ fn plain(name: &str, given: &Bound<'_, PyAny>) -> PyResult<Value> {
     if let Ok(whole) = given.call_method0("__index__") {
         let number = whole.extract().map(|number: i64| number.into());
         let number = number.or_else(|_| whole.extract().map(|number: u64| number.into()));
-        return number.map_err(|_| invalid(format!("{name} must be at most {}, got {whole}", u64::MAX)));
+        let limits = (i64::MIN, u64::MAX);
+        return number.map_err(|_| {
+            invalid(format!(
+                "{name} must be from {} to {}, got {whole}",
+                limits.0, limits.1
+            ))
+        });
+    }
+    if levels == 0 && given.len().is_ok() {
+        return Err(invalid(format!(
+            "{name} has lists in lists: it must be one value or a few"
+        )));
     }
     if let Ok(mapping) = given.cast::<PyMapping>() {
         let items: Vec<(String, Bound<'_, PyAny>)> = mapping.items()?.extract()?;
-        let field = |(key, item): (String, _)| plain(&key, &item).map(|value| (key, value));
+        let field = |(key, item): (String, _)| plain(&key, &item, levels - 1).map(|value| (key, value));
         return items.into_iter().map(field).collect();
     }
-    if let Ok(items) = given.try_iter() {
-        return items.map(|item| plain(name, &item?)).collect();
+    if given.len().is_ok()
+        && let Ok(items) = given.try_iter()
+    {
+        return items.map(|item| plain(name, &item?, levels - 1)).collect();
     }
     match given.extract::<f64>() {
         Ok(number) if number.is_finite() => Ok(number.into()),

@@ -24,7 +24,7 @@ pub(crate) struct Simulators<T: ConvReal> {
     colour: Option<Colour>,
     /// The only one or, in colour, that of the plan's spectrum or of a flat one.
     pub(crate) first: Arc<Simulator<T>>,
-    /// In colour: the latest ones, by the names of their spectra.
+    /// In colour: those that were used last, by the names of their spectra.
     kept: Mutex<Vec<Kept<T>>>,
 }
 
@@ -44,11 +44,15 @@ impl<T: ConvReal> Simulators<T> {
             }
             None => psf.clone(),
         };
+        let first = Arc::new(seen.simulator(shape).options(options).build()?);
         Ok(Self {
-            first: Arc::new(seen.simulator(shape).options(options).build()?),
+            kept: Mutex::new(match colour.as_ref().and_then(|colour| colour.sed.clone()) {
+                Some(sed) => vec![(vec![sed], Arc::clone(&first))],
+                None => Vec::new(),
+            }),
+            first,
             psf,
             colour,
-            kept: Mutex::default(),
         })
     }
 
@@ -56,10 +60,18 @@ impl<T: ConvReal> Simulators<T> {
         self.colour.is_some()
     }
 
-    /// Those of another region of the frame, with the tiles of these.
+    /// Returns whether scenes without spectra of their own can be simulated.
+    pub(crate) fn has_spectrum(&self) -> bool {
+        self.colour.as_ref().is_none_or(|colour| colour.sed.is_some())
+    }
+
+    /// Simulators of another region of the frame, with the tiles of these.
     pub(crate) fn for_region(&self, region: PixelRegion, watch: &Watch) -> Result<Self, PsfieldError> {
         if !self.in_colour() {
-            return Ok(self.only(self.psf.clone(), self.first.for_region(region, watch)?));
+            return Ok(Self::only(
+                self.psf.clone(),
+                self.first.for_region(region, watch)?,
+            ));
         }
         let options = SimulateOptions {
             region: Some(region),
@@ -70,17 +82,17 @@ impl<T: ConvReal> Simulators<T> {
         })
     }
 
-    /// Those of another PSF, with the tiles of these if possible.
+    /// Simulators of another PSF, with the tiles of these if possible.
     pub(crate) fn with_psf(&self, psf: &Psf, watch: &Watch) -> Result<Self, PsfieldError> {
         let Some(colour) = &self.colour else {
-            return Ok(self.only(psf.clone(), self.first.with_psf(psf.clone(), watch)?));
+            return Ok(Self::only(psf.clone(), self.first.with_psf(psf.clone(), watch)?));
         };
         self.others(psf.clone(), self.first.options().clone(), |spectra, before| {
             before.with_psf(colour.psf_of(psf, &dark_light::<T>(spectra))?, watch)
         })
     }
 
-    fn only(&self, psf: Psf, simulator: Simulator<T>) -> Self {
+    fn only(psf: Psf, simulator: Simulator<T>) -> Self {
         Self {
             psf,
             colour: None,
@@ -89,7 +101,7 @@ impl<T: ConvReal> Simulators<T> {
         }
     }
 
-    /// Those in colour with other settings or another PSF. `other` makes a simulator from the one before.
+    /// Simulators in colour with other settings or another PSF. `other` makes a simulator from the one before.
     fn others(
         &self,
         psf: Psf,
@@ -103,8 +115,13 @@ impl<T: ConvReal> Simulators<T> {
             let simulator = other(&spectra, &before)?;
             Ok((spectra, Arc::new(simulator)))
         });
-        let kept = Mutex::new(others.collect::<Result<_, PsfieldError>>()?);
-        Ok(Self { kept, ..made })
+        let kept: Vec<Kept<T>> = others.collect::<Result<_, PsfieldError>>()?;
+        let sed = self.colour.as_ref().and_then(|colour| colour.sed.clone());
+        let of_plan: Vec<String> = sed.into_iter().collect();
+        let of_plan = kept.iter().find(|(spectra, _)| *spectra == of_plan);
+        let first = of_plan.map_or(made.first, |(_, simulator)| Arc::clone(simulator));
+        let kept = Mutex::new(kept);
+        Ok(Self { first, kept, ..made })
     }
 
     /// A scene, and the simulator of its spectra. Without colour, the scene borrows its image.
@@ -118,8 +135,11 @@ impl<T: ConvReal> Simulators<T> {
                 Some((_, image)) => ImageView::new(image).map_err(Failure::of("scene"))?.into(),
                 None => Scene::dark(),
             };
-            let scene = scene.with_stars(sources.0.stars());
-            return Ok((Arc::clone(&self.first), scene.with_galaxies(sources.0.galaxies())));
+            let scene = scene.with_stars(sources.catalog.stars());
+            return Ok((
+                Arc::clone(&self.first),
+                scene.with_galaxies(sources.catalog.galaxies()),
+            ));
         }
         let light = light_of_scene(self.colour.as_ref(), images, sources)?;
         let simulator = self.of_spectra(&light)?;
@@ -132,11 +152,13 @@ impl<T: ConvReal> Simulators<T> {
             return Ok(Arc::clone(&self.first));
         };
         let lock = || self.kept.lock().unwrap_or_else(PoisonError::into_inner);
-        let find = |kept: &[Kept<T>]| {
-            let same = kept.iter().find(|(spectra, _)| spectra == light.spectra());
-            same.map(|(_, simulator)| Arc::clone(simulator))
+        // Moves the simulator to the front.
+        let find = |kept: &mut Vec<Kept<T>>| {
+            let place = kept.iter().position(|(spectra, _)| spectra == light.spectra())?;
+            kept[..=place].rotate_right(1);
+            Some(Arc::clone(&kept[0].1))
         };
-        if let Some(simulator) = find(&lock()) {
+        if let Some(simulator) = find(&mut lock()) {
             return Ok(simulator);
         }
         let (shape, options) = (self.first.scene_shape(), self.first.options().clone());
@@ -144,7 +166,7 @@ impl<T: ConvReal> Simulators<T> {
         let made = psf.simulator((shape.ny(), shape.nx())).options(options).build()?;
         let mut kept = lock();
         // Another thread may have made it meanwhile.
-        if let Some(simulator) = find(&kept) {
+        if let Some(simulator) = find(&mut kept) {
             return Ok(simulator);
         }
         let simulator = Arc::new(made);

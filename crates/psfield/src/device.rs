@@ -28,8 +28,7 @@ pub(crate) fn place<T: ConvReal>(
 ) -> Result<(Engine<T>, Placement), PsfieldError> {
     if plan.models().len() > 1 {
         if options.device == Device::Gpu {
-            const LAYERS: &str =
-                "images of several spectra are convolved on the CPU: choose the device cpu or auto";
+            const LAYERS: &str = "images of several layers, such as spectra, are convolved on the CPU: choose the device cpu or auto";
             return Err(PsfieldError::of_setting("device", LAYERS));
         }
         return Ok((Engine::new(plan), Placement::cpu(CpuReason::Spectra)));

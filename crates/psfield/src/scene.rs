@@ -2,10 +2,10 @@
 
 use std::borrow::Cow;
 use std::fmt;
-use std::sync::Arc;
 
+use conv_core::Light;
 use ndarray::Array2;
-use psf_types::{DataError, Image, ImageView, LightProfile, PointSource, Position, Real, SersicSource};
+use psf_types::{DataError, Image, ImageView, PointSource, Position, Real, SersicSource};
 
 /// The light before the PSF: an image `[y, x]` in flux per pixel, stars, galaxies, sources with profiles of
 /// the caller's own, or any combination of these.
@@ -61,13 +61,13 @@ pub struct Layer<'a, T = f64> {
     profiles: Cow<'a, [ProfileSource]>,
 }
 
-/// A source with a profile of the caller's own: any light on the sky that is a [`LightProfile`].
+/// A source with a profile of the caller's own: any light on the sky that is a [`LightProfile`](psf_types::LightProfile).
 #[derive(Clone)]
 pub struct ProfileSource {
     /// Position and flux.
     pub point: PointSource,
     /// The light, for a flux of 1.
-    pub light: Arc<dyn LightProfile + Send + Sync>,
+    pub light: Light,
 }
 
 impl fmt::Debug for ProfileSource {

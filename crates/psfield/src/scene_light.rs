@@ -36,6 +36,8 @@ pub struct SceneLight<T> {
     numbers: HashMap<String, usize>,
     /// One for each layer.
     images: Vec<LayerImage<T>>,
+    /// There is light without a spectrum.
+    plain: bool,
     catalog: Catalog,
     /// For each source of the catalogue, its layers and the parts of its flux. Empty: all sources are in the
     /// first layer.
@@ -67,6 +69,7 @@ impl<T: ConvReal> SceneLight<T> {
             spectra: Vec::new(),
             numbers: HashMap::new(),
             images: vec![LayerImage::None],
+            plain: false,
             catalog: Catalog::default(),
             parts: Vec::new(),
         }
@@ -90,6 +93,7 @@ impl<T: ConvReal> SceneLight<T> {
     /// The number of a spectrum's layer. Adds the spectrum, unless it is known.
     fn layer(&mut self, spectrum: Option<&str>) -> usize {
         let Some(name) = spectrum else {
+            self.plain = true;
             return 0;
         };
         if let Some(&number) = self.numbers.get(name) {
@@ -100,6 +104,15 @@ impl<T: ConvReal> SceneLight<T> {
         self.spectra.push(name.to_owned());
         self.images.resize(number + 1, LayerImage::None);
         number
+    }
+
+    /// Returns an error if only some of the light has spectra.
+    fn check_spectra(&self) -> Result<(), PsfieldError> {
+        if self.plain && !self.spectra.is_empty() {
+            const SOME: &str = "some of the light has a spectrum, and some has none";
+            return Err(PsfieldError::new(ErrorKind::Data, SOME));
+        }
+        Ok(())
     }
 
     /// Adds an image `[y, x]` to the light of a spectrum.
@@ -136,6 +149,7 @@ impl<T: ConvReal> SceneLight<T> {
 
     /// Sets the sources, without spectra.
     pub fn set_catalog(&mut self, catalog: Catalog) {
+        self.plain |= !catalog.rows().is_empty();
         (self.catalog, self.parts) = (catalog, Vec::new());
     }
 
@@ -185,6 +199,30 @@ impl<T: ConvReal> SceneLight<T> {
         Ok(())
     }
 
+    /// Puts the spectra in the order of their names. Light of the same spectra then has equal PSFs
+    /// ([`psf_of`](Self::psf_of)), and can have the same simulator, however it was added.
+    pub fn sort_spectra(&mut self) {
+        let mut order: Vec<usize> = (0..self.spectra.len()).collect();
+        order.sort_by(|&a, &b| self.spectra[a].cmp(&self.spectra[b]));
+        let mut place = vec![0; order.len()];
+        for (new, &old) in order.iter().enumerate() {
+            place[old] = new;
+        }
+        if !order.is_empty() {
+            let image = |&old: &usize| std::mem::replace(&mut self.images[old], LayerImage::None);
+            self.images = order.iter().map(image).collect();
+        }
+        self.spectra = order.iter().map(|&old| self.spectra[old].clone()).collect();
+        for number in self.numbers.values_mut() {
+            *number = place[*number];
+        }
+        for (layer, _) in self.parts.iter_mut().flatten() {
+            if let Some(&new) = place.get(*layer) {
+                *layer = new;
+            }
+        }
+    }
+
     /// The PSFs of the spectra, one state for each, in their order. `psf` depends
     /// on the wavelength. `dispersion` is that of the atmosphere, if it matters.
     ///
@@ -197,6 +235,7 @@ impl<T: ConvReal> SceneLight<T> {
         bandpass: &Bandpass,
         dispersion: Option<&Dispersion>,
     ) -> Result<Psf, PsfieldError> {
+        self.check_spectra()?;
         if self.spectra.is_empty() {
             const NO_LIGHT: &str = "the scene has no light: add an image or sources";
             return Err(PsfieldError::new(ErrorKind::Data, NO_LIGHT));
@@ -216,11 +255,13 @@ impl<T: ConvReal> SceneLight<T> {
     /// The scene, with a layer for each spectrum.
     ///
     /// # Errors
-    /// [`ErrorKind::Data`] for an image with a value that is not finite.
+    /// [`ErrorKind::Data`] for an image with a value that is not finite, and if only some of the light has
+    /// spectra.
     pub fn into_scene<'a>(self) -> Result<Scene<'a, T>, PsfieldError>
     where
         T: 'a,
     {
+        self.check_spectra()?;
         let mut sources = LayerSources::new(self.images.len());
         for (place, source) in sources_of(&self.catalog).enumerate() {
             for (layer, part) in self.layers_of(place) {
@@ -243,15 +284,16 @@ impl<T: ConvReal> SceneLight<T> {
     /// The images of all layers, for scenes that differ in their sources.
     ///
     /// # Errors
-    /// [`ErrorKind::Data`] for an image with a value that is not finite.
-    ///
-    /// # Panics
-    /// For an image that is read row by row.
+    /// [`ErrorKind::Data`] for an image with a value that is not finite, and for one that is read row by row.
     pub(crate) fn take_images(&mut self) -> Result<Vec<Option<Image<T>>>, PsfieldError> {
+        self.check_spectra()?;
         let images = self.images.drain(..).map(|image| match image {
             LayerImage::None => Ok(None),
             LayerImage::InMemory(image) => Ok(Some(Image::new(image)?)),
-            LayerImage::Streamed => unreachable!("a series reads its images into memory"),
+            LayerImage::Streamed => {
+                const IN_MEMORY: &str = "the images of a series are in memory, not read row by row";
+                Err(PsfieldError::new(ErrorKind::Data, IN_MEMORY))
+            }
         });
         images.collect()
     }
@@ -369,6 +411,38 @@ fn parts(nodes: &[f64], t: f64) -> Vec<(usize, f64)> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn spectra_are_sorted_with_their_light() {
+        let mut light = SceneLight::<f64>::new();
+        for (name, value) in [("powerlaw:2", 2.0), ("powerlaw:1", 1.0), ("powerlaw:3", 3.0)] {
+            light
+                .add_image(Some(name), Array2::from_elem((2, 3), value))
+                .unwrap();
+        }
+        let star = PointSource::new(Position::new(1.0, 1.0).unwrap(), 5.0).unwrap();
+        let catalog = Catalog::new(vec![star], Vec::new());
+        light
+            .set_catalog_with_spectra(catalog, Some("powerlaw:3"), Path::new(""))
+            .unwrap();
+        light.sort_spectra();
+        assert_eq!(light.spectra(), ["powerlaw:1", "powerlaw:2", "powerlaw:3"]);
+        light.add_image(Some("powerlaw:1"), Array2::ones((2, 3))).unwrap();
+        let scene = light.into_scene().unwrap();
+        let first = |layer: &crate::scene::Layer<'_, f64>| layer.image().unwrap().pixels()[(0, 0)];
+        let values: Vec<f64> = scene.layers().iter().map(first).collect();
+        assert_eq!(values, [2.0, 2.0, 3.0]);
+        let stars: Vec<usize> = scene.layers().iter().map(|layer| layer.stars().len()).collect();
+        assert_eq!(stars, [0, 0, 1]);
+    }
+
+    #[test]
+    fn light_with_and_without_a_spectrum_is_refused() {
+        let mut light = SceneLight::<f64>::new();
+        light.add_image(None, Array2::ones((2, 3))).unwrap();
+        light.add_image(Some("powerlaw:1"), Array2::ones((2, 3))).unwrap();
+        assert_eq!(light.into_scene().unwrap_err().kind(), ErrorKind::Data);
+    }
 
     #[test]
     fn few_temperatures_are_exact_and_many_are_divided() {

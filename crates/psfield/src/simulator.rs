@@ -22,7 +22,8 @@ use std::sync::{Arc, Mutex, OnceLock};
 use conv_core::{ConvError, ConvReal, ConvolutionMethod, Engine, Operation, PlanSummary, TileCounts};
 use ndarray::{Array2, ArrayViewMut2};
 use psf_types::{
-    DataError, FrameShape, Image, ImageView, NoProgress, PixelRegion, Progress, PsfModel, StateKind,
+    DataError, FrameShape, Image, ImageView, NoProgress, PixelRegion, Progress, PsfModel, SampleStates,
+    StateKind,
 };
 
 use crate::device::{GpuSeconds, Placement};
@@ -84,7 +85,7 @@ pub use warnings::SimulationWarning;
 pub struct Simulator<T: ConvReal> {
     shared: Arc<Shared<T>>,
     setup: Setup,
-    /// Convolve the images of some layers, made when a scene first needs them.
+    /// Convolve the images of some layers, made when a scene first needs them. The latest few are kept.
     convolvers: Mutex<Vec<OfLayers<T>>>,
 }
 
@@ -144,7 +145,7 @@ pub struct Preparation<'a> {
 }
 
 /// The image of a layer, or a part of it, and the column and the row of the scene at which it begins.
-type Light<'a, T> = (ImageView<'a, T>, (usize, usize));
+type LitImage<'a, T> = (ImageView<'a, T>, (usize, usize));
 
 impl<T: ConvReal> Simulator<T> {
     /// The largest number of pixels of a scene without an image: 4 GiB in f32. A larger number is
@@ -176,7 +177,8 @@ impl<T: ConvReal> Simulator<T> {
         self.setup.geometry.frame
     }
 
-    /// The number of layers that scenes have: that of the PSF's states, or 1.
+    /// The number of layers that scenes have: one for each state of the PSF, or 1. An exposure with trails has
+    /// further layers.
     pub fn layer_count(&self) -> usize {
         self.shared.parts.iter().map(|part| part.layer_count()).sum()
     }
@@ -376,11 +378,14 @@ impl<T: ConvReal> Simulator<T> {
         drawn
     }
 
-    /// Times of the last convolution on a GPU, in seconds. None if the processor convolves images,
-    /// or before the first convolution.
+    /// Times of the last convolution on a GPU, in seconds, by the newest plan. None if the processor convolves
+    /// images, or before the first convolution.
     pub fn gpu_seconds(&self) -> Option<GpuSeconds> {
         let kept = self.kept_convolvers();
-        let mut engines = kept.iter().filter_map(|(_, convolver)| convolver.engine.as_ref());
+        let mut engines = kept
+            .iter()
+            .rev()
+            .filter_map(|(_, convolver)| convolver.engine.as_ref());
         engines.find_map(GpuSeconds::of_last)
     }
 
@@ -388,7 +393,7 @@ impl<T: ConvReal> Simulator<T> {
     fn check_scene(&self, scene: &Scene<'_, T>) -> Result<(), PsfieldError> {
         let (expected, got) = (self.layer_count(), scene.layers().len());
         if expected != got {
-            let kind = self.psf().states().map(|states| states.kind());
+            let kind = self.psf().states().map(SampleStates::kind);
             if got == 1 && kind.is_some_and(|kind| kind != StateKind::Spectrum) {
                 return Err(self.psf().several_states());
             }
@@ -425,7 +430,7 @@ impl<T: ConvReal> Simulator<T> {
         &self,
         scene: &'a Scene<'_, T>,
         progress: &dyn Progress,
-    ) -> Result<Vec<Light<'a, T>>, PsfieldError> {
+    ) -> Result<Vec<LitImage<'a, T>>, PsfieldError> {
         let with_image = scene.layers().iter().filter(|layer| layer.has_image());
         let light = with_image.map(|layer| match layer.image() {
             Some(image) => self.light(image, scene, progress),
@@ -442,7 +447,7 @@ impl<T: ConvReal> Simulator<T> {
         image: &'a ImageView<'_, T>,
         scene: &Scene<'_, T>,
         progress: &dyn Progress,
-    ) -> Result<Light<'a, T>, PsfieldError> {
+    ) -> Result<LitImage<'a, T>, PsfieldError> {
         let (whole, mut first) = (self.setup.geometry.shape, (0, 0));
         if image.shape() != whole {
             let part = self.light_region_of(&scene.layers_with_image(), progress)?;

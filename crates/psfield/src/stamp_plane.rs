@@ -6,7 +6,7 @@ use std::sync::Arc;
 use ndarray::parallel::prelude::*;
 use ndarray::{Array2, ArrayView2, s};
 use psf_types::StampGrid;
-use psf_types::maths::sinc;
+use psf_types::maths::{sinc, smooth_size};
 use rustfft::num_complex::Complex64;
 use rustfft::{Fft, FftPlanner};
 
@@ -85,11 +85,7 @@ impl StampPlane {
     /// and columns.
     pub(crate) fn new(room: (usize, usize), step: usize) -> Self {
         let mut planner = FftPlanner::new();
-        let size = [room.0, room.1].map(|n| {
-            let n = n.div_ceil(step);
-            let mut sizes = n..=n.next_power_of_two();
-            sizes.find(|&n| is_smooth(n)).unwrap_or(n) * step
-        });
+        let size = [room.0, room.1].map(|n| smooth_size(n, step, 5));
         let steps = size.map(|n| [planner.plan_fft_forward(n), planner.plan_fft_inverse(n)]);
         Self { room, size, steps }
     }
@@ -223,14 +219,4 @@ impl StampPlane {
 fn frequency(k: usize, n: usize) -> f64 {
     let k = if 2 * k < n { k as f64 } else { k as f64 - n as f64 };
     k / n as f64
-}
-
-/// Returns whether a number has no prime factor above 5, so that its transforms are fast.
-fn is_smooth(mut n: usize) -> bool {
-    for p in [2, 3, 5] {
-        while n.is_multiple_of(p) {
-            n /= p;
-        }
-    }
-    n == 1
 }

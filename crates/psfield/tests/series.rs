@@ -11,7 +11,7 @@ use psfield::psf_types::{
 };
 use psfield::series::{Exposures, LightCurves, Pointing, PointingPath, Series, SeriesExposure, SeriesFrames};
 use psfield::spectra::{Bandpass, Curve};
-use psfield::{Motion, SceneLight, SpotCheck};
+use psfield::{ErrorKind, Method, Motion, SceneLight, SpotCheck};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -550,4 +550,53 @@ fn a_series_in_colour_is_the_sum_of_its_spectra() {
         let error = largest_difference(&found.pixels().to_owned(), &expected);
         assert!(error < 10.0 * TOLERANCE, "{number}: {error:e}");
     }
+}
+
+#[test]
+fn large_stamps_hold_the_trail_of_fast_light() {
+    let mut pixels = Array2::zeros(FRAME);
+    pixels[(45, 30)] = 100.0;
+    let image = Image::new(pixels).unwrap();
+    let psf = psf(None, &[1.1], 1.0);
+    let drift = Pointing {
+        drift_px_per_s: [4.0, 0.0],
+        ..Pointing::default()
+    };
+    let image_with = |stamp_size| {
+        let series = Series {
+            pointing: drift.clone(),
+            ..series(Exposures::regular(1, 10.0, 10.0).unwrap())
+        };
+        let options = SimulateOptions {
+            stamp_size,
+            ..options()
+        };
+        let light = (Some(image.clone()), Catalog::default());
+        let mut frames = frames_of::<f64>(&psf, FRAME, options, series, light).unwrap();
+        image_of(&frames.exposure(0, &NoProgress).unwrap()).into_pixels()
+    };
+    let (own, large) = (image_with(None), image_with(Some(1000)));
+    assert!((large.sum() - 100.0).abs() < 1e-3, "{}", large.sum());
+    let error = largest_difference(&own, &large);
+    assert!(error < 2.0 * TOLERANCE, "{error:e}");
+}
+
+#[test]
+fn a_series_refuses_what_it_cannot_do() {
+    let psf = psf(None, &[1.1], 1.0);
+    let one = || series(Exposures::regular(1, 10.0, 10.0).unwrap());
+    let of = |options, light| SeriesFrames::<f64>::new(&psf, FRAME, options, one(), light);
+    let own = SimulateOptions {
+        method: Method::Own,
+        ..options()
+    };
+    let error = of(own, SceneLight::new()).unwrap_err();
+    assert_eq!(
+        (error.kind(), error.setting()),
+        (ErrorKind::Setting, Some("method"))
+    );
+    let mut streamed = SceneLight::new();
+    streamed.add_streamed(None);
+    let error = of(options(), streamed).unwrap_err();
+    assert!(error.to_string().contains("not read row by row"), "{error}");
 }

@@ -20,7 +20,7 @@ use num_complex::Complex64;
 use crate::half_light::half_light_constant;
 
 /// The table begins and ends at these powers of two of the squared wavenumber. Below, the transform
-/// is 1 but for 1e-5, even for `n = 8`. Above, it is below 1e-7.
+/// is 1 to within 1e-5, even for `n = 8`. Above, it is below 1e-7.
 const OCTAVES: [i32; 2] = [-36, 34];
 /// Number of polynomials: one for each factor of two in the squared wavenumber.
 const PIECES: usize = (OCTAVES[1] - OCTAVES[0]) as usize;
@@ -304,7 +304,7 @@ impl Line {
     }
 }
 
-/// The logarithm of the gamma function, but for multiples of `2 pi i`: Stirling's series, after a
+/// The logarithm of the gamma function, except for multiples of `2 pi i`: Stirling's series, after a
 /// shift to a large argument.
 fn ln_gamma(z: Complex64) -> Complex64 {
     // Coefficients B_2m / (2m (2m - 1)) of Stirling's series.

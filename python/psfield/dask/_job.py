@@ -143,7 +143,7 @@ def scene_of(job: Mapping[str, Any]) -> tuple[Any, Any]:
     elif callable(scene):
         scene = _call(scene, job)
     if is_images(scene):
-        return scene, None
+        return {name: plain(image, f"scene[{name!r}]") for name, image in scene.items()}, None
     pixels = plain(scene, "scene")
     if pixels.ndim != 2:
         raise ValueError(f"scene must be an array [y, x], got one of shape {pixels.shape}")

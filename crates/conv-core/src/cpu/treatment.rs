@@ -13,7 +13,7 @@ use crate::{ConvError, ConvReal};
 
 /// Statistics of the light of a tile.
 #[derive(Debug, Clone, Copy, PartialEq)]
-struct Light {
+struct TileLight {
     /// Pixels that are not zero.
     lit: usize,
     /// The largest absolute value.
@@ -57,8 +57,8 @@ impl<T: ConvReal> Look<T> {
         self.total += sums.iter().map(|v| v.as_f64()).sum::<f64>();
     }
 
-    fn light(&self) -> Light {
-        Light {
+    fn light(&self) -> TileLight {
+        TileLight {
             lit: self.lit.iter().map(|&n| n as usize).sum(),
             largest: self.largest.iter().map(|v| v.as_f64()).fold(0.0, f64::max),
             total: self.total,
@@ -94,7 +94,7 @@ fn take_bright<T: ConvReal>(
     plane: &mut [T],
     pitch: usize,
     (rows, columns): (usize, usize),
-    light: Light,
+    light: TileLight,
     most: usize,
 ) -> Vec<LitPixel<T>> {
     let pixels = rows * columns;
@@ -180,7 +180,7 @@ pub(crate) enum TileMethod {
 
 /// Scales a tile's light to values near 1, in place, if transforms would overflow or underflow in
 /// the working precision. Returns the power of two that scales the result back.
-fn rescale<T: ConvReal>(light: &mut Light, plane: &mut [T]) -> Option<T> {
+fn rescale<T: ConvReal>(light: &mut TileLight, plane: &mut [T]) -> Option<T> {
     let scale = Rescaling::<T>::for_largest(light.largest)?;
     for value in plane {
         *value *= scale.down;
@@ -195,7 +195,7 @@ fn rescale<T: ConvReal>(light: &mut Light, plane: &mut [T]) -> Option<T> {
 /// size of the light and `tile` the size of the tile. Drawing one pixel costs `draw` seconds.
 fn choose<T: ConvReal>(
     pass: &LightPass<'_, T>,
-    light: Light,
+    light: TileLight,
     (columns, rows): (usize, usize),
     tile: (usize, usize),
     (kernels, draw): (usize, f64),
@@ -389,7 +389,7 @@ pub(crate) fn each_tile<T: ConvReal, S: Lanes<T>>(
 mod tests {
     use super::*;
 
-    fn look(plane: &[f32], pitch: usize, (rows, columns): (usize, usize)) -> Light {
+    fn look(plane: &[f32], pitch: usize, (rows, columns): (usize, usize)) -> TileLight {
         let mut look = Look::new();
         for row in plane.chunks(pitch).take(rows) {
             look.add_row(&row[..columns.next_multiple_of(LANES).min(pitch)]);

@@ -5,7 +5,7 @@ use psf_types::{Anchor, FrameShape, LightProfile, Position, ToleranceOn};
 use rayon::prelude::*;
 
 use super::far_field::farthest_edge;
-use super::galaxy_drawer::{Catalogue, GalaxyDrawer, Window, window_at};
+use super::galaxy_drawer::{ExtendedToDraw, GalaxyDrawer, Window, window_at};
 use super::kernels::Kernels;
 use super::power_spectrum::Outline;
 use super::real_space::{Integrator, Sky, corner_radius, radius_of};
@@ -30,6 +30,7 @@ const TRANSFORM: f64 = 3e-7;
 const LARGEST_PSF_FLUX: f64 = 2.0;
 /// Galaxies whose light in single pixels is computed before it is added.
 const GALAXIES_AT_ONCE: usize = 256;
+
 /// The largest errors of a galaxy in a pixel.
 #[derive(Debug, Clone, Copy)]
 pub struct GalaxyErrors {
@@ -48,7 +49,7 @@ impl<T: ConvReal> GalaxyDrawer<T> {
     /// farther away.
     pub(crate) fn at_pixels(
         &self,
-        catalogue: Catalogue<'_>,
+        catalogue: ExtendedToDraw<'_>,
         pixels: &[(usize, usize)],
     ) -> Result<Vec<f64>, ConvError> {
         let mut sums = vec![0.0; pixels.len()];
@@ -74,7 +75,7 @@ impl<T: ConvReal> GalaxyDrawer<T> {
     fn integrals(
         &self,
         integrator: &Integrator<'_>,
-        catalogue: Catalogue<'_>,
+        catalogue: ExtendedToDraw<'_>,
         index: usize,
         pixels: &[(usize, usize)],
     ) -> Result<Vec<f64>, ConvError> {
@@ -135,7 +136,7 @@ impl<T: ConvReal> GalaxyDrawer<T> {
     /// tolerance: its L2 norm, and its flux if the tolerance holds on apertures.
     pub(crate) fn errors_at_pixels(
         &self,
-        catalogue: Catalogue<'_>,
+        catalogue: ExtendedToDraw<'_>,
         pixels: &[(usize, usize)],
         rounding: f64,
         mut take: impl FnMut(usize, GalaxyErrors),

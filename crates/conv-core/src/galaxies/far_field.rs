@@ -262,7 +262,7 @@ impl<'a, T: ConvReal> Square<'a, T> {
     }
 
     /// Adds the light of a galaxy in a square of `count` periods along each axis around the period
-    /// `(i, j)`, but for the galaxy's own window `(0, 0)`. Far from the galaxy, a few points stand for
+    /// `(i, j)`, except the galaxy's own window `(0, 0)`. Far from the galaxy, a few points stand for
     /// all periods of a group.
     fn add_periods(&mut self, galaxy: &FarLight, (i, j): (i64, i64), count: i64) {
         let Some(limits) = &self.repeated else { return };

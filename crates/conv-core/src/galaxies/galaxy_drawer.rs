@@ -8,7 +8,7 @@ use rayon::prelude::*;
 
 use super::extent::{Extent, truncate};
 use super::far_field::{BlockWeights, FarLight, SMALLEST, add_far_light};
-use super::kernels::{Kernels, Stamps};
+use super::kernels::{Kernels, ModelStamps};
 use super::power_spectrum::Outline;
 use super::window::{Drawn, Spectra, WindowDrawer};
 use crate::image_memory::{check_shape, with_rows_in_memory};
@@ -32,16 +32,16 @@ pub(crate) struct GalaxyDrawer<T> {
 #[derive(Debug)]
 pub(super) struct Shared<T> {
     /// Made when the first galaxy is drawn.
-    stamps: Arc<OnceLock<Stamps>>,
+    stamps: Arc<OnceLock<ModelStamps>>,
     pub(super) tolerance: f64,
     pub(super) extent: Extent,
-    blocks: Kept<BlockKey, Block>,
+    blocks: Kept<BlockKey, DrawingBlock>,
     spectra: Kept<GroupKey, Spectra<T>>,
 }
 
 /// A block of the field with its local basis.
 #[derive(Debug)]
-struct Block {
+struct DrawingBlock {
     modes: LocalModes,
     kernels: Kernels,
 }
@@ -103,13 +103,13 @@ impl std::fmt::Debug for ExtendedSources<'_> {
 
 /// Extended sources, and the frame, which is a region of the scene.
 #[derive(Clone, Copy)]
-pub(crate) struct Catalogue<'a> {
+pub(crate) struct ExtendedToDraw<'a> {
     pub(crate) sources: ExtendedSources<'a>,
     pub(crate) frame: PixelRegion,
     pub(crate) progress: &'a dyn Progress,
 }
 
-impl Catalogue<'_> {
+impl ExtendedToDraw<'_> {
     /// A galaxy's position in pixels of the frame.
     pub(super) fn position(&self, index: usize) -> (f64, f64) {
         let at = self.sources.points[index].position();
@@ -132,7 +132,7 @@ impl<T: ConvReal> GalaxyDrawer<T> {
     }
 
     /// A drawer on stamps, with local bases of its own.
-    fn on_stamps(psfs: &SourcePsfs, extent: Extent, stamps: Arc<OnceLock<Stamps>>) -> Self {
+    fn on_stamps(psfs: &SourcePsfs, extent: Extent, stamps: Arc<OnceLock<ModelStamps>>) -> Self {
         let options = psfs.options();
         let shared = Shared {
             stamps,
@@ -160,7 +160,7 @@ impl<T: ConvReal> GalaxyDrawer<T> {
         Self::on_stamps(psfs, self.shared.extent, Arc::clone(&self.shared.stamps))
     }
 
-    pub(super) fn stamps(&self) -> &Stamps {
+    pub(super) fn stamps(&self) -> &ModelStamps {
         self.shared.stamps.get_or_init(|| {
             let psfs = &self.psfs;
             let (grid, mut stamps) = (psfs.model.grid(), psfs.space().stamps());
@@ -169,14 +169,14 @@ impl<T: ConvReal> GalaxyDrawer<T> {
                     .outer_iter_mut()
                     .for_each(|stamp| truncate(stamp, grid, size));
             }
-            Stamps::new(stamps, grid, psfs.options().memory_bytes() / PARTS_OF_MEMORY)
+            ModelStamps::new(stamps, grid, psfs.options().memory_bytes() / PARTS_OF_MEMORY)
         })
     }
 
     /// Adds galaxies to a part of an image.
     pub(crate) fn draw_into(
         &self,
-        catalogue: Catalogue<'_>,
+        catalogue: ExtendedToDraw<'_>,
         region: PixelRegion,
         image: ArrayViewMut2<'_, T>,
     ) -> Result<(), ConvError> {
@@ -186,7 +186,7 @@ impl<T: ConvReal> GalaxyDrawer<T> {
 
     fn draw_catalogue(
         &self,
-        catalogue: Catalogue<'_>,
+        catalogue: ExtendedToDraw<'_>,
         region: PixelRegion,
         mut image: ArrayViewMut2<'_, T>,
     ) -> Result<(), ConvError> {
@@ -244,7 +244,7 @@ impl<T: ConvReal> GalaxyDrawer<T> {
     /// galaxies with light outside their windows.
     fn draw_group(
         &self,
-        catalogue: Catalogue<'_>,
+        catalogue: ExtendedToDraw<'_>,
         group: &[Placed],
         region: PixelRegion,
     ) -> Result<(Vec<Piece<T>>, Vec<FarLight>), ConvError> {
@@ -349,7 +349,7 @@ impl<T: ConvReal> GalaxyDrawer<T> {
         Ok(Psf::Exact(vectors.psf * scale))
     }
 
-    fn block(&self, key: BlockKey) -> Arc<Block> {
+    fn block(&self, key: BlockKey) -> Arc<DrawingBlock> {
         let make = || {
             let (region, space) = (region_of(key, BLOCK), self.psfs.space());
             let cells = space.cells_for_sources(region, self.shared.tolerance);
@@ -369,7 +369,7 @@ impl<T: ConvReal> GalaxyDrawer<T> {
                 typical.view(),
                 self.shared.extent.accuracy(),
             );
-            Block { modes, kernels }
+            DrawingBlock { modes, kernels }
         };
         self.shared.blocks.get(key, make, |_| 0)
     }
@@ -402,7 +402,7 @@ impl<T: ConvReal> GalaxyDrawer<T> {
 
 /// The local PSFs of a block, transformed for windows of one side.
 struct Local<T> {
-    block: Arc<Block>,
+    block: Arc<DrawingBlock>,
     spectra: Arc<Spectra<T>>,
 }
 
@@ -410,7 +410,7 @@ struct Local<T> {
 enum Psf<'a, T> {
     /// The coefficients of the local PSFs.
     Local(&'a Local<T>, Vec<f64>),
-    /// The PSF of all components, as a vector of [`PsfSpace`].
+    /// The PSF of all components, as a vector of the model's space of PSFs.
     Exact(Array1<f64>),
 }
 

@@ -15,7 +15,7 @@ use crate::kept::Kept;
 
 /// The stamps that combine to all PSFs of a model.
 #[derive(Debug)]
-pub(super) struct Stamps {
+pub(super) struct ModelStamps {
     grid: StampGrid,
     /// `[stamp, pixel]`.
     values: Array2<f64>,
@@ -57,7 +57,7 @@ impl Transforms {
     }
 }
 
-/// PSFs as combinations of a model's [`Stamps`], and the properties that decide how a galaxy is
+/// PSFs as combinations of a model's [`ModelStamps`], and the properties that decide how a galaxy is
 /// drawn through them.
 #[derive(Debug)]
 pub(super) struct Kernels {
@@ -70,7 +70,7 @@ pub(super) struct Kernels {
 /// Moments of a stamp about its centre, in frame pixels: flux, x, y, xx, xy, yy.
 pub(super) type Moments = [f64; 6];
 
-impl Stamps {
+impl ModelStamps {
     /// The stamps `[stamp, pixel]`. Transforms of windows are kept up to the given memory.
     pub(super) fn new(values: Array2<f64>, grid: StampGrid, memory_bytes: usize) -> Self {
         let copies = CopiesOfPower::new(grid);
@@ -164,7 +164,7 @@ impl Kernels {
     /// are combined. `typical` is one of the combinations. Light at wavenumbers that are left out is
     /// at most `accuracy` of this one, in the L2 norm.
     pub(super) fn new(
-        stamps: &Stamps,
+        stamps: &ModelStamps,
         directions: Array2<f64>,
         largest: &[f64],
         typical: ArrayView1<'_, f64>,

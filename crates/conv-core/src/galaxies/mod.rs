@@ -25,5 +25,5 @@ mod spectrum;
 mod window;
 
 pub use all_components::GalaxyErrors;
-pub(crate) use galaxy_drawer::{Catalogue, GalaxyDrawer};
 pub use galaxy_drawer::{ExtendedSources, Light};
+pub(crate) use galaxy_drawer::{ExtendedToDraw, GalaxyDrawer};

@@ -10,6 +10,7 @@ use std::sync::Arc;
 
 use ndarray::parallel::prelude::*;
 use ndarray::{Array2, ArrayView1, ArrayView2, ArrayViewMut1, Axis, s};
+use psf_types::maths::smooth_size;
 use psf_types::{Cancelled, Progress};
 use realfft::{ComplexToReal, RealFftPlanner, RealToComplex};
 use rustfft::num_complex::Complex;
@@ -41,7 +42,7 @@ pub(crate) struct RealFft2<'a, T: ConvReal> {
 impl<'a, T: ConvReal> RealFft2<'a, T> {
     /// Transforms of planes of at least `rows x columns`, enlarged to sizes with fast transforms.
     pub(crate) fn at_least(rows: usize, columns: usize, progress: &'a dyn Progress) -> Self {
-        let (rows, columns) = (fast_size(rows), fast_size(columns));
+        let (rows, columns) = (smooth_size(rows, 2, 7), smooth_size(columns, 2, 7));
         let mut real = RealFftPlanner::new();
         let mut complex = FftPlanner::new();
         Self {
@@ -184,43 +185,11 @@ impl<'a, T: ConvReal> RealFft2<'a, T> {
     }
 }
 
-/// The smallest even size of at least `n` with no prime factor above 7.
-fn fast_size(n: usize) -> usize {
-    let smooth = |mut m: usize| {
-        for p in [2, 3, 5, 7] {
-            while m.is_multiple_of(p) {
-                m /= p;
-            }
-        }
-        m == 1
-    };
-    let mut size = n.max(2).next_multiple_of(2);
-    while !smooth(size) {
-        size += 2;
-    }
-    size
-}
-
 #[cfg(test)]
 mod tests {
     use psf_types::NoProgress;
 
     use super::*;
-
-    #[test]
-    fn fast_sizes_are_the_smallest_smooth_ones() {
-        for (n, size) in [
-            (1, 2),
-            (2, 2),
-            (11, 12),
-            (97, 98),
-            (1055, 1080),
-            (2079, 2100),
-            (9248, 9408),
-        ] {
-            assert_eq!(fast_size(n), size, "{n}");
-        }
-    }
 
     /// Sizes below and above the limit for threads, with a dirty spectrum.
     #[test]

@@ -95,7 +95,7 @@ impl<T: ConvReal> Phased<T> {
 
 /// Stars, with positions in pixels of a scene, and the frame, which is a region of the scene.
 #[derive(Clone, Copy)]
-pub(crate) struct Catalogue<'a> {
+pub(crate) struct StarsToDraw<'a> {
     pub(crate) stars: &'a [PointSource],
     pub(crate) frame: PixelRegion,
     pub(crate) progress: &'a dyn Progress,
@@ -130,7 +130,7 @@ pub(super) struct DrawBlocks<'a, T> {
 pub(super) struct BlockDrawer<'a, T> {
     pub(super) psfs: &'a SourcePsfs,
     pub(super) phased: &'a Phased<T>,
-    pub(super) catalogue: Catalogue<'a>,
+    pub(super) catalogue: StarsToDraw<'a>,
     /// The pixels that a star may light, relative to its own pixel.
     pub(super) window: PixelRegion,
     /// The pixels of the frame that are drawn.
@@ -172,7 +172,7 @@ impl<T: ConvReal> BlockDrawer<'_, T> {
     /// The stars whose light may reach the region, and all other stars of their blocks that reach the
     /// frame, sorted by block. So the stars of a block do not depend on the region.
     fn sorted(&self) -> Vec<StarKey> {
-        let Catalogue { stars, frame, .. } = self.catalogue;
+        let StarsToDraw { stars, frame, .. } = self.catalogue;
         let (side, whole) = (self.phased.spreader.side, frame.shape().region());
         let mut keys: Vec<StarKey> = stars
             .par_iter()

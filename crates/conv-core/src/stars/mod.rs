@@ -22,6 +22,6 @@ mod spread;
 mod star_block;
 mod star_drawer;
 
-pub(crate) use draw_blocks::Catalogue;
+pub(crate) use draw_blocks::StarsToDraw;
 pub use painter::StarPainter;
 pub(crate) use star_drawer::StarDrawer;

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use ndarray::ArrayViewMut2;
 use psf_types::{Anchor, PixelRegion, PointSource};
 
-use super::draw_blocks::{BlockDrawer, Catalogue, DrawBlocks, Phased};
+use super::draw_blocks::{BlockDrawer, DrawBlocks, Phased, StarsToDraw};
 use super::painter::{StarPainter, StarStamps};
 use super::phases::PhasedAxis;
 use crate::image_memory::{check_shape, with_rows_in_memory};
@@ -66,7 +66,7 @@ impl<T: ConvReal> StarDrawer<T> {
     pub(crate) fn draw_into(
         &self,
         psfs: &SourcePsfs,
-        catalogue: Catalogue<'_>,
+        catalogue: StarsToDraw<'_>,
         region: PixelRegion,
         image: ArrayViewMut2<'_, T>,
     ) -> Result<(), ConvError> {
@@ -77,7 +77,7 @@ impl<T: ConvReal> StarDrawer<T> {
     fn draw_catalogue(
         &self,
         psfs: &SourcePsfs,
-        catalogue: Catalogue<'_>,
+        catalogue: StarsToDraw<'_>,
         region: PixelRegion,
         mut image: ArrayViewMut2<'_, T>,
     ) -> Result<(), ConvError> {

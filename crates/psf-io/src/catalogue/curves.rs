@@ -13,7 +13,7 @@ use crate::units::{in_unit, wavelength_in_um};
 /// The file is a text table (CSV, ECSV or separated by blanks; a line of names and comments with `#`
 /// are optional) or the only table of a FITS file with two columns or more. `unit` is the unit of the
 /// wavelengths: `um`, `nm`, `Angstrom`, `mm` or `m`. If the curve is the `only` one, further columns are an
-/// error, but for those of errors and flags. Without a unit, the file must state the unit: as
+/// error, except those of errors and flags. Without a unit, the file must state the unit: as
 /// `TUNIT` in FITS, as `unit` in ECSV, or in the name of the column (`wavelength_nm`).
 ///
 /// ```

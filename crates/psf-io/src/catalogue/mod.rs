@@ -152,6 +152,18 @@ impl Catalog {
         &self.rows
     }
 
+    /// The same sources, whose table holds some rows of a larger one: row `i` is row `rows[i]` there.
+    ///
+    /// # Panics
+    /// Without a number for each row.
+    #[must_use]
+    pub fn with_rows_of(mut self, rows: &[usize]) -> Self {
+        for row in &mut self.rows {
+            *row = rows[*row];
+        }
+        self
+    }
+
     /// The velocities of the stars, then of the galaxies, along x and y in pixels per second: the
     /// columns `vx` and `vy`. None without these columns, or if they were not asked for
     /// ([`CatalogOptions::with_velocities`]).
@@ -223,7 +235,7 @@ pub fn read_catalog_with(path: impl AsRef<Path>, options: &CatalogOptions) -> Re
 /// values have the units of their roles ([`CatalogOptions::columns_of`]).
 ///
 /// # Errors
-/// The errors of [`read_catalog_with`] but for those of files.
+/// The errors of [`read_catalog_with`], except those of files.
 pub fn catalog_of(table: &MemoryTable, options: &CatalogOptions) -> Result<Catalog, IoError> {
     let path = table.name();
     let columns = options.columns.sources(path, &table.names())?;

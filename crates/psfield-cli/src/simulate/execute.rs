@@ -115,13 +115,13 @@ impl SimulateArgs {
             clock,
             read_seconds: 0.0,
             write_seconds: 0.0,
-            seconds: 0.0,
+            written: Seconds::default(),
         };
         let (counts, spot_check) = simulator.stream(scene, &mut rows, self.checked_pixels(), &bar)?;
         drop(bar);
-        seconds.execute = rows.seconds - rows.read_seconds - rows.write_seconds;
-        seconds.read += rows.read_seconds;
-        seconds.write = rows.write_seconds;
+        seconds.execute = rows.written.execute;
+        seconds.read += rows.written.read;
+        seconds.write = rows.written.write;
         let readers = rows.readers.iter();
         let nan_pixels = readers.map(|(_, reader)| reader.nan_pixels()).sum();
 
@@ -151,11 +151,10 @@ struct FitsRows<T: ConvReal> {
     writer: ImageWriter<T>,
     /// The start of the work.
     clock: Instant,
-    /// Seconds of reading and writing, and of all the work, until the last row was written. A spot check, which
-    /// reads some rows again, does not count.
     read_seconds: f64,
     write_seconds: f64,
-    seconds: f64,
+    /// The seconds until the last row was written. A spot check, which reads some rows again, does not count.
+    written: Seconds,
 }
 
 impl<T: ConvReal> RowStream<T> for FitsRows<T> {
@@ -182,7 +181,13 @@ impl<T: ConvReal> RowStream<T> for FitsRows<T> {
         let clock = Instant::now();
         self.writer.write_rows(rows)?;
         self.write_seconds += clock.elapsed().as_secs_f64();
-        self.seconds = self.clock.elapsed().as_secs_f64();
+        let (read, write) = (self.read_seconds, self.write_seconds);
+        self.written = Seconds {
+            read,
+            write,
+            execute: self.clock.elapsed().as_secs_f64() - read - write,
+            ..Seconds::default()
+        };
         Ok(())
     }
 }

@@ -558,3 +558,38 @@ fn a_job_list_of_0_1_0_gives_the_images_of_0_1_0() {
     assert!(off.clone().all(|(_, d)| d.abs() <= 1.0));
     assert!(off.count() < 8);
 }
+
+/// `tests/compatibility/v0.2.0` holds a list of jobs, a series, their inputs, and the results of psfield 0.2.0.
+#[test]
+fn jobs_and_a_series_of_0_2_0_give_the_images_of_0_2_0() {
+    /// Rounding of images in f32, relative to the peak.
+    const SINGLE: f64 = 1e-6;
+    let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/compatibility/v0.2.0");
+    let desk = Desk::empty();
+    for name in [
+        "jobs.toml",
+        "series.toml",
+        "stars.csv",
+        "band.csv",
+        "samples.fits",
+        "model.fits",
+        "table.fits",
+    ] {
+        desk.write(name, std::fs::read(folder.join(name)).unwrap());
+    }
+    desk.done("batch jobs.toml -q");
+    desk.done("series series.toml --out series -q");
+    for (made, expected) in [
+        ("expected_colours.fits", "expected_colours.fits"),
+        ("expected_model.fits", "expected_model.fits"),
+        ("expected_table.fits", "expected_table.fits"),
+        ("expected_samples.fits", "expected_samples.fits"),
+        ("series/frame_0001.fits", "expected_series.fits"),
+    ] {
+        let image = psfield::psf_io::read_image::<f64>(folder.join(expected)).unwrap();
+        let expected = image.into_parts().0.into_pixels();
+        let peak = expected.fold(0.0, |m: f64, v| m.max(v.abs()));
+        let off = (&desk.image(made) - &expected).fold(0.0, |m: f64, d| m.max(d.abs()));
+        assert!(off < SINGLE * peak, "{made}: {off:e} of {peak:e}");
+    }
+}

@@ -222,7 +222,7 @@ fn measured(
     };
     let at_rest = match &simulator {
         CaseSimulator::Series(series) => Some(series.at_rest()?),
-        _ => None,
+        CaseSimulator::Images(_) => None,
     };
     let mut all = vec![timed(simulator, fields, first)];
     if let Some(series) = at_rest {

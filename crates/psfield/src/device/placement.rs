@@ -45,7 +45,7 @@ pub enum CpuReason {
     Method,
     /// The scene holds only stars and galaxies, which are drawn on the processor.
     Stars,
-    /// The plan is for light of several spectra, which only the processor convolves together.
+    /// The plan is for several layers of light, such as spectra, which only the processor convolves together.
     Spectra,
     /// The plan is in a precision that GPUs do not compute in.
     Precision {
@@ -136,7 +136,10 @@ impl std::fmt::Display for CpuReason {
             Self::Asked => write!(f, "as asked"),
             Self::Method => write!(f, "this method cannot run on a GPU"),
             Self::Stars => write!(f, "stars and galaxies are drawn there"),
-            Self::Spectra => write!(f, "images of several spectra are convolved there"),
+            Self::Spectra => write!(
+                f,
+                "images of several layers, such as spectra, are convolved there"
+            ),
             Self::Precision { precision } => write!(f, "GPUs compute in f32, this plan is in {precision}"),
             Self::Small { cpu_seconds } => {
                 let cpu = seconds(*cpu_seconds);

@@ -16,7 +16,7 @@ use crate::psf::Psf;
 use crate::psf::{Motion, MovingNative};
 use crate::scene::Scene;
 use crate::scene_light::{LayerSources, SceneLight, Source, sources_of};
-use crate::simulate_options::SimulateOptions;
+use crate::simulate_options::{Method, SimulateOptions};
 use crate::simulator::{Part, Setup, Simulator};
 
 /// The most exposures that share local bases, if the PSF depends on the time. Local bases of more
@@ -80,16 +80,22 @@ pub struct SeriesFrames<T: ConvReal> {
     /// The catalogue, and the layers of its sources.
     light: SceneLight<T>,
     /// The images of the layers.
-    images: Vec<Option<Image<T>>>,
+    images: Images<T>,
     /// The images moved by whole frame pixels, for the last exposure that needed it.
-    moved_images: Option<([f64; 2], Vec<Option<Image<T>>>)>,
+    moved_images: Option<([f64; 2], Images<T>)>,
     /// Makes the PSF of the image, if there is one and its native stamps are all that it needs.
     native: Option<MovingNative>,
     /// The PSFs of light at rest on the sky, and of moving sources, in the last exposure.
     last: [Option<LastPart<T>>; 2],
     /// The simulator of the last exposure, and the parts of its PSF.
-    simulator: Option<(Arc<Simulator<T>>, Vec<Arc<Part<T>>>)>,
+    simulator: Option<(Arc<Simulator<T>>, Parts<T>)>,
 }
+
+/// The image of each layer.
+type Images<T> = Vec<Option<Image<T>>>;
+
+/// The parts of a simulator's PSF.
+type Parts<T> = Vec<Arc<Part<T>>>;
 
 /// The indices of [`SeriesFrames::last`].
 const AT_REST: usize = 0;
@@ -147,8 +153,9 @@ impl<T: ConvReal> SeriesFrames<T> {
     ///
     /// # Errors
     /// [`ErrorKind::Data`] for a light curve of a row that the catalogue does not have, or for a path or
-    /// a light curve that does not cover an exposure. [`ErrorKind::Setting`] for an exposure at a time
-    /// or with a number for which the PSF is not known. The errors of [`Psf::record`] and of
+    /// a light curve that does not cover an exposure, or for an image that is read row by row.
+    /// [`ErrorKind::Setting`] for an exposure at a time or with a number for which the PSF is not known, or
+    /// for [`Method::Own`]. The errors of [`Psf::record`] and of
     /// [`SimulatorBuilder::build`](crate::SimulatorBuilder::build).
     pub fn new(
         psf: &Psf,
@@ -157,6 +164,9 @@ impl<T: ConvReal> SeriesFrames<T> {
         series: Series,
         mut light: SceneLight<T>,
     ) -> Result<Self, PsfieldError> {
+        if options.method == Method::Own {
+            return Err(Method::refused(Method::Own));
+        }
         // One fit serves all exposures.
         let psf = psf.fitted()?;
         let rows: HashSet<usize> = light.catalog().rows().iter().copied().collect();
@@ -274,7 +284,7 @@ impl<T: ConvReal> SeriesFrames<T> {
         progress: &dyn Progress,
     ) -> Result<Arc<Simulator<T>>, PsfieldError> {
         let used = self.last[..=usize::from(has_trails)].iter().flatten();
-        let parts: Vec<Arc<Part<T>>> = used.map(|last| Arc::clone(&last.part)).collect();
+        let parts: Parts<T> = used.map(|last| Arc::clone(&last.part)).collect();
         let same = |before: &[Arc<Part<T>>]| {
             before.len() == parts.len() && before.iter().zip(&parts).all(|(a, b)| Arc::ptr_eq(a, b))
         };

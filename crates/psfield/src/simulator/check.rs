@@ -2,7 +2,10 @@
 
 use std::ops::Range;
 
-use conv_core::{ConvError, ConvReal, Direct, ExtendedSources, GalaxyErrors, RowStream, ScenePixelFilter};
+use conv_core::{
+    ConvError, ConvReal, Direct, ExtendedSources, GalaxyErrors, RowStream, ScenePixelFilter, SourcePlan,
+    StarPainter,
+};
 use ndarray::{Array2, ArrayView2, ArrayViewMut2, s};
 use psf_types::{Anchor, Image, PointSource, Position, Progress};
 use rand::seq::IteratorRandom;
@@ -82,7 +85,7 @@ impl<T: ConvReal> Simulator<T> {
         let mut sources = stars.filter(inside).sample(&mut rng, SOURCES);
         sources.extend(galaxies.filter(inside).sample(&mut rng, SOURCES));
         let images = scene.layers().iter().filter_map(Layer::image);
-        let whole = images.filter(|image| image.shape() == geometry.shape).next();
+        let whole: Vec<_> = images.filter(|image| image.shape() == geometry.shape).collect();
         if scene.layers().iter().any(Layer::is_streamed) {
             let any = |_| {
                 (
@@ -91,18 +94,20 @@ impl<T: ConvReal> Simulator<T> {
                 )
             };
             sources.extend((0..SOURCES).map(any));
-        } else if let Some(image) = whole {
-            // Half of these are chosen by their light.
-            let mut of_scene = PixelPicker::new(image.shape(), SOURCES, seed);
-            of_scene.pass_rows(image.pixels());
-            let place = |v: usize, first: i64| (v / geometry.oversample) as i64 - first;
-            let picked = of_scene.finish().0;
-            sources.extend(
-                picked
-                    .iter()
-                    .map(|p| (place(p.column, x0), place(p.row, y0)))
-                    .filter(inside),
-            );
+        } else {
+            for (image, seed) in whole.iter().zip(seed..) {
+                // Half of these are chosen by their light.
+                let mut of_scene = PixelPicker::new(image.shape(), SOURCES.div_ceil(whole.len()), seed);
+                of_scene.pass_rows(image.pixels());
+                let place = |v: usize, first: i64| (v / geometry.oversample) as i64 - first;
+                let picked = of_scene.finish().0;
+                sources.extend(
+                    picked
+                        .iter()
+                        .map(|p| (place(p.column, x0), place(p.row, y0)))
+                        .filter(inside),
+                );
+            }
         }
         PixelPicker::new(shape, count, seed).with_sources(&sources, shape)
     }
@@ -220,6 +225,12 @@ impl<T: ConvReal> Simulator<T> {
         Ok(())
     }
 
+    /// Draws stars exactly, with a reach of its own: that of a plan may be decided by other PSFs.
+    fn painter<'a>(&self, plan: &'a SourcePlan<T>) -> Result<StarPainter<'a>, PsfieldError> {
+        let painter = StarPainter::new(plan.model(), self.frame(), self.options().anchor, plan.size());
+        Ok(painter?)
+    }
+
     /// Adds the light of a layer's stars and galaxies in pixels of the image.
     fn add_source_sums(
         &self,
@@ -229,7 +240,7 @@ impl<T: ConvReal> Simulator<T> {
         progress: &dyn Progress,
     ) -> Result<(), PsfieldError> {
         let (of_frame, plan, frame) = (self.of_frame(pixels), self.sources(number)?, self.frame());
-        let stars = plan.painter(frame).at_pixels(layer.stars(), &of_frame)?;
+        let stars = self.painter(plan)?.at_pixels(layer.stars(), &of_frame)?;
         let galaxies = Extended::of(layer)?
             .with(|sources| plan.extended_at_pixels(sources, frame, &of_frame, progress))?;
         for ((sum, star), galaxy) in sums.iter_mut().zip(stars).zip(galaxies) {
@@ -317,7 +328,7 @@ impl<T: ConvReal> Simulator<T> {
         let first_stars: Vec<PointSource> = places.iter().map(|place| place.first).collect();
         let mut roots = vec![0.0; pixels.len()];
         let mut failed = None;
-        plan.painter(frame)
+        self.painter(plan)?
             .lit_pixels(&first_stars, &of_frame, |number, lit| {
                 let place = &places[number];
                 let (x, y) = (place.first.position().x(), place.first.position().y());

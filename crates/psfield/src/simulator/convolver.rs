@@ -24,6 +24,9 @@ pub(super) struct Convolver<T: ConvReal> {
     pub(super) seconds: f64,
 }
 
+/// A simulator keeps the plans for this number of sets of layers with an image.
+const MOST_KEPT: usize = 4;
+
 /// The numbers of some layers, and the convolver of their images.
 pub(super) type OfLayers<T> = (Vec<usize>, Arc<Convolver<T>>);
 
@@ -85,8 +88,9 @@ impl<T: ConvReal> Simulator<T> {
 
     /// The convolver for the images of some layers, if it exists.
     pub(super) fn kept_convolver(&self, layers: &[usize]) -> Option<Arc<Convolver<T>>> {
-        let mut kept = self.kept_convolvers().into_iter();
-        kept.find_map(|(of, convolver)| (of == layers).then_some(convolver))
+        let kept = self.convolvers.lock().unwrap_or_else(PoisonError::into_inner);
+        let same = kept.iter().find(|(of, _)| of == layers);
+        same.map(|(_, convolver)| Arc::clone(convolver))
     }
 
     /// Returns the convolver for the images of some layers, one at least. No thread waits for another that
@@ -102,14 +106,14 @@ impl<T: ConvReal> Simulator<T> {
         }
         let made = Arc::new(self.new_convolver(layers, progress)?);
         let mut kept = self.convolvers.lock().unwrap_or_else(PoisonError::into_inner);
-        let known = kept.iter().find(|(of, _)| of == layers);
-        Ok(match known {
-            Some((_, known)) => Arc::clone(known),
-            None => {
-                kept.push((layers.to_vec(), Arc::clone(&made)));
-                made
-            }
-        })
+        if let Some((_, known)) = kept.iter().find(|(of, _)| of == layers) {
+            return Ok(Arc::clone(known));
+        }
+        if kept.len() == MOST_KEPT {
+            kept.remove(0);
+        }
+        kept.push((layers.to_vec(), Arc::clone(&made)));
+        Ok(made)
     }
 
     fn new_convolver(&self, layers: &[usize], progress: &dyn Progress) -> Result<Convolver<T>, PsfieldError> {

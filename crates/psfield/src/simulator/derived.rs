@@ -20,7 +20,7 @@ use crate::simulate_options::{Method, SimulateOptions};
 impl<T: ConvReal> Simulator<T> {
     /// Returns a simulator for another region of the same frame. `region` is in frame pixels
     /// counted from the frame's first pixel. The new simulator uses the tiles that were chosen for
-    /// this one and shares its plan for stars, which is much faster than a new plan.
+    /// this one and shares its plan for sources, which is much faster than a new plan.
     ///
     /// # Errors
     /// [`ErrorKind::Setting`](crate::ErrorKind::Setting) for a region outside the frame or a method

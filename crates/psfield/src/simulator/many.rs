@@ -43,6 +43,10 @@ impl<T: ConvReal> Simulator<T> {
         progress: &dyn Progress,
     ) -> Result<(), PsfieldError> {
         assert_eq!(scenes.len(), images.len(), "an image for each scene");
+        for (scene, image) in scenes.iter().zip(&images) {
+            self.check_scene(scene)?;
+            self.check_image(image)?;
+        }
         let alone = |scene: &Scene<'_, T>| scene.layers().len() == 1 && scene.has_image();
         let at_once = self.setup.geometry.oversample == 1 && !scenes.is_empty() && scenes.iter().all(alone);
         let convolver = at_once.then(|| self.convolver(&[0], progress)).transpose()?;
@@ -55,9 +59,7 @@ impl<T: ConvReal> Simulator<T> {
             return Ok(());
         };
         let mut lights = Vec::with_capacity(scenes.len());
-        for (scene, image) in scenes.iter().zip(&images) {
-            self.check_scene(scene)?;
-            self.check_image(image)?;
+        for scene in scenes {
             let light = self.lights(scene, progress)?;
             lights.extend(light.into_iter().map(|(light, _)| light));
         }

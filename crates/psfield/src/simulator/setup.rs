@@ -28,7 +28,7 @@ impl Setup {
     pub(crate) fn new(
         psf: &Psf,
         (ny, nx): (usize, usize),
-        mut options: SimulateOptions,
+        options: SimulateOptions,
     ) -> Result<Self, PsfieldError> {
         options.plan_options()?;
         InstructionSet::asked()?;
@@ -46,9 +46,6 @@ impl Setup {
             const NO_STAMP: &str = "the stamp size must be at least 1 pixel";
             return Err(PsfieldError::of_setting("stamp_size", NO_STAMP));
         }
-        // Farther out, padded stamps hold only zeros, which would cost time and change nothing.
-        let widest = 2 * (psf.reach(None) + STAMP_MARGIN);
-        options.stamp_size = options.stamp_size.map(|size| size.min(widest));
         check_frame_on_field(geometry.frame.shape(), psf.positions().field())?;
         Ok(Self { options, geometry })
     }
@@ -56,6 +53,13 @@ impl Setup {
     /// The settings.
     pub(crate) fn options(&self) -> &SimulateOptions {
         &self.options
+    }
+
+    /// The side of a PSF's stamps, in pixels of the frame. None: their own size.
+    pub(super) fn stamp_size(&self, psf: &Psf) -> Option<usize> {
+        // Farther out, padded stamps hold only zeros, which would cost time and change nothing.
+        let widest = 2 * (psf.reach(None) + STAMP_MARGIN);
+        self.options.stamp_size.map(|size| size.min(widest))
     }
 
     /// The options of a model's plans, with the limit of memory for this model. None for methods without
@@ -73,10 +77,10 @@ impl Setup {
 
     /// The PSF on the pixels of a scene's image, for its convolution.
     pub(crate) fn on_scene_pixels(&self, psf: &Psf) -> Result<Psf, PsfieldError> {
-        let options = &self.options;
+        let (options, size) = (&self.options, self.stamp_size(psf));
         let psf = match options.oversample {
-            1 => psf.native(options.stamp_size)?,
-            finer => psf.for_finer_scene(finer, options.stamp_size, options.anchor)?,
+            1 => psf.native(size)?,
+            finer => psf.for_finer_scene(finer, size, options.anchor)?,
         };
         match options.scene_pixels {
             ScenePixels::Point => Ok(psf),

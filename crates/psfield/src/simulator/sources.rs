@@ -31,7 +31,7 @@ impl<T: ConvReal> PartSources<T> {
         let models = psf.models()?;
         let fit_seconds = clock.elapsed().as_secs_f64();
         let clock = Instant::now();
-        let (planned, size) = (setup.plan_options::<T>(&models[0])?, setup.options.stamp_size);
+        let (planned, size) = (setup.plan_options::<T>(&models[0])?, setup.stamp_size(&psf));
         check_fluxes(&psf, models, planned.as_ref())?;
         let first = match planned {
             Some(options) => SourcePlan::of_layers(models, options, size)?,
@@ -133,8 +133,11 @@ impl<T: ConvReal> Simulator<T> {
         let drawn = scene.layers().iter().enumerate();
         for (number, layer) in drawn.filter(|(_, layer)| layer.has_sources()) {
             let plan = self.sources(number)?;
-            let (extended, into) = (Extended::of(layer)?, image.view_mut());
-            extended.with(|sources| plan.draw_extended_into(sources, frame, region, into, progress))?;
+            let extended = Extended::of(layer)?;
+            if !extended.points.is_empty() {
+                let into = image.view_mut();
+                extended.with(|sources| plan.draw_extended_into(sources, frame, region, into, progress))?;
+            }
             plan.draw_stars_into(layer.stars(), frame, region, image.view_mut(), progress)?;
         }
         Ok(())

@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use conv_core::{ConvError, ConvReal, RowStream, TileCounts};
 use ndarray::{ArrayView2, ArrayViewMut2, s};
-use psf_types::{FrameShape, Image, PixelRegion, Progress};
+use psf_types::{FrameShape, Image, PixelRegion, Progress, Uncounted};
 
 use super::Simulator;
 use crate::error::PsfieldError;
@@ -54,7 +54,7 @@ impl<T: ConvReal> Simulator<T> {
         };
         let counts = engine.stream(&mut passed, progress)?;
         let picker = passed.picker;
-        let check = picker.map(|picker| self.checked(scene, picker, rows, progress));
+        let check = picker.map(|picker| self.checked(scene, picker, rows, &Uncounted(progress)));
         Ok((counts, check.transpose()?))
     }
 }

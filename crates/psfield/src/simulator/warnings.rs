@@ -41,8 +41,9 @@ impl<T: ConvReal> Simulator<T> {
     /// refuses.
     pub fn psf_warning(&self, scene: &Scene<'_, T>) -> Result<Option<SimulationWarning>, PsfieldError> {
         let options = self.options();
-        let picked =
-            !scene.has_image() || options.oversample > 1 || self.psf().native_is_exact(options.stamp_size)?;
+        let picked = !scene.has_image()
+            || options.oversample > 1
+            || self.psf().native_is_exact(self.setup.stamp_size(self.psf()))?;
         Ok((!picked).then_some(SimulationWarning::InterpolatedStamps))
     }
 
