@@ -31,6 +31,7 @@ from psfield._errors import PsfieldWarning
 from psfield._model import PsfModel
 from psfield._native import __version__
 from psfield._plan import Plan, SpotCheck
+from psfield._radial import RadialProfile
 from psfield._reports import (
     FitReport,
     LeaveOneOutReport,
@@ -49,6 +50,7 @@ __all__ = [
     "PlanSummary",
     "PsfModel",
     "PsfieldWarning",
+    "RadialProfile",
     "SamplingReport",
     "Series",
     "SeriesExposure",

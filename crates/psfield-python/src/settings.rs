@@ -64,12 +64,12 @@ fn plain(name: &str, given: &Bound<'_, PyAny>, levels: usize) -> PyResult<Value>
     if let Ok(whole) = given.call_method0("__index__") {
         let number = whole.extract().map(|number: i64| number.into());
         let number = number.or_else(|_| whole.extract().map(|number: u64| number.into()));
-        let limits = (i64::MIN, u64::MAX);
         return number.map_err(|_| {
-            invalid(format!(
-                "{name} must be from {} to {}, got {whole}",
-                limits.0, limits.1
-            ))
+            let limit = match whole.lt(0) {
+                Ok(true) => format!("at least {}", i64::MIN),
+                _ => format!("at most {}", u64::MAX),
+            };
+            invalid(format!("{name} must be {limit}, got {whole}"))
         });
     }
     if levels == 0 && given.len().is_ok() {

@@ -61,7 +61,8 @@ pub struct Layer<'a, T = f64> {
     profiles: Cow<'a, [ProfileSource]>,
 }
 
-/// A source with a profile of the caller's own: any light on the sky that is a [`LightProfile`](psf_types::LightProfile).
+/// A source with a profile of the caller's own: any light on the sky that is a
+/// [`LightProfile`](psf_types::LightProfile).
 #[derive(Clone)]
 pub struct ProfileSource {
     /// Position and flux.

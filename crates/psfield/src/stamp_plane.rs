@@ -197,9 +197,8 @@ impl StampPlane {
     }
 
     fn transform(&self, values: &mut Array2<Complex64>, direction: usize) {
-        for mut row in values.outer_iter_mut() {
-            self.steps[1][direction].process(row.as_slice_mut().expect("row-major"));
-        }
+        // Row by row.
+        self.steps[1][direction].process(values.as_slice_mut().expect("row-major"));
         let mut column = vec![Complex64::default(); self.size[0]];
         for mut of_plane in values.columns_mut() {
             column

@@ -7,8 +7,8 @@ use ndarray::{Array2, ArrayView1, ArrayView2, Axis};
 use psf_types::StampGrid;
 use rustfft::num_complex::Complex64;
 
-use super::power_spectrum::{CopiesOfPower, PowerSpectrum};
-use super::spectrum::{Wavenumbers, discrete_transform, has_copies, nearest, spectrum};
+use super::power_spectrum::{AliasedPower, PowerSpectrum};
+use super::spectrum::{Wavenumbers, discrete_transform, has_aliases, nearest, spectrum};
 use super::window::Spectra;
 use crate::ConvReal;
 use crate::kept::Kept;
@@ -22,7 +22,7 @@ pub(super) struct ModelStamps {
     moments: Vec<Moments>,
     /// Transforms up to the stamps' Nyquist frequency. They tell the power of PSFs.
     coarse: Transforms,
-    copies: CopiesOfPower,
+    aliases: AliasedPower,
     /// Transforms for windows of each side, and the number of the band.
     spectra: Kept<(usize, usize), Transforms>,
     /// Transforms of one side and band that need more memory than this are not made.
@@ -73,11 +73,11 @@ pub(super) type Moments = [f64; 6];
 impl ModelStamps {
     /// The stamps `[stamp, pixel]`. Transforms of windows are kept up to the given memory.
     pub(super) fn new(values: Array2<f64>, grid: StampGrid, memory_bytes: usize) -> Self {
-        let copies = CopiesOfPower::new(grid);
+        let aliases = AliasedPower::new(grid);
         let coarse: Vec<Vec<Complex64>> = (0..values.nrows())
             .map(|i| {
                 let stamp = stamp_of(values.row(i), grid);
-                discrete_transform(stamp, grid, copies.step, copies.radius)
+                discrete_transform(stamp, grid, aliases.step, aliases.radius)
                     .into_iter()
                     .collect()
             })
@@ -90,7 +90,7 @@ impl ModelStamps {
             grid,
             values,
             coarse: Transforms::new(&coarse),
-            copies,
+            aliases,
             spectra: Kept::new(memory_bytes),
             memory_bytes,
         }
@@ -106,14 +106,14 @@ impl ModelStamps {
     /// values.
     pub(super) fn band_number(&self, k: f64) -> usize {
         let whole = PI * self.grid.oversampling() * std::f64::consts::SQRT_2;
-        let k = if has_copies(self.grid) { k.min(whole) } else { k };
+        let k = if has_aliases(self.grid) { k.min(whole) } else { k };
         ((k / LEAST_BAND).ln() / BAND_RATIO.ln()).ceil().max(0.0) as usize
     }
 
     /// The number of points, along each axis, of a stamp's transform for windows of a side, up to a band
     /// of this number.
     pub(super) fn transform_points(&self, side: usize, number: usize) -> usize {
-        let whole = has_copies(self.grid).then(|| side as f64 * self.grid.oversampling());
+        let whole = has_aliases(self.grid).then(|| side as f64 * self.grid.oversampling());
         (2.0 * band(number) * side as f64 / TAU).min(whole.unwrap_or(f64::INFINITY)) as usize
     }
 
@@ -185,7 +185,7 @@ impl Kernels {
         let rows = directions.outer_iter();
         Self {
             moments: rows.map(|direction| stamps.moments_of(direction)).collect(),
-            power: PowerSpectrum::new(&stamps.copies, &limit, &typical, accuracy),
+            power: PowerSpectrum::new(&stamps.aliases, &limit, &typical, accuracy),
             directions,
         }
     }

@@ -9,7 +9,7 @@ use std::f64::consts::{PI, SQRT_2};
 use ndarray::Array2;
 use psf_types::{LightProfile, StampGrid};
 
-use super::spectrum::{COPIES, kernel_transform};
+use super::spectrum::{ALIASES, kernel_transform};
 
 /// The power of some PSFs by wavenumber `(|kx|, |ky|)`, in square cells.
 #[derive(Debug)]
@@ -39,23 +39,23 @@ const LEFT_OUT: f64 = 0.7;
 const OUTSIDE: f64 = 0.3;
 
 impl PowerSpectrum {
-    /// `limit` is an upper limit of the power of any PSF at the [`CopiesOfPower`]'s wavenumbers, and
+    /// `limit` is an upper limit of the power of any PSF at the [`AliasedPower`]'s wavenumbers, and
     /// `typical` the power of one of them. Beyond the outlines, the light of this one is at most
     /// `accuracy`, in the L2 norm.
-    pub(super) fn new(copies: &CopiesOfPower, limit: &[f64], typical: &[f64], accuracy: f64) -> Self {
+    pub(super) fn new(aliases: &AliasedPower, limit: &[f64], typical: &[f64], accuracy: f64) -> Self {
         let least = typical.iter().sum::<f64>() * NEGLIGIBLE * accuracy * accuracy / typical.len() as f64;
-        let mut rings = vec![0.0; (copies.cells as f64 * SQRT_2) as usize + 1];
-        copies.for_each(typical, least, |i, j, power| {
+        let mut rings = vec![0.0; (aliases.cells as f64 * SQRT_2) as usize + 1];
+        aliases.for_each(typical, least, |i, j, power| {
             rings[((i * i + j * j) as f64).sqrt() as usize] += power;
         });
-        let mut fine = Array2::<f64>::zeros((copies.cells, copies.cells));
-        copies.for_each(limit, least, |i, j, power| fine[[i, j]] += power);
+        let mut fine = Array2::<f64>::zeros((aliases.cells, aliases.cells));
+        aliases.for_each(limit, least, |i, j, power| fine[[i, j]] += power);
         // The power outside the first cells along each axis.
-        let mut outside = vec![0.0; copies.cells + 1];
+        let mut outside = vec![0.0; aliases.cells + 1];
         for ((i, j), power) in fine.indexed_iter() {
             outside[i.max(j)] += power;
         }
-        for i in (0..copies.cells).rev() {
+        for i in (0..aliases.cells).rev() {
             outside[i] += outside[i + 1];
         }
         let allowed = OUTSIDE * accuracy * accuracy * rings.iter().sum::<f64>();
@@ -73,9 +73,9 @@ impl PowerSpectrum {
             }
         }
         Self {
-            width: copies.step * joined as f64,
+            width: aliases.step * joined as f64,
             largest,
-            outside: outside[count.min(copies.cells)],
+            outside: outside[count.min(aliases.cells)],
             typical: rings.chunks(joined).map(|rings| rings.iter().sum()).collect(),
             accuracy,
         }
@@ -160,44 +160,44 @@ impl Outline {
 }
 
 /// The wavenumbers `kx = 0 ... radius` and `ky = -radius ... radius`, in units of `step` radians per
-/// frame pixel, and the factors by which interpolation multiplies the power of their copies.
+/// frame pixel, and the factors by which interpolation multiplies the power of their aliases.
 #[derive(Debug)]
-pub(super) struct CopiesOfPower {
+pub(super) struct AliasedPower {
     pub(super) step: f64,
     pub(super) radius: usize,
-    /// For each copy along an axis, the cell and the factor at `-radius ... radius`.
+    /// For each alias along an axis, the cell and the factor at `-radius ... radius`.
     along: Vec<Vec<(usize, f64)>>,
     /// The number of cells along an axis. The cells are as wide as a step.
     cells: usize,
 }
 
-impl CopiesOfPower {
+impl AliasedPower {
     pub(super) fn new(grid: StampGrid) -> Self {
         let s = grid.oversampling();
         let step = 2.0 * PI * s / grid.nx().max(grid.ny()) as f64;
         // The wavenumbers up to the Nyquist frequency of the stamps.
         let nyquist = PI * s;
         let radius = (nyquist / step).floor() as usize;
-        let kernel = |m: i64, copy: i64| {
-            let k = m as f64 * step + 2.0 * nyquist * copy as f64;
+        let kernel = |m: i64, alias: i64| {
+            let k = m as f64 * step + 2.0 * nyquist * alias as f64;
             let cell = (k.abs() / step) as usize;
             (cell, kernel_transform(grid.interpolation(), k / s).powi(2))
         };
         Self {
             step,
             radius,
-            along: (-COPIES..=COPIES)
-                .map(|copy| {
+            along: (-ALIASES..=ALIASES)
+                .map(|alias| {
                     (-(radius as i64)..=radius as i64)
-                        .map(|m| kernel(m, copy))
+                        .map(|m| kernel(m, alias))
                         .collect()
                 })
                 .collect(),
-            cells: ((2 * COPIES + 1) as f64 * nyquist / step) as usize + 2,
+            cells: ((2 * ALIASES + 1) as f64 * nyquist / step) as usize + 2,
         }
     }
 
-    /// Gives the cell along x, the cell along y, and the power of the copies of each wavenumber to
+    /// Gives the cell along x, the cell along y, and the power of the aliases of each wavenumber to
     /// `take`. Wavenumbers whose power is at most `least` are left out.
     fn for_each(&self, power: &[f64], least: f64, mut take: impl FnMut(usize, usize, f64)) {
         let row = 2 * self.radius + 1;
@@ -232,12 +232,12 @@ mod tests {
             let y = (y as f64 - grid.centre_y() + 0.4) / s;
             (1.0 + (x * x + 0.2 * x * y + y * y) / 5.0).powf(-2.5)
         });
-        let copies = CopiesOfPower::new(grid);
-        let coarse = discrete_transform(stamp.view(), grid, copies.step, copies.radius);
+        let aliases = AliasedPower::new(grid);
+        let coarse = discrete_transform(stamp.view(), grid, aliases.step, aliases.radius);
         let power: Vec<f64> = coarse.iter().map(Complex64::norm_sqr).collect();
         let profile = SersicProfile::new(re, n, q, 30.0).unwrap();
         let light = SersicLight::new(&SersicSource::new(Position::of_pixel(0, 0), 1.0, profile).unwrap());
-        let outline = PowerSpectrum::new(&copies, &power, &power, accuracy).outline(&light);
+        let outline = PowerSpectrum::new(&aliases, &power, &power, accuracy).outline(&light);
 
         let most = (5.0 * PI * s / STEP) as usize;
         let fine = discrete_transform(stamp.view(), grid, STEP, most);
@@ -302,12 +302,12 @@ mod tests {
     /// A PSF without light, and an accuracy of 0.
     #[test]
     fn outlines_may_be_empty_or_whole() {
-        let copies = CopiesOfPower::new(StampGrid::new(9, 9).unwrap());
+        let aliases = AliasedPower::new(StampGrid::new(9, 9).unwrap());
         let galaxy = SersicProfile::new(1.0, 1.0, 1.0, 0.0).unwrap();
         let light = SersicLight::new(&SersicSource::new(Position::of_pixel(0, 0), 1.0, galaxy).unwrap());
         let outline = |power: f64, accuracy: f64| {
-            let power = vec![power; (copies.radius + 1) * (2 * copies.radius + 1)];
-            PowerSpectrum::new(&copies, &power, &power, accuracy).outline(&light)
+            let power = vec![power; (aliases.radius + 1) * (2 * aliases.radius + 1)];
+            PowerSpectrum::new(&aliases, &power, &power, accuracy).outline(&light)
         };
         let empty = outline(0.0, 1e-3);
         assert_eq!(

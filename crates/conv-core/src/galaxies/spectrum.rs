@@ -14,7 +14,7 @@ use std::ops::{Range, RangeInclusive};
 use std::sync::Arc;
 
 use ndarray::{Array2, ArrayView2};
-use psf_types::maths::gauss_legendre;
+use psf_types::maths::{gauss_legendre, sinc};
 use psf_types::{StampGrid, StampInterpolation};
 use rustfft::num_complex::{Complex, Complex64};
 use rustfft::{Fft, FftPlanner};
@@ -35,29 +35,29 @@ pub(super) struct Wavenumbers {
     /// For each `kx`, the index of its first value.
     pub(super) starts: Vec<usize>,
     pub(super) count: usize,
-    pub(super) copies: Copies,
+    pub(super) aliases: Aliases,
 }
 
 /// The wavenumbers at which interpolated stamps have light: the period of the discrete transform,
-/// and its copies around it.
+/// and its aliases around it.
 #[derive(Debug, Clone)]
-pub(super) struct Copies {
-    /// The number of wavenumbers in a period. `None` if there are no copies.
+pub(super) struct Aliases {
+    /// The number of wavenumbers in a period. `None` if there are no aliases.
     period: Option<i64>,
     /// The factor of interpolation at `k = 0, 1, 2 ...` along each axis. Wavenumbers half-way
-    /// between two copies count in both, so there it is half the kernel's transform.
+    /// between two aliases count in both, so there it is half the kernel's transform.
     kernel: Vec<f64>,
-    /// The stamps' centre, in stamp pixels. From one copy to the next, the phase of the transform
+    /// The stamps' centre, in stamp pixels. From one alias to the next, the phase of the transform
     /// grows by 2 pi times the centre.
     centre: (f64, f64),
 }
 
-/// Copies farther from 0 than this number are left out.
-pub(super) const COPIES: i64 = 2;
+/// Aliases farther from 0 than this number are left out.
+pub(super) const ALIASES: i64 = 2;
 
 /// Whether the discrete transforms of stamps repeat with a whole number of wavenumbers, for windows
 /// of any side.
-pub(super) fn has_copies(grid: StampGrid) -> bool {
+pub(super) fn has_aliases(grid: StampGrid) -> bool {
     grid.oversampling().fract() == 0.0
 }
 
@@ -65,7 +65,7 @@ impl Wavenumbers {
     /// The wavenumbers up to `band` radians per pixel.
     pub(super) fn within(band: f64, side: usize, grid: StampGrid) -> Self {
         let radius = (band * side as f64 / TAU).ceil();
-        let period = has_copies(grid).then(|| side * grid.oversampling() as usize);
+        let period = has_aliases(grid).then(|| side * grid.oversampling() as usize);
         let most = period.map_or(usize::MAX, |period| period / 2);
         let most_ky: Vec<usize> = (0..=most.min(radius as usize))
             .map(|kx| most.min((radius * radius - (kx * kx) as f64).max(0.0).sqrt() as usize))
@@ -79,9 +79,9 @@ impl Wavenumbers {
                 start
             })
             .collect();
-        // Within half a period there are no copies.
+        // Within half a period there are no aliases.
         let last = match period {
-            Some(period) if 2 * radius as usize >= period => COPIES as usize * period + period / 2,
+            Some(period) if 2 * radius as usize >= period => ALIASES as usize * period + period / 2,
             _ => radius as usize,
         };
         let angle = TAU / (side as f64 * grid.oversampling());
@@ -95,7 +95,7 @@ impl Wavenumbers {
             most_ky,
             starts,
             count,
-            copies: Copies {
+            aliases: Aliases {
                 period: period.map(|period| period as i64),
                 kernel: kernel.collect(),
                 centre: (grid.centre_x(), grid.centre_y()),
@@ -109,16 +109,16 @@ impl Wavenumbers {
     }
 }
 
-impl Copies {
-    /// The numbers of the copies along an axis that have wavenumbers up to a radius.
+impl Aliases {
+    /// The numbers of the aliases along an axis that have wavenumbers up to a radius.
     pub(super) fn numbers(&self, radius: f64) -> RangeInclusive<i64> {
         let most = self.period.map_or(0, |period| {
-            (((radius / period as f64 + 0.5).floor()) as i64).min(COPIES)
+            (((radius / period as f64 + 0.5).floor()) as i64).min(ALIASES)
         });
         -most..=most
     }
 
-    /// The distance of a copy from the wavenumbers that are computed.
+    /// The distance of an alias from the wavenumbers that are computed.
     pub(super) fn distance(&self, number: i64) -> i64 {
         number * self.period.unwrap_or(0)
     }
@@ -134,29 +134,29 @@ impl Copies {
     }
 
     /// `exp(-i k angle)` times the factors of interpolation and phase, along x (axis 0) or y (1), for
-    /// the copies up to a radius: first all `k` of one copy, then those of the next. `range` holds the
+    /// the aliases up to a radius: first all `k` of one alias, then those of the next. `range` holds the
     /// wavenumbers in the period that is computed.
-    pub(super) fn turns_into<T: ConvReal>(
+    pub(super) fn phase_factors_into<T: ConvReal>(
         &self,
         axis: usize,
         angle: f64,
         radius: f64,
         range: Range<i64>,
-        turns: &mut Vec<Complex<T>>,
+        factors: &mut Vec<Complex<T>>,
     ) {
         let centre = [self.centre.0, self.centre.1][axis];
         let to_next = Complex64::from_polar(1.0, -angle);
         let first = Complex64::from_polar(1.0, -range.start as f64 * angle);
-        let turns_of_period: Vec<Complex64> = std::iter::successors(Some(first), |turn| Some(turn * to_next))
+        let of_period: Vec<Complex64> = std::iter::successors(Some(first), |factor| Some(factor * to_next))
             .take(range.clone().count())
             .collect();
-        turns.clear();
+        factors.clear();
         for number in self.numbers(radius) {
             let distance = self.distance(number);
-            let of_copy = TAU * (number as f64 * centre).fract() - distance as f64 * angle;
-            let of_copy = Complex64::from_polar(1.0, of_copy);
-            let turned = range.clone().zip(&turns_of_period);
-            turns.extend(turned.map(|(k, turn)| nearest(turn * of_copy * self.kernel(k + distance))));
+            let of_alias = TAU * (number as f64 * centre).fract() - distance as f64 * angle;
+            let of_alias = Complex64::from_polar(1.0, of_alias);
+            let shifted = range.clone().zip(&of_period);
+            factors.extend(shifted.map(|(k, factor)| nearest(factor * of_alias * self.kernel(k + distance))));
         }
     }
 }
@@ -198,16 +198,17 @@ pub(super) fn discrete_transform(
     // [kx, row]
     let mut columns = Array2::zeros((radius + 1, ny));
     let mut work = Vec::new();
+    let mut scratch = vec![Complex64::default(); along_x.scratch_len().max(along_y.scratch_len())];
     for (row, values) in stamp.outer_iter().enumerate() {
         let values = values.iter().map(|&v| Complex64::new(v, 0.0));
-        let line = along_x.transform(values, &mut work);
+        let line = along_x.transform(values, &mut work, &mut scratch);
         let to = columns.column_mut(row);
         to.into_iter().zip(line).for_each(|(to, v)| *to = v);
     }
     let mut planes = Array2::zeros((radius + 1, 2 * radius + 1));
     let area = 1.0 / (s * s);
     for (column, mut to) in columns.outer_iter().zip(planes.outer_iter_mut()) {
-        let line = along_y.transform(column.iter().map(|v| v * area), &mut work);
+        let line = along_y.transform(column.iter().map(|v| v * area), &mut work, &mut scratch);
         to.iter_mut().zip(line).for_each(|(to, v)| *to = v);
     }
     planes
@@ -235,12 +236,8 @@ pub(super) fn kernel_transform(interpolation: StampInterpolation, w: f64) -> f64
             2.0 * [0.0, 1.0, 2.0].map(piece).iter().sum::<f64>()
         }
         // The B-spline's transform over that of its values at the pixels (Unser et al. 1993).
-        _ => sinc(0.5 * w).powi(4) * 3.0 / (2.0 + w.cos()),
+        _ => sinc(w / TAU).powi(4) * 3.0 / (2.0 + w.cos()),
     }
-}
-
-fn sinc(x: f64) -> f64 {
-    if x == 0.0 { 1.0 } else { x.sin() / x }
 }
 
 /// The chirp z-transform (Rabiner, Schafer and Rader 1969): values of a discrete Fourier transform
@@ -284,19 +281,27 @@ impl Chirp {
         }
     }
 
+    /// The length of the memory that [`Self::transform`] needs beside its work.
+    fn scratch_len(&self) -> usize {
+        self.forward
+            .get_inplace_scratch_len()
+            .max(self.inverse.get_inplace_scratch_len())
+    }
+
     fn transform<'a>(
         &'a self,
         values: impl Iterator<Item = Complex64>,
         work: &'a mut Vec<Complex64>,
+        scratch: &mut [Complex64],
     ) -> impl Iterator<Item = Complex64> + 'a {
         work.clear();
         work.extend(values.zip(&self.before).map(|(v, factor)| v * factor));
         work.resize(self.transformed.len(), Complex64::default());
-        self.forward.process(work);
+        self.forward.process_with_scratch(work, scratch);
         work.iter_mut()
             .zip(&self.transformed)
             .for_each(|(v, chirp)| *v *= chirp);
-        self.inverse.process(work);
+        self.inverse.process_with_scratch(work, scratch);
         let first = self.before.len() - 1;
         work[first..]
             .iter()

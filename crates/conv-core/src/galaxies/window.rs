@@ -40,10 +40,10 @@ pub(super) struct WindowDrawer<T: ConvReal> {
     psf: Vec<Complex<T>>,
     product: Vec<Complex<T>>,
     transform: Vec<f32>,
-    /// The turns ([`Copies`](super::spectrum::Copies)) at the galaxy's column, for the `kx` of each copy.
-    turns_x: Vec<Complex<T>>,
-    /// The turns at the galaxy's row, for the `ky` of each copy, ascending.
-    turns: Vec<Complex<T>>,
+    /// The phase factors ([`Aliases`](super::spectrum::Aliases)) at the galaxy's column, for the `kx` of each alias.
+    factors_x: Vec<Complex<T>>,
+    /// The phase factors at the galaxy's row, for the `ky` of each alias, ascending.
+    factors: Vec<Complex<T>>,
     scratch: Vec<Complex<T>>,
     lines: Vec<Complex<T>>,
 }
@@ -77,8 +77,8 @@ impl<T: ConvReal> WindowDrawer<T> {
             psf: Vec::new(),
             product: Vec::new(),
             transform: Vec::new(),
-            turns_x: Vec::new(),
-            turns: Vec::new(),
+            factors_x: Vec::new(),
+            factors: Vec::new(),
             scratch: vec![zero; scratch],
             lines: vec![zero; half * ROWS_AT_ONCE],
         }
@@ -119,9 +119,9 @@ impl<T: ConvReal> WindowDrawer<T> {
         let side = self.side;
         let wavenumbers = &galaxy.spectra.wavenumbers;
         let step = wavenumbers.step();
-        let copies = &wavenumbers.copies;
+        let aliases = &wavenumbers.aliases;
         let zero = Complex::new(T::zero(), T::zero());
-        let largest = copies.largest() as f64;
+        let largest = aliases.largest() as f64;
         let [most_kx, most_ky] = galaxy.outline.extent().map(|k| (k / step).min(largest));
         let radius = most_kx.max(most_ky);
         // The largest `ky` at `kx`.
@@ -133,8 +133,8 @@ impl<T: ConvReal> WindowDrawer<T> {
         let row = (2 * most + 1) as usize;
         let lines = wavenumbers.most_ky.len();
         let angles = [galaxy.centre.0, galaxy.centre.1].map(|centre| step * centre);
-        copies.turns_into(0, angles[0], radius, 0..lines as i64, &mut self.turns_x);
-        copies.turns_into(1, angles[1], radius, -most..most + 1, &mut self.turns);
+        aliases.phase_factors_into(0, angles[0], radius, 0..lines as i64, &mut self.factors_x);
+        aliases.phase_factors_into(1, angles[1], radius, -most..most + 1, &mut self.factors);
         self.folded.fill(zero);
         self.psf.resize(row, zero);
         self.product.resize(row, zero);
@@ -143,10 +143,10 @@ impl<T: ConvReal> WindowDrawer<T> {
         let coefficients: Vec<T> = galaxy.coefficients.iter().map(|c| T::nearest(c / area)).collect();
         let mut columns = 0;
         for (line, (&stored, &start)) in wavenumbers.most_ky.iter().zip(&wavenumbers.starts).enumerate() {
-            let of_copies = copies
+            let of_aliases = aliases
                 .numbers(radius)
-                .filter_map(|across| most_at(line as i64 + copies.distance(across)));
-            let Some(most_ky) = of_copies.max().map(|most_ky| most_ky.min(stored as i64)) else {
+                .filter_map(|across| most_at(line as i64 + aliases.distance(across)));
+            let Some(most_ky) = of_aliases.max().map(|most_ky| most_ky.min(stored as i64)) else {
                 continue;
             };
             let count = (2 * most_ky + 1) as usize;
@@ -163,17 +163,17 @@ impl<T: ConvReal> WindowDrawer<T> {
             });
             let product = &mut self.product[..count];
             product.fill(zero);
-            for (across, turns_x) in copies.numbers(radius).zip(self.turns_x.chunks_exact(lines)) {
-                let kx = line as i64 + copies.distance(across);
+            for (across, factors_x) in aliases.numbers(radius).zip(self.factors_x.chunks_exact(lines)) {
+                let kx = line as i64 + aliases.distance(across);
                 let Some(end) = most_at(kx) else { continue };
                 let transform = &mut self.transform[..(2 * end + 1) as usize];
                 galaxy
                     .light
                     .transform_into(kx as f64 * step, -(end as f64) * step, step, transform);
-                let turn_x = turns_x[line];
-                for (up, turns) in copies.numbers(radius).zip(self.turns.chunks_exact(row)) {
-                    // The wavenumbers of this copy that are within the outline.
-                    let distance = copies.distance(up);
+                let factor_x = factors_x[line];
+                for (up, factors) in aliases.numbers(radius).zip(self.factors.chunks_exact(row)) {
+                    // The wavenumbers of this alias that are within the outline.
+                    let distance = aliases.distance(up);
                     let from = (-most_ky).max(-end - distance);
                     let to = most_ky.min(end - distance) + 1;
                     if from >= to {
@@ -182,8 +182,8 @@ impl<T: ConvReal> WindowDrawer<T> {
                     let part = |first: i64| (from - first) as usize..(to - first) as usize;
                     let product = &mut product[part(-most_ky)];
                     let psf = &psf[part(-most_ky)];
-                    let (transform, turns) = (&transform[part(-end - distance)], &turns[part(-most)]);
-                    vectorized!(add_product(product, psf, transform, turn_x, turns));
+                    let (transform, factors) = (&transform[part(-end - distance)], &factors[part(-most)]);
+                    vectorized!(add_product(product, psf, transform, factor_x, factors));
                 }
             }
             vectorized!(add_line(&mut self.folded, side, line, product));
@@ -193,23 +193,23 @@ impl<T: ConvReal> WindowDrawer<T> {
     }
 }
 
-/// Adds `psf * light * turn_x * turns` to `sums`.
+/// Adds `psf * light * factor_x * factors` to `sums`.
 #[inline(always)]
 fn add_product<T: ConvReal>(
     sums: &mut [Complex<T>],
     psf: &[Complex<T>],
     light: &[f32],
-    turn_x: Complex<T>,
-    turns: &[Complex<T>],
+    factor_x: Complex<T>,
+    factors: &[Complex<T>],
 ) {
-    for (((sum, psf), &light), turn) in sums.iter_mut().zip(psf).zip(light).zip(turns) {
+    for (((sum, psf), &light), factor) in sums.iter_mut().zip(psf).zip(light).zip(factors) {
         let light = T::nearest(light.into());
-        let turned = Complex::new(
-            (turn_x.re * turn.re - turn_x.im * turn.im) * light,
-            (turn_x.re * turn.im + turn_x.im * turn.re) * light,
+        let shifted = Complex::new(
+            (factor_x.re * factor.re - factor_x.im * factor.im) * light,
+            (factor_x.re * factor.im + factor_x.im * factor.re) * light,
         );
-        sum.re += psf.re * turned.re - psf.im * turned.im;
-        sum.im += psf.re * turned.im + psf.im * turned.re;
+        sum.re += psf.re * shifted.re - psf.im * shifted.im;
+        sum.im += psf.re * shifted.im + psf.im * shifted.re;
     }
 }
 
@@ -257,7 +257,7 @@ mod tests {
     use sersic::SersicLight;
 
     use super::*;
-    use crate::galaxies::power_spectrum::{CopiesOfPower, PowerSpectrum};
+    use crate::galaxies::power_spectrum::{AliasedPower, PowerSpectrum};
     use crate::galaxies::spectrum::{discrete_transform, spectrum};
 
     /// Of columns that are not counted, the transform would be left out.
@@ -271,8 +271,8 @@ mod tests {
                 let [x, y] = [x as f64 - grid.centre_x(), y as f64 - grid.centre_y()];
                 (1.0 + (x * x + y * y) / (4.0 * s * s)).powf(-2.5)
             });
-            let copies = CopiesOfPower::new(grid);
-            let coarse = discrete_transform(stamp.view(), grid, copies.step, copies.radius);
+            let aliases = AliasedPower::new(grid);
+            let coarse = discrete_transform(stamp.view(), grid, aliases.step, aliases.radius);
             let power: Vec<f64> = coarse.iter().map(Complex64::norm_sqr).collect();
             let wavenumbers = Wavenumbers::within(12.0, 64, grid);
             let spectra = Spectra {
@@ -284,7 +284,7 @@ mod tests {
                 let profile = SersicProfile::new(0.3 * 1.06_f64.powi(step), 1.0, 1.0, 0.0).unwrap();
                 let galaxy = SersicSource::new(Position::of_pixel(0, 0), 1.0, profile).unwrap();
                 let light = SersicLight::new(&galaxy);
-                let outline = PowerSpectrum::new(&copies, &power, &power, 1e-3).outline(&light);
+                let outline = PowerSpectrum::new(&aliases, &power, &power, 1e-3).outline(&light);
                 let galaxy = Drawn {
                     spectra: &spectra,
                     light: &light,

@@ -21,20 +21,11 @@ use crate::simd::vectorized;
 /// their mean squared coefficient, the largest first. As few modes are kept as represent every PSF
 /// of the region within the tolerance. The error of a PSF is relative to the PSF's own norm.
 ///
-/// It is enough to test the corners of each cell ([`RegionCells`]), because PSFs are bilinear in a
-/// cell. Along any row or column of the cell, the norm of the error is convex. The limit for this
-/// norm is the tolerance times the PSF's projection on the region's mean, less the error of the
-/// cell (`AllowedErrors`). Along the row or column, this limit is linear. So if the norm is within
-/// the limit at both ends, it is also within the limit in between. The projection is at most the
-/// PSF's norm, so the relative error is within the tolerance.
-///
-/// With [`ToleranceOn::Aperture`](psf_types::ToleranceOn::Aperture), the flux of the error in every
-/// circle is bounded too (`GrowthCurves`). The largest of these fluxes is also convex, and its
-/// limit, the tolerance times the PSF's flux, is also linear along a row or column. So the corners
-/// are enough here, too. The modes are then orthonormal in another scalar product,
-/// `<u, v> + weight sum_R u(R) v(R)`. In this sum, `u(R)` is the flux of `u` in the circle of radius
-/// `R`. So the first modes represent both the PSFs and their curves of growth. The norm of this
-/// product is at least the L2 norm.
+/// It is enough to test the corners of each cell ([`RegionCells`]), and with
+/// [`ToleranceOn::Aperture`](psf_types::ToleranceOn::Aperture), which also bounds the flux of the error in every
+/// circle (`GrowthCurves`), the modes are orthonormal in the scalar product
+/// `<u, v> + weight sum_R u(R) v(R)`, where `u(R)` is the flux of `u` in the circle of radius `R`. The
+/// reasons are in `docs/decisions/006-local-modes.md`.
 #[derive(Debug)]
 pub struct LocalModes {
     /// The region's mean PSF, scaled to unit flux, `[direction]`. `None` if it holds too little

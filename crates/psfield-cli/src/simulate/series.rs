@@ -109,6 +109,13 @@ struct PointingTable {
     path: Option<PathBuf>,
 }
 
+/// The files that are written with each frame.
+#[derive(Clone, Copy)]
+struct BesideFrames {
+    truth: bool,
+    sources: bool,
+}
+
 /// Options of `simulate` that a series sets itself.
 const OF_SERIES: [&str; 2] = ["output", "truth"];
 /// Options of `simulate` that a series does not support.
@@ -180,7 +187,7 @@ impl SeriesArgs {
         &self,
         inputs: &[PathBuf],
         exposures: usize,
-        (truth, sources): (bool, bool),
+        beside_frames: BesideFrames,
     ) -> anyhow::Result<()> {
         let mut uses = FileUses::default();
         for input in inputs {
@@ -188,8 +195,8 @@ impl SeriesArgs {
         }
         let outputs = (0..exposures).flat_map(|number| {
             let frame = self.frame(number);
-            let truth = truth.then(|| beside(&frame, "truth"));
-            let sources = sources.then(|| self.sources(number));
+            let truth = beside_frames.truth.then(|| beside(&frame, "truth"));
+            let sources = beside_frames.sources.then(|| self.sources(number));
             [Some(frame), truth, sources].into_iter().flatten()
         });
         // Only outputs that exist can be inputs. So the others, which may be many, need no look.
@@ -254,8 +261,11 @@ impl SeriesArgs {
             .collect();
         std::fs::create_dir_all(&*self.out)
             .with_context(|| format!("{}: the folder cannot be made", self.out.display()))?;
-        let with_truth = exposing.as_ref().is_some_and(Exposing::writes_truth);
-        self.check_outputs(&inputs, count, (with_truth, with_sources))?;
+        let beside_frames = BesideFrames {
+            truth: exposing.as_ref().is_some_and(Exposing::writes_truth),
+            sources: with_sources,
+        };
+        self.check_outputs(&inputs, count, beside_frames)?;
         let psf = options.psf_of(&psf, &read.light, context)?;
         let shape = (read.files.shape.ny(), read.files.shape.nx());
         let made = SeriesFrames::new(&psf, shape, options.options(), series, read.light);
