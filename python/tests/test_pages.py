@@ -189,3 +189,17 @@ def test_links_lead_somewhere(page):
     for target in re.findall(r"\]\(([^)#]+)[^)]*\)", text):
         found = target.startswith("https://") or (ROOT / page).parent.joinpath(target).exists()
         assert found, f"{page}: {target} is not there"
+
+
+def test_every_page_of_the_site_is_in_a_table_of_contents():
+    docs = ROOT / "docs"
+    listed = set()
+    for page in docs.rglob("*.md"):
+        for contents in re.findall(
+            r"^```{toctree}\n(.*?)^```$", page.read_text("utf-8"), re.M | re.S
+        ):
+            for entry in re.findall(r"^[^:\n].*$", contents, re.M):
+                name = entry[entry.find("<") + 1 :].rstrip(">")
+                listed |= {path.resolve() for path in page.parent.glob(f"{name}.md")}
+    pages = {path for path in docs.rglob("*.md") if path.name not in ("index.md", "README.md")}
+    assert pages - listed == set()

@@ -10,12 +10,13 @@ use psf_types::{
 };
 
 use crate::axis_weights::{AxisWeights, Bend, CutCell, NeighbouringLines};
+use crate::error::CoeffFieldError;
 use crate::field::interpolated;
 use crate::geometry::{Point, Row, covered_until, known, pixel_ranges, query};
 use crate::grid::{Axis, RegularGrid};
 use crate::interpolation::{
     FieldInterpolation, FieldWeights, Interpolated, OnRun, Outcomes, Unpredictable, Visited, WeightList,
-    Weights, add_weight, admit, in_runs, outcomes_of, prediction_error,
+    add_weight, admit, in_runs, outcomes_of, prediction_error,
 };
 
 /// Bilinear interpolation inside the cells of a [`RegularGrid`](crate::RegularGrid).
@@ -55,16 +56,10 @@ use crate::interpolation::{
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Bilinear;
 
-impl Bilinear {
-    /// Prepares the weights for samples at `positions`.
-    pub(crate) fn prepare(positions: &SamplePositions, outside: OutsidePolicy) -> Weights {
-        GridWeights::prepare(positions, AxisWeights::linear, outside)
-    }
-}
-
 impl FieldInterpolation for Bilinear {
     fn interpolate(&self, samples: &SampleCoefficients, outside: OutsidePolicy) -> Interpolated {
-        interpolated(samples, Self::prepare(samples.positions(), outside)?)
+        let weights = GridWeights::prepare(samples.positions(), AxisWeights::linear, outside)?;
+        interpolated(samples, weights)
     }
 
     fn leave_one_out(&self, samples: &SampleCoefficients, outside: OutsidePolicy) -> Outcomes {
@@ -124,16 +119,10 @@ impl FieldInterpolation for Bilinear {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Bicubic;
 
-impl Bicubic {
-    /// Prepares the weights for samples at `positions`.
-    pub(crate) fn prepare(positions: &SamplePositions, outside: OutsidePolicy) -> Weights {
-        GridWeights::prepare(positions, AxisWeights::cubic, outside)
-    }
-}
-
 impl FieldInterpolation for Bicubic {
     fn interpolate(&self, samples: &SampleCoefficients, outside: OutsidePolicy) -> Interpolated {
-        interpolated(samples, Self::prepare(samples.positions(), outside)?)
+        let weights = GridWeights::prepare(samples.positions(), AxisWeights::cubic, outside)?;
+        interpolated(samples, weights)
     }
 
     fn leave_one_out(&self, samples: &SampleCoefficients, outside: OutsidePolicy) -> Outcomes {
@@ -154,14 +143,18 @@ struct GridWeights {
 }
 
 impl GridWeights {
-    fn prepare(positions: &SamplePositions, along: AlongAxis, outside: OutsidePolicy) -> Weights {
+    fn prepare(
+        positions: &SamplePositions,
+        along: AlongAxis,
+        outside: OutsidePolicy,
+    ) -> Result<Self, CoeffFieldError> {
         let grid = RegularGrid::detect(positions)?;
-        Ok(Box::new(Self {
+        Ok(Self {
             x: along(&grid.x),
             y: along(&grid.y),
             grid,
             outside: known(outside)?,
-        }))
+        })
     }
 
     /// Returns the point at which the weights for `p` are computed, or `None` if the policy rejects

@@ -1,7 +1,7 @@
 //! Interpolation on the Delaunay triangulation of the samples: linear in its triangles, or by
 //! Sibson's natural neighbours.
 
-use psf_types::{FieldError, OutsidePolicy, Position, RowRun, SampleCoefficients, SamplePositions};
+use psf_types::{FieldError, OutsidePolicy, Position, RowRun, SampleCoefficients};
 use spade::handles::{FaceHandle, FixedVertexHandle, InnerTag};
 use spade::{NaturalNeighbor, Point2, PositionInTriangulation, Triangulation};
 
@@ -9,8 +9,7 @@ use crate::boundary::BoundaryPiece;
 use crate::field::interpolated;
 use crate::geometry::{Point, Points, Row, along, cross, dot, known, last_where, length, query, sub};
 use crate::interpolation::{
-    FieldInterpolation, FieldWeights, Interpolated, OnRun, Outcomes, Visited, WeightList, Weights,
-    add_weight, admit,
+    FieldInterpolation, FieldWeights, Interpolated, OnRun, Outcomes, Visited, WeightList, add_weight, admit,
 };
 use crate::lattice::Lattice;
 use crate::mesh::{Mesh, Support, mesh_leave_one_out, mesh_weights, weights_at_hull};
@@ -132,20 +131,13 @@ struct DelaunayWeights {
     outside: OutsidePolicy,
 }
 
-impl Delaunay {
-    /// Prepares the weights for samples at `positions`.
-    pub(crate) fn prepare(positions: &SamplePositions, outside: OutsidePolicy) -> Weights {
-        let outside = known(outside)?;
-        Ok(match Support::new(&Points::new(positions)?, outside) {
-            Support::Line(line) => Box::new(line),
-            Support::Mesh(mesh) => Box::new(DelaunayWeights { mesh, outside }),
-        })
-    }
-}
-
 impl FieldInterpolation for Delaunay {
     fn interpolate(&self, samples: &SampleCoefficients, outside: OutsidePolicy) -> Interpolated {
-        interpolated(samples, Self::prepare(samples.positions(), outside)?)
+        let outside = known(outside)?;
+        match Support::new(&Points::new(samples.positions())?, outside) {
+            Support::Line(line) => interpolated(samples, line),
+            Support::Mesh(mesh) => interpolated(samples, DelaunayWeights { mesh, outside }),
+        }
     }
 
     fn leave_one_out(&self, samples: &SampleCoefficients, outside: OutsidePolicy) -> Outcomes {
@@ -153,13 +145,12 @@ impl FieldInterpolation for Delaunay {
     }
 }
 
-impl NaturalNeighbour {
-    /// Prepares the weights for samples at `positions`.
-    pub(crate) fn prepare(positions: &SamplePositions, outside: OutsidePolicy) -> Weights {
+impl FieldInterpolation for NaturalNeighbour {
+    fn interpolate(&self, samples: &SampleCoefficients, outside: OutsidePolicy) -> Interpolated {
         let outside = known(outside)?;
-        let points = Points::new(positions)?;
+        let points = Points::new(samples.positions())?;
         let mesh = match Support::new(&points, outside) {
-            Support::Line(line) => return Ok(Box::new(line)),
+            Support::Line(line) => return interpolated(samples, line),
             Support::Mesh(mesh) => mesh,
         };
         let mut natural = Natural::new(&mesh);
@@ -168,16 +159,10 @@ impl NaturalNeighbour {
         } else {
             outside
         };
-        let lattice = Lattice::new(positions, &points, outside, |p, weights| {
+        let lattice = Lattice::new(samples.positions(), &points, outside, |p, weights| {
             natural.weights(p, policy, weights);
         })?;
-        Ok(Box::new(lattice))
-    }
-}
-
-impl FieldInterpolation for NaturalNeighbour {
-    fn interpolate(&self, samples: &SampleCoefficients, outside: OutsidePolicy) -> Interpolated {
-        interpolated(samples, Self::prepare(samples.positions(), outside)?)
+        interpolated(samples, lattice)
     }
 
     fn leave_one_out(&self, samples: &SampleCoefficients, outside: OutsidePolicy) -> Outcomes {
@@ -486,6 +471,8 @@ fn is_sliver(corners: [Point; 3]) -> bool {
 
 #[cfg(test)]
 mod tests {
+    use psf_types::SamplePositions;
+
     use super::*;
     use crate::geometry::points_of;
     use crate::interpolation::LeftOut;

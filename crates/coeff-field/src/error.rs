@@ -196,16 +196,6 @@ pub enum CoeffFieldError {
     /// An interpolation that has no value at a position of a sample.
     #[error(transparent)]
     NoValue(#[from] FieldError),
-    /// A number of values, nodes or components that does not match the interpolator or the samples.
-    #[error("{what}: expected {expected}, got {got}")]
-    CountMismatch {
-        /// The things that were counted, in words.
-        what: &'static str,
-        /// The number needed.
-        expected: usize,
-        /// The number found.
-        got: usize,
-    },
     /// Node values that overflow.
     #[error("component {component} at node {node} (0-based) is {value}: the samples' values are too large")]
     NonFiniteNode {

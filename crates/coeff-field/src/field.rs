@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use ndarray::{Array2, ArrayView2, ArrayViewMut3};
 use psf_types::{
-    BilinearCells, CoefficientField, ErrorLimit, FieldError, FrameShape, PixelRegion, Position,
+    BilinearCells, CoefficientField, DataError, ErrorLimit, FieldError, FrameShape, PixelRegion, Position,
     SampleCoefficients, WeightedNodes,
 };
 
@@ -66,22 +66,10 @@ impl InterpolatedField {
         } else {
             nodes.as_standard_layout().into_owned()
         };
-        for (what, expected, got) in [
-            (
-                "rows of node values, one for each node",
-                weights.node_count(),
-                nodes.nrows(),
-            ),
-            (
-                "components of the nodes' values",
-                samples.component_count(),
-                nodes.ncols(),
-            ),
-        ] {
-            if expected != got {
-                return Err(CoeffFieldError::CountMismatch { what, expected, got });
-            }
-        }
+        let what = "rows of node values, one for each node";
+        DataError::check_count(what, weights.node_count(), nodes.nrows())?;
+        let what = "components of the nodes' values";
+        DataError::check_count(what, samples.component_count(), nodes.ncols())?;
         if let Some(((node, component), &value)) = nodes.indexed_iter().find(|(_, v)| !v.is_finite()) {
             return Err(CoeffFieldError::NonFiniteNode {
                 node,
@@ -215,6 +203,9 @@ impl WeightedNodes for InterpolatedField {
 }
 
 /// The result of [`FieldInterpolation::interpolate`](crate::FieldInterpolation::interpolate) for weights.
-pub(crate) fn interpolated(samples: &SampleCoefficients, weights: Box<dyn FieldWeights>) -> Interpolated {
-    Ok(Arc::new(InterpolatedField::new(samples, weights)?))
+pub(crate) fn interpolated(
+    samples: &SampleCoefficients,
+    weights: impl FieldWeights + 'static,
+) -> Interpolated {
+    Ok(Arc::new(InterpolatedField::new(samples, Box::new(weights))?))
 }

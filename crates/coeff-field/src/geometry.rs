@@ -216,24 +216,21 @@ impl Hull {
 
     /// Returns whether `p` lies in the hull, or so little outside that it counts as covered.
     pub(crate) fn covers(&self, p: Point) -> bool {
-        self.contains(p) || length(sub(self.nearest(p), p)) <= self.scale.covered
+        length(sub(self.piece(p).1, p)) <= self.scale.covered
     }
 
     /// Returns the point at which the weights for `position` are computed under the policy. Inside
     /// the hull it is the position itself.
     pub(crate) fn admit(&self, position: Position) -> Result<Point, FieldError> {
         let p = query(position)?;
-        if self.outside == OutsidePolicy::Extend || self.contains(p) {
-            return Ok(p);
-        }
-        let nearest = self.nearest(p);
-        let distance = length(sub(nearest, p));
+        let place = self.place(p);
+        let distance = length(sub(place, p));
         // By rounding, a sample on an edge may lie slightly outside the hull. It must keep its
         // exact value.
         if distance <= self.scale.rounding {
             Ok(p)
         } else if self.outside == OutsidePolicy::Nearest || distance <= self.scale.covered {
-            Ok(nearest)
+            Ok(place)
         } else {
             Err(FieldError::OutsideSamples { position })
         }
@@ -242,10 +239,9 @@ impl Hull {
     /// The point at which weights for `p` are computed under the policies nearest and extend. `p`
     /// counts as covered under the policy error.
     pub(crate) fn place(&self, p: Point) -> Point {
-        if self.outside == OutsidePolicy::Extend || self.contains(p) {
-            p
-        } else {
-            self.nearest(p)
+        match self.outside {
+            OutsidePolicy::Extend => p,
+            _ => self.piece(p).1,
         }
     }
 
@@ -258,23 +254,8 @@ impl Hull {
     /// Returns the piece that contains `p`, and the point of the hull nearest to `p`.
     pub(crate) fn piece(&self, p: Point) -> (HullPiece, Point) {
         if self.contains(p) {
-            (HullPiece::Inside, p)
-        } else {
-            self.nearest_with_piece(p)
+            return (HullPiece::Inside, p);
         }
-    }
-
-    /// Returns whether `p` lies in the closed hull.
-    pub(crate) fn contains(&self, p: Point) -> bool {
-        self.outline.contains(p)
-    }
-
-    /// The point of the boundary nearest to `p`.
-    fn nearest(&self, p: Point) -> Point {
-        self.nearest_with_piece(p).1
-    }
-
-    fn nearest_with_piece(&self, p: Point) -> (HullPiece, Point) {
         let c = self.outline.corners();
         let mut best = (f64::INFINITY, (HullPiece::Corner(0), c[0]));
         // The two edges of a hull with two corners are one segment, so the first is enough.
@@ -297,6 +278,11 @@ impl Hull {
             }
         }
         best.1
+    }
+
+    /// Returns whether `p` lies in the closed hull.
+    pub(crate) fn contains(&self, p: Point) -> bool {
+        self.outline.contains(p)
     }
 }
 
@@ -462,18 +448,18 @@ mod tests {
         ] {
             assert_eq!(hull.piece(p).0, piece, "{p:?}");
         }
-        assert_eq!(hull.nearest([1.0, 5.0]), [1.0, 2.0]);
-        assert_eq!(hull.nearest([3.0, 4.0]), [2.0, 2.0]);
+        assert_eq!(hull.piece([1.0, 5.0]).1, [1.0, 2.0]);
+        assert_eq!(hull.piece([3.0, 4.0]).1, [2.0, 2.0]);
     }
 
     #[test]
     fn points_and_lines_have_hulls_too() {
         let one = hull(&[[3.0, 4.0]]);
         assert!(one.contains([3.0, 4.0]) && !one.covers([3.0, 5.0]));
-        assert_eq!(one.nearest([9.0, 9.0]), [3.0, 4.0]);
+        assert_eq!(one.piece([9.0, 9.0]).1, [3.0, 4.0]);
         let two = hull(&[[0.0, 0.0], [4.0, 4.0], [1.0, 1.0]]);
         assert!(two.covers([2.0, 2.0]) && !two.covers([2.0, 2.1]));
-        assert_eq!(two.nearest([0.0, 4.0]), [2.0, 2.0]);
+        assert_eq!(two.piece([0.0, 4.0]).1, [2.0, 2.0]);
     }
 
     #[test]

@@ -6,8 +6,8 @@ use std::sync::Arc;
 
 use ndarray::{Array2, ArrayView2};
 use psf_types::{
-    BilinearCells, CoefficientField, ErrorLimit, FieldError, OutsidePolicy, PixelRegion, Position, RowRun,
-    SampleCoefficients, SamplePositions,
+    BilinearCells, CoefficientField, DataError, ErrorLimit, FieldError, OutsidePolicy, PixelRegion, Position,
+    RowRun, SampleCoefficients, SamplePositions,
 };
 use thiserror::Error;
 
@@ -123,7 +123,7 @@ pub trait FieldWeights: Debug + Send + Sync {
     /// `[sample, component]`. The provided method returns the sample values.
     ///
     /// # Errors
-    /// [`CoeffFieldError::CountMismatch`] when there is not one row per sample.
+    /// [`DataError::CountMismatch`] when there is not one row per sample.
     fn node_values(&self, sample_values: ArrayView2<'_, f64>) -> Result<Array2<f64>, CoeffFieldError> {
         check_rows(self.sample_count(), sample_values)?;
         Ok(sample_values.to_owned())
@@ -206,8 +206,6 @@ pub trait FieldWeights: Debug + Send + Sync {
 
 /// The result of [`FieldInterpolation::interpolate`].
 pub(crate) type Interpolated = Result<Arc<dyn CoefficientField>, CoeffFieldError>;
-/// Prepared weights.
-pub(crate) type Weights = Result<Box<dyn FieldWeights>, CoeffFieldError>;
 /// The result of [`FieldInterpolation::leave_one_out`].
 pub(crate) type Outcomes = Result<LeaveOneOut, CoeffFieldError>;
 /// The result of visiting pixels, which stops at the first one without a value.
@@ -258,16 +256,12 @@ pub(crate) fn in_runs(
     Ok(())
 }
 
-pub(crate) fn check_rows(samples: usize, values: ArrayView2<'_, f64>) -> Result<(), CoeffFieldError> {
-    if values.nrows() == samples {
-        Ok(())
-    } else {
-        Err(CoeffFieldError::CountMismatch {
-            what: "rows of sample values, one for each sample",
-            expected: samples,
-            got: values.nrows(),
-        })
-    }
+pub(crate) fn check_rows(samples: usize, values: ArrayView2<'_, f64>) -> Result<(), DataError> {
+    DataError::check_count(
+        "rows of sample values, one for each sample",
+        samples,
+        values.nrows(),
+    )
 }
 
 /// (node, weight) pairs at one position.
@@ -383,7 +377,7 @@ impl LeaveOneOut {
     /// hull of their state are extrapolated.
     ///
     /// # Errors
-    /// [`CoeffFieldError::CountMismatch`] when there is not one prediction for each coefficient, and the
+    /// [`DataError::CountMismatch`] when there is not one prediction for each coefficient, and the
     /// errors of sample positions.
     pub fn of_predictions(
         samples: &SampleCoefficients,
@@ -391,13 +385,8 @@ impl LeaveOneOut {
     ) -> Result<Self, CoeffFieldError> {
         let (positions, values) = (samples.positions(), samples.values());
         check_rows(positions.len(), predictions)?;
-        if predictions.dim() != values.dim() {
-            return Err(CoeffFieldError::CountMismatch {
-                what: "predicted coefficients of each sample",
-                expected: values.ncols(),
-                got: predictions.ncols(),
-            });
-        }
+        let what = "predicted coefficients of each sample";
+        DataError::check_count(what, values.ncols(), predictions.ncols())?;
         let mut is_corner = vec![false; positions.len()];
         for state in 0..positions.state_count() {
             let of_state = match positions.states() {

@@ -11,7 +11,7 @@ use crate::field::interpolated;
 use crate::geometry::{Hull, HullPiece, Point, Points, Row, last_where};
 use crate::interpolation::{
     FieldInterpolation, FieldWeights, Interpolated, OnRun, Outcomes, Unpredictable, Visited, WeightList,
-    Weights, hull_leave_one_out, prediction_error, single,
+    hull_leave_one_out, prediction_error, single,
 };
 use crate::lattice::Lattice;
 use crate::search_tree::SearchTree;
@@ -29,20 +29,9 @@ use crate::search_tree::SearchTree;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Nearest;
 
-impl Nearest {
-    /// Prepares the weights for samples at `positions`.
-    pub(crate) fn prepare(positions: &SamplePositions, outside: OutsidePolicy) -> Weights {
-        let points = Points::new(positions)?;
-        Ok(Box::new(NearestWeights {
-            tree: SearchTree::new(&points)?,
-            hull: Hull::new(&points, outside)?,
-        }))
-    }
-}
-
 impl FieldInterpolation for Nearest {
     fn interpolate(&self, samples: &SampleCoefficients, outside: OutsidePolicy) -> Interpolated {
-        interpolated(samples, Self::prepare(samples.positions(), outside)?)
+        interpolated(samples, NearestWeights::prepare(samples.positions(), outside)?)
     }
 
     fn leave_one_out(&self, samples: &SampleCoefficients, outside: OutsidePolicy) -> Outcomes {
@@ -68,6 +57,15 @@ struct NearestWeights {
 }
 
 impl NearestWeights {
+    /// Prepares the weights for samples at `positions`.
+    fn prepare(positions: &SamplePositions, outside: OutsidePolicy) -> Result<Self, CoeffFieldError> {
+        let points = Points::new(positions)?;
+        Ok(Self {
+            tree: SearchTree::new(&points)?,
+            hull: Hull::new(&points, outside)?,
+        })
+    }
+
     /// Returns the part of the plane that contains `p`, and the sample whose value applies at `p`.
     /// Returns `None` where rounding could select another sample, or outside the hull under the
     /// policy error. Within a part, the nearest point of the hull is linear in the position.
@@ -269,22 +267,15 @@ impl Default for InverseDistance {
     }
 }
 
-impl InverseDistance {
-    /// Prepares the weights for samples at `positions`.
-    pub(crate) fn prepare(self, positions: &SamplePositions, outside: OutsidePolicy) -> Weights {
-        let points = Points::new(positions)?;
+impl FieldInterpolation for InverseDistance {
+    fn interpolate(&self, samples: &SampleCoefficients, outside: OutsidePolicy) -> Interpolated {
+        let points = Points::new(samples.positions())?;
         let (tree, hull) = (SearchTree::new(&points)?, Hull::new(&points, outside)?);
-        let lattice = Lattice::new(positions, &points, outside, |p, weights| {
+        let lattice = Lattice::new(samples.positions(), &points, outside, |p, weights| {
             self.weights(&tree, hull.place(p), None, weights)
                 .expect("there is at least one sample");
         })?;
-        Ok(Box::new(lattice))
-    }
-}
-
-impl FieldInterpolation for InverseDistance {
-    fn interpolate(&self, samples: &SampleCoefficients, outside: OutsidePolicy) -> Interpolated {
-        interpolated(samples, self.prepare(samples.positions(), outside)?)
+        interpolated(samples, lattice)
     }
 
     fn leave_one_out(&self, samples: &SampleCoefficients, outside: OutsidePolicy) -> Outcomes {
@@ -309,7 +300,7 @@ mod tests {
     fn ties_go_to_the_first_sample() {
         let corners = [(4, 4), (0, 4), (4, 0), (0, 0)].map(|(x, y)| Position::of_pixel(x, y));
         let positions = SamplePositions::new(corners.to_vec(), None).unwrap();
-        let nearest = Nearest::prepare(&positions, OutsidePolicy::Nearest).unwrap();
+        let nearest = NearestWeights::prepare(&positions, OutsidePolicy::Nearest).unwrap();
         let mut weights = WeightList::new();
         for (x, y, sample) in [(2, 2, 0), (2, 0, 2), (0, 2, 1), (1, 1, 3), (9, -9, 2)] {
             nearest

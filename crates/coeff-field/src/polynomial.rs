@@ -2,7 +2,7 @@
 
 use nalgebra::DMatrix;
 use ndarray::{Array2, ArrayView2};
-use psf_types::maths::legendre;
+use psf_types::maths::{legendre, term_count};
 use psf_types::{
     BilinearCells, ErrorLimit, FieldError, Interpolation, OutsidePolicy, PixelRegion, Position,
     SampleCoefficients, SamplePositions,
@@ -12,7 +12,7 @@ use crate::error::CoeffFieldError;
 use crate::field::interpolated;
 use crate::geometry::{Hull, HullPiece, Point, Points, external, length, pixel_ranges, range, sub};
 use crate::interpolation::{
-    FieldInterpolation, FieldWeights, Interpolated, Outcomes, Unpredictable, WeightList, Weights, check_rows,
+    FieldInterpolation, FieldWeights, Interpolated, Outcomes, Unpredictable, WeightList, check_rows,
     hull_leave_one_out,
 };
 
@@ -73,25 +73,12 @@ impl Polynomial {
     }
 }
 
-/// The number of terms of a polynomial in x and y of a total degree.
-pub(crate) fn term_count(degree: usize) -> usize {
-    (degree + 1) * (degree + 2) / 2
-}
-
-impl Polynomial {
-    /// Prepares the weights for samples at `positions`.
-    pub(crate) fn prepare(self, positions: &SamplePositions, outside: OutsidePolicy) -> Weights {
-        let points = Points::new(positions)?;
-        Ok(Box::new(PolynomialWeights {
-            fit: Fit::new(self, &points)?,
-            hull: Hull::new(&points, outside)?,
-        }))
-    }
-}
-
 impl FieldInterpolation for Polynomial {
     fn interpolate(&self, samples: &SampleCoefficients, outside: OutsidePolicy) -> Interpolated {
-        interpolated(samples, self.prepare(samples.positions(), outside)?)
+        interpolated(
+            samples,
+            PolynomialWeights::new(*self, samples.positions(), outside)?,
+        )
     }
 
     /// All predictions come from one fit to all samples, with residuals `r_i`. A fit without sample
@@ -263,6 +250,18 @@ impl FieldWeights for PolynomialWeights {
 }
 
 impl PolynomialWeights {
+    fn new(
+        method: Polynomial,
+        positions: &SamplePositions,
+        outside: OutsidePolicy,
+    ) -> Result<Self, CoeffFieldError> {
+        let points = Points::new(positions)?;
+        Ok(Self {
+            fit: Fit::new(method, &points)?,
+            hull: Hull::new(&points, outside)?,
+        })
+    }
+
     /// Each term's second derivatives by xx and yy in a region: the value at the middle, and a bound
     /// of the differences from it. `None` if terms have a kink in the region, or no value.
     fn second_derivatives(&self, region: PixelRegion) -> Option<Vec<[(f64, f64); 2]>> {
@@ -468,12 +467,8 @@ mod tests {
     fn errors_for_too_few_or_degenerate_samples_state_the_counts() {
         let method = Polynomial::new(3).unwrap();
         let prepare = |positions: Vec<Position>| {
-            method
-                .prepare(
-                    &SamplePositions::new(positions, None).unwrap(),
-                    OutsidePolicy::Nearest,
-                )
-                .map(drop)
+            let positions = SamplePositions::new(positions, None).unwrap();
+            PolynomialWeights::new(method, &positions, OutsidePolicy::Nearest).map(drop)
         };
         assert!(matches!(
             prepare(grid(3, 10.0)),
@@ -500,10 +495,8 @@ mod tests {
     #[test]
     fn weights_that_overflow_are_an_error() {
         let positions = SamplePositions::new(grid(9, 10.0), None).unwrap();
-        let weights_of = Polynomial::new(7)
-            .unwrap()
-            .prepare(&positions, OutsidePolicy::Extend)
-            .unwrap();
+        let method = Polynomial::new(7).unwrap();
+        let weights_of = PolynomialWeights::new(method, &positions, OutsidePolicy::Extend).unwrap();
         let far = Position::new(1e49, 0.0).unwrap();
         assert!(matches!(
             weights_of.weights_into(far, &mut WeightList::new()),

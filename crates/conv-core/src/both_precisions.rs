@@ -15,7 +15,7 @@ use crate::{
 /// Uses every function that carries `#[inline(never)]` for this reason, so that it is compiled
 /// here.
 fn of<T: ConvReal>() {
-    black_box(Engine::<T>::run as fn(_, _, _, _, _, _) -> _);
+    black_box(Engine::<T>::run as fn(_, _, _) -> _);
     black_box(Engine::<T>::execute_many as fn(_, _, _, _, _) -> _);
     black_box(Plan::<T>::for_region as fn(_, _, _, _, _, _) -> _);
     black_box(Plan::<T>::of_whole as fn(_, _, _, _) -> _);

@@ -174,17 +174,15 @@ impl<T: ConvReal> Engine<T> {
             return Err(ConvError::Layers("an execution has one image"));
         }
         progress.start(rows.len() as u64);
-        let mut counts = TileCounts::default();
-        for (number, into) in into.into_iter().enumerate() {
+        // The rows count once.
+        let uncounted = Uncounted(progress);
+        let results = into.into_iter().enumerate().map(|(number, into)| {
             let (from, into) = self.parts(operation, from, into)?;
-            // The rows count once.
-            let uncounted = Uncounted(progress);
             let progress: &dyn Progress = if number == 0 { progress } else { &uncounted };
-            counts += with_rows_in_memory(into, |into| {
-                self.run(rows.clone(), (from, number, 0), (into, 0), operation, progress)
-            })?;
-        }
-        Ok(counts)
+            let pass = self.pass(rows.clone(), (from, number, 0), 0, operation, progress);
+            with_rows_in_memory(into, |into| self.run(pass, into))
+        });
+        results.sum()
     }
 
     fn check_layers(&self, got: usize) -> Result<(), ConvError> {
@@ -224,12 +222,12 @@ impl<T: ConvReal> Engine<T> {
         let on_gpu = false;
         let few = from.len() < rayon::current_num_threads();
         if few || on_gpu || !into.iter().all(rows_in_memory) {
-            let mut counts = TileCounts::default();
-            for (from, into) in from.iter().zip(into) {
-                counts += self.execute(operation, from_ref(from), vec![into], &Uncounted(progress))?;
+            let results = from.iter().zip(into).map(|(from, into)| {
+                let counts = self.execute(operation, from_ref(from), vec![into], &Uncounted(progress))?;
                 progress.advance(1);
-            }
-            return Ok(counts);
+                Ok(counts)
+            });
+            return results.sum();
         }
         let parts = from.iter().zip(into).map(|(from, into)| {
             let (light, output) = self.parts(operation, from_ref(from), into)?;
@@ -311,8 +309,8 @@ impl<T: ConvReal> Engine<T> {
             let into = if self.gathers() { reached } else { written..end };
             let output = image.slice_mut(s![into.start - written..into.end - written, ..]);
             let light = light.iter().map(|layer| layer.view()).collect();
-            let (light, output) = ((light, 0, light_rows.start), (output, into.start));
-            counts += self.run(band, light, output, Operation::Convolve, progress)?;
+            let (light, operation) = ((light, 0, light_rows.start), Operation::Convolve);
+            counts += self.run(self.pass(band, light, into.start, operation, progress), output)?;
             pending = image.slice(s![next - written.., ..]).to_owned();
             if next > written {
                 let finished = image.slice_move(s![..next - written, ..]);
@@ -324,35 +322,30 @@ impl<T: ConvReal> Engine<T> {
         Ok(counts)
     }
 
-    /// Executes the plan for some rows of blocks on the engine's device: applies the operation to
-    /// `light`, one array for each layer from `layer` on, and adds the result to `output`. All arrays hold
-    /// whole rows of pixels, and come with the index of their first row.
+    /// Executes a pass on the engine's device and adds the result to `output`. All arrays hold whole rows of
+    /// pixels.
     #[inline(never)]
     pub(crate) fn run(
         &self,
-        rows: Range<usize>,
-        (mut light, first, first_light): (Vec<ArrayView2<'_, T>>, usize, usize),
-        (mut output, first_output): (ArrayViewMut2<'_, T>, usize),
-        operation: Operation,
-        progress: &dyn Progress,
+        pass: LightPass<'_, T>,
+        mut output: ArrayViewMut2<'_, T>,
     ) -> Result<TileCounts, ConvError> {
-        let of_layers = |light, layer, progress| {
-            let light = (light, layer, first_light);
-            self.pass(rows.clone(), light, first_output, operation, progress)
-        };
-        if light.len() > 1 && self.gathers() {
-            // Layers are weighted after their transforms, so each has its own.
-            let mut counts = TileCounts::default();
-            let uncounted = Uncounted(progress);
-            for (layer, light) in light.drain(..).enumerate() {
-                // The rows count once.
-                let progress: &dyn Progress = if layer == 0 { progress } else { &uncounted };
-                let (pass, output) = (of_layers(vec![light], first + layer, progress), output.view_mut());
-                counts += T::dispatch(Gather { pass, output })?;
-            }
-            return Ok(counts);
+        if pass.light.len() > 1 && self.gathers() {
+            // Layers are weighted after their transforms, so each has its own. The rows count once.
+            let uncounted = Uncounted(pass.progress);
+            let layers = pass.layers.clone().zip(&pass.light).map(|(layer, light)| {
+                let is_first = layer == pass.layers.start;
+                let pass = LightPass {
+                    layers: layer..layer + 1,
+                    light: vec![light.view()],
+                    progress: if is_first { pass.progress } else { &uncounted },
+                    ..pass.clone()
+                };
+                let output = output.view_mut();
+                T::dispatch(Gather { pass, output })
+            });
+            return layers.sum();
         }
-        let pass = of_layers(light, first, progress);
         #[cfg(feature = "gpu")]
         if let Some(gpu) = &self.gpu {
             let direct_sums = false;
@@ -364,7 +357,8 @@ impl<T: ConvReal> Engine<T> {
         }
     }
 
-    /// An execution on the processor, for the light of some layers, from `layer` on.
+    /// An execution for some rows of blocks: of an operation on `light`, one array for each layer from `layer`
+    /// on. The light and the output come with the index of their first row.
     fn pass<'a>(
         &'a self,
         rows: Range<usize>,

@@ -4,23 +4,23 @@
 use std::ops::Range;
 
 use ndarray::{Array2, ArrayView2, ArrayViewMut2, Axis, s};
-use psf_types::{FrameShape, PixelRegion, Progress};
+use psf_types::{PixelRegion, Progress};
 use rayon::prelude::*;
 
 use crate::{ConvError, ConvReal};
 
 /// A rectangle of values to be added to an output. It may reach beyond the output.
 pub(crate) struct Piece<T> {
-    pub(crate) first_column: i64,
-    pub(crate) first_row: i64,
+    /// Column and row of the first value.
+    pub(crate) first: (i64, i64),
     pub(crate) values: Array2<T>,
 }
 
 impl<T: ConvReal> Piece<T> {
     /// Adds the part of the piece that lies on the output. The output's first pixel is at
-    /// `(first_column, first_row)`.
-    pub(crate) fn add_to(&self, output: &mut ArrayViewMut2<'_, T>, (first_column, first_row): (i64, i64)) {
-        let at = (self.first_column - first_column, self.first_row - first_row);
+    /// `(column, row)`.
+    pub(crate) fn add_to(&self, output: &mut ArrayViewMut2<'_, T>, (column, row): (i64, i64)) {
+        let at = (self.first.0 - column, self.first.1 - row);
         add_values(self.values.view(), at, output);
     }
 }
@@ -61,15 +61,6 @@ pub(crate) fn add_pieces<'a, T: ConvReal>(
             piece.add_to(&mut rows, (first.0, first.1 + (number * band) as i64));
         }
     });
-}
-
-/// The region of `nx x ny` pixels from pixel `(x0, y0)` on.
-///
-/// # Panics
-/// If there are no pixels.
-pub(crate) fn region(x0: i64, y0: i64, (nx, ny): (usize, usize)) -> PixelRegion {
-    let shape = FrameShape::new(nx, ny).expect("regions are not empty");
-    PixelRegion::new(x0, y0, shape)
 }
 
 /// Finds the pixels that two regions share. For x and for y, returns the ranges of [`overlap`] for
@@ -160,14 +151,10 @@ mod tests {
 
     #[test]
     fn pieces_are_cut_at_every_edge() {
-        let add = |first_column, first_row| {
+        let add = |column, row| {
             let mut output = Array2::<f64>::zeros((3, 4));
-            Piece {
-                first_column,
-                first_row,
-                values: Array2::ones((2, 2)),
-            }
-            .add_to(&mut output.view_mut(), (0, 0));
+            let (first, values) = ((column, row), Array2::ones((2, 2)));
+            Piece { first, values }.add_to(&mut output.view_mut(), (0, 0));
             output.sum()
         };
         assert_eq!(add(0, 0), 4.0);

@@ -4,6 +4,7 @@ use ndarray::ArrayViewMut2;
 use psf_types::{Anchor, PixelRegion, PointSource, Position, Progress, PsfModel};
 
 use crate::galaxies::{ExtendedSources, ExtendedToDraw, GalaxyDrawer, GalaxyErrors};
+use crate::image_memory::{check_shape, with_rows_in_memory};
 use crate::plan::{PlanOptions, check_layers, share_stamps};
 use crate::sources::SourcePsfs;
 use crate::stars::{StarDrawer, StarPainter, StarsToDraw};
@@ -136,7 +137,7 @@ impl<T: ConvReal> SourcePlan<T> {
         share_stamps(&self.psfs.model, model).then(|| {
             let psfs = self.psfs.with_model(model);
             Self {
-                stars: self.stars.with_same_bases(),
+                stars: self.stars.clone(),
                 galaxies: self.galaxies.with_same_bases(&psfs),
                 psfs,
             }
@@ -205,7 +206,10 @@ impl<T: ConvReal> SourcePlan<T> {
             frame,
             progress,
         };
-        self.stars.draw_into(&self.psfs, catalogue, region, image)
+        check_shape(region.shape(), image.dim())?;
+        with_rows_in_memory(image, |image| {
+            self.stars.draw_into(&self.psfs, catalogue, region, image)
+        })
     }
 
     /// Adds extended sources to a part of an image, as [`draw_stars_into`](Self::draw_stars_into) adds stars.
@@ -228,7 +232,8 @@ impl<T: ConvReal> SourcePlan<T> {
             frame,
             progress,
         };
-        self.galaxies.draw_into(catalogue, region, image)
+        check_shape(region.shape(), image.dim())?;
+        with_rows_in_memory(image, |image| self.galaxies.draw_into(catalogue, region, image))
     }
 
     /// Computes the light of extended sources in single pixels `(column, row)` of the frame, in f64, with the

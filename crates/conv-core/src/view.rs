@@ -122,6 +122,15 @@ impl View {
     }
 }
 
+/// The region of `nx x ny` pixels from pixel `(x0, y0)` on.
+///
+/// # Panics
+/// If there are no pixels.
+pub(crate) fn region(x0: i64, y0: i64, (nx, ny): (usize, usize)) -> PixelRegion {
+    let shape = FrameShape::new(nx, ny).expect("regions are not empty");
+    PixelRegion::new(x0, y0, shape)
+}
+
 pub(crate) fn in_words(region: PixelRegion) -> String {
     format!("{} at ({}, {})", region.shape(), region.x0(), region.y0())
 }

@@ -2,6 +2,7 @@
 
 use ndarray::{ArrayView, ArrayView3, Axis, Dimension};
 use psf_types::Real;
+use psf_types::maths::unravel;
 use serde::Serialize;
 
 use crate::MetricsError;
@@ -73,15 +74,7 @@ impl Comparison {
         reference: ArrayView<'_, T, D>,
     ) -> Result<Self, MetricsError> {
         let shape = result.shape();
-        if shape != reference.shape() {
-            return Err(MetricsError::ShapeMismatch {
-                result: shape.to_vec(),
-                reference: reference.shape().to_vec(),
-            });
-        }
-        if result.is_empty() {
-            return Err(MetricsError::Empty);
-        }
+        check_shapes(shape, reference.shape())?;
         let largest = largest_magnitude(&result)?.max(largest_magnitude(&reference)?);
         // Scaling by a power of two loses no digits, and keeps squares of very small and very large
         // values in range.
@@ -139,15 +132,7 @@ impl Comparison {
         result: ArrayView3<'_, F>,
         reference: ArrayView3<'_, T>,
     ) -> Result<Vec<Self>, MetricsError> {
-        if result.shape() != reference.shape() {
-            return Err(MetricsError::ShapeMismatch {
-                result: result.shape().to_vec(),
-                reference: reference.shape().to_vec(),
-            });
-        }
-        if result.is_empty() {
-            return Err(MetricsError::Empty);
-        }
+        check_shapes(result.shape(), reference.shape())?;
         let planes = result.axis_iter(Axis(0)).zip(reference.axis_iter(Axis(0)));
         planes
             .enumerate()
@@ -268,6 +253,20 @@ impl From<Comparison> for ComparisonRecord {
     }
 }
 
+/// Returns an error for arrays of unequal shapes, or without values.
+fn check_shapes(result: &[usize], reference: &[usize]) -> Result<(), MetricsError> {
+    if result != reference {
+        return Err(MetricsError::ShapeMismatch {
+            result: result.to_vec(),
+            reference: reference.to_vec(),
+        });
+    }
+    if result.contains(&0) {
+        return Err(MetricsError::Empty);
+    }
+    Ok(())
+}
+
 /// Returns the largest absolute value, or an error with the index of a value that is not finite.
 fn largest_magnitude<T: Real, D: Dimension>(array: &ArrayView<'_, T, D>) -> Result<f64, MetricsError> {
     let mut largest = 0.0_f64;
@@ -281,21 +280,6 @@ fn largest_magnitude<T: Real, D: Dimension>(array: &ArrayView<'_, T, D>) -> Resu
         largest = largest.max(v.as_f64().abs());
     }
     Ok(largest)
-}
-
-/// The index along each axis of the `i`-th value in row-major order.
-fn unravel(mut i: usize, shape: &[usize]) -> Vec<usize> {
-    let mut index: Vec<usize> = shape
-        .iter()
-        .rev()
-        .map(|&n| {
-            let along = i % n;
-            i /= n;
-            along
-        })
-        .collect();
-    index.reverse();
-    index
 }
 
 /// Minimum, median, maximum, mean, root mean square and any quantile of a list of finite values.

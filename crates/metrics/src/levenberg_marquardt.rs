@@ -126,17 +126,12 @@ pub(crate) fn minimise<const N: usize>(
     let mut growth = 2.0;
     let mut change = f64::INFINITY;
     let mut newton_below = NEWTON_BELOW;
-    let settled = |parameters, at, iterations| {
-        Ok(Minimum {
-            parameters,
-            at,
-            iterations,
-        })
-    };
+    let mut iterations = MAX_ITERATIONS;
     for iteration in 0..MAX_ITERATIONS {
         change = at.full_change() / data_norm;
         if change <= CONVERGED {
-            return settled(p, at, iteration);
+            iterations = iteration;
+            break;
         }
         if change < newton_below {
             let newton = at.newton_step().map(|step| (p + step, linearise(&(p + step))));
@@ -171,27 +166,26 @@ pub(crate) fn minimise<const N: usize>(
                 damping *= growth;
                 growth *= 2.0;
                 if damping > MAX_DAMPING {
-                    return if change <= STALLED {
-                        settled(p, at, iteration)
-                    } else {
-                        Err(Unsettled {
-                            parameters: p,
-                            iterations: iteration,
-                            change,
-                        })
-                    };
+                    iterations = iteration;
+                    break;
                 }
             }
         }
     }
+    let parameters = p;
     if change <= STALLED {
-        return settled(p, at, MAX_ITERATIONS);
+        Ok(Minimum {
+            parameters,
+            at,
+            iterations,
+        })
+    } else {
+        Err(Unsettled {
+            parameters,
+            iterations,
+            change,
+        })
     }
-    Err(Unsettled {
-        parameters: p,
-        iterations: MAX_ITERATIONS,
-        change,
-    })
 }
 
 #[cfg(test)]

@@ -25,8 +25,8 @@ pub(crate) struct Components {
     pub(crate) rest: Rest,
 }
 
-/// The singular values that are not computed.
-#[derive(Debug, Clone, Copy, PartialEq)]
+/// The singular values that are not computed. By default there are none.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(crate) struct Rest {
     /// Their number.
     pub(crate) count: usize,
@@ -40,17 +40,6 @@ pub(crate) struct Rest {
     pub(crate) sum_limits: [f64; 2],
 }
 
-impl Rest {
-    /// No value is left.
-    pub(crate) const NONE: Self = Self {
-        count: 0,
-        largest: 0.0,
-        energy: 0.0,
-        sum: 0.0,
-        sum_limits: [0.0; 2],
-    };
-}
-
 impl Components {
     /// Computes all components.
     pub(crate) fn all(rows: ArrayView2<'_, f64>) -> Result<Self, BasisError> {
@@ -60,7 +49,7 @@ impl Components {
             unexplained: vec![0.0; rows.nrows()],
             values,
             vectors,
-            rest: Rest::NONE,
+            rest: Rest::default(),
         })
     }
 

@@ -296,10 +296,16 @@ pub fn orthonormal(
     let mut components = rows_of_columns(vectors.as_ref(), rank);
     let mut coefficients = coefficients.dot(&stamps.dot(&components.t()));
     fix_signs(&mut components, &mut coefficients);
-    let components = components
-        .into_shape_with_order((rank, ny, nx))
-        .expect("row-major");
-    Ok((PsfBasis::new(mean, components, grid)?, coefficients))
+    Ok((
+        PsfBasis::new(mean, stamps_of(components, grid), grid)?,
+        coefficients,
+    ))
+}
+
+/// Rows `[stamp, pixel]` as stamps `[stamp, y, x]`.
+pub(crate) fn stamps_of(rows: Array2<f64>, grid: StampGrid) -> Array3<f64> {
+    let shape = (rows.nrows(), grid.ny(), grid.nx());
+    rows.into_shape_with_order(shape).expect("row-major")
 }
 
 /// Stamps `[stamp, pixel]`, copied only if they are not in row-major order.

@@ -8,7 +8,9 @@ use serde::{Deserialize, Serialize};
 
 use crate::circles::{Circles, SampleFlux};
 use crate::components::{Components, Krylov, is_large};
-use crate::decomposition::{BasisError, ROUNDING_UNITS, fix_signs, orthonormal_in_order, rows_of_columns};
+use crate::decomposition::{
+    BasisError, ROUNDING_UNITS, fix_signs, orthonormal_in_order, rows_of_columns, stamps_of,
+};
 use crate::noise::{NoiseSearch, PixelNoise, degrees_of_freedom, leverages, variances_after};
 use crate::rank::{RankSelection, Spectrum};
 use crate::smooth::smooth_components;
@@ -54,22 +56,57 @@ impl BasisFit {
         DataError::check_count(what, basis.rank(), coefficients.component_count())?;
         check_grid(samples, &basis)?;
         let rows = rows_of(samples.stamps());
-        let sizes = Sizes::new(rows);
-        let noisy = is_noisy(spectrum.as_ref());
-        let (errors, circle_errors) = truncation_errors(
-            (rows, mean_of(&basis)),
-            (&sizes, &Circles::new(samples.grid()), noisy),
-            &basis,
-            coefficients.values(),
-        );
-        Ok(Self {
+        let of_samples = (&Sizes::new(rows), &Circles::new(samples.grid()));
+        Ok(Self::measured(
+            (rows, false),
+            of_samples,
+            basis,
+            coefficients,
+            spectrum,
+        ))
+    }
+
+    /// Measures the truncation error of every row `[sample, pixel]`, and the error of its flux in circles.
+    /// `is_centred` states whether the mean stamp is already subtracted from the rows.
+    fn measured(
+        (rows, is_centred): (ArrayView2<'_, f64>, bool),
+        (sizes, circles): (&Sizes, &Circles),
+        basis: PsfBasis,
+        coefficients: SampleCoefficients,
+        spectrum: Option<Spectrum>,
+    ) -> Self {
+        let noisy = spectrum.as_ref().is_some_and(|of| of.noise_sigma.is_some());
+        let (components, values) = (rows_of(basis.components()), coefficients.values());
+        let mean = mean_of(&basis).filter(|_| !is_centred);
+        let block = (BLOCK_PIXELS / rows.ncols()).clamp(FEWEST, BLOCK);
+        let blocks: Vec<_> = rows
+            .axis_chunks_iter(Axis(0), block)
+            .zip(values.axis_chunks_iter(Axis(0), block))
+            .zip(sizes.norms.chunks(block).zip(sizes.fluxes.chunks(block)))
+            .collect();
+        let errors = blocks
+            .into_par_iter()
+            .flat_map_iter(|((block, weights), (norms, fluxes))| {
+                let mut residual = &block - &weights.dot(&components);
+                if let Some(mean) = mean {
+                    residual -= &mean;
+                }
+                let sizes = norms.iter().zip(fluxes);
+                let errors = residual.outer_iter().zip(sizes).map(|(rest, (norm, &flux))| {
+                    let in_circles = circles.error(rest, flux, noisy);
+                    (rest.dot(&rest).sqrt() / norm, in_circles)
+                });
+                errors.collect::<Vec<_>>()
+            });
+        let (errors, circle_errors) = errors.unzip();
+        Self {
             basis,
             coefficients,
             spectrum,
             errors,
             circle_errors,
             noise: None,
-        })
+        }
     }
 
     /// States the noise of the samples' coefficients ([`noise`](Self::noise)).
@@ -168,7 +205,7 @@ const BLOCK_PIXELS: usize = 1 << 24;
 const FEWEST: usize = 8;
 
 /// Returns stamps `[stamp, y, x]`, which must be in row-major order, as `[stamp, pixel]`.
-fn rows_of(stamps: ArrayView3<'_, f64>) -> ArrayView2<'_, f64> {
+pub(crate) fn rows_of(stamps: ArrayView3<'_, f64>) -> ArrayView2<'_, f64> {
     let (count, ny, nx) = stamps.dim();
     stamps.into_shape_with_order((count, ny * nx)).expect("row-major")
 }
@@ -195,43 +232,6 @@ impl Sizes {
             fluxes: rows.outer_iter().map(SampleFlux::of).collect(),
         }
     }
-}
-
-/// Returns whether noise was found in the samples.
-fn is_noisy(spectrum: Option<&Spectrum>) -> bool {
-    spectrum.is_some_and(|spectrum| spectrum.noise_sigma.is_some())
-}
-
-/// The truncation error of every sample, and the error of its flux in circles. `rows` are the samples,
-/// and `mean` the mean stamp that they contain.
-fn truncation_errors(
-    (rows, mean): (ArrayView2<'_, f64>, Option<ArrayView1<'_, f64>>),
-    (sizes, circles, noisy): (&Sizes, &Circles, bool),
-    basis: &PsfBasis,
-    coefficients: ArrayView2<'_, f64>,
-) -> (Vec<f64>, Vec<f64>) {
-    let components = rows_of(basis.components());
-    let block = (BLOCK_PIXELS / rows.ncols()).clamp(FEWEST, BLOCK);
-    let blocks: Vec<_> = rows
-        .axis_chunks_iter(Axis(0), block)
-        .zip(coefficients.axis_chunks_iter(Axis(0), block))
-        .zip(sizes.norms.chunks(block).zip(sizes.fluxes.chunks(block)))
-        .collect();
-    let errors = blocks
-        .into_par_iter()
-        .flat_map_iter(|((block, weights), (norms, fluxes))| {
-            let mut residual = &block - &weights.dot(&components);
-            if let Some(mean) = mean {
-                residual -= &mean;
-            }
-            let sizes = norms.iter().zip(fluxes);
-            let errors = residual.outer_iter().zip(sizes).map(|(rest, (norm, &flux))| {
-                let in_circles = circles.error(rest, flux, noisy);
-                (rest.dot(&rest).sqrt() / norm, in_circles)
-            });
-            errors.collect::<Vec<_>>()
-        });
-    errors.unzip()
 }
 
 /// A basis of given stamps, with an optional mean stamp. It is for bases from elsewhere, such as analytic
@@ -471,26 +471,11 @@ impl Svd {
         }
         fix_signs(&mut components, &mut coefficients);
 
-        let components = components
-            .into_shape_with_order((rank, ny, nx))
-            .expect("row-major");
         let mean = mean.map(|m| m.into_shape_with_order((ny, nx)).expect("row-major"));
-        let basis = PsfBasis::new(mean, components, grid)?;
-        // The mean is already subtracted.
-        let (errors, circle_errors) = truncation_errors(
-            (of_samples, None),
-            (&sizes, &circles, is_noisy(Some(&spectrum))),
-            &basis,
-            coefficients.view(),
-        );
-        let fit = BasisFit {
-            basis,
-            coefficients: SampleCoefficients::new(coefficients, positions)?,
-            spectrum: Some(spectrum),
-            errors,
-            circle_errors,
-            noise: None,
-        };
+        let basis = PsfBasis::new(mean, stamps_of(components, grid), grid)?;
+        let coefficients = SampleCoefficients::new(coefficients, positions)?;
+        let rows = (of_samples, true);
+        let fit = BasisFit::measured(rows, (&sizes, &circles), basis, coefficients, Some(spectrum));
         let noise = fit.noise_of_residuals(&sizes.norms);
         Ok(fit.with_noise(noise))
     }

@@ -261,7 +261,7 @@ mod tests {
 
     fn elbow_of(singular_values: &[f64]) -> usize {
         let negligible = FLOOR * singular_values.first().copied().unwrap_or_default();
-        elbow(singular_values, &Rest::NONE, negligible, usize::MAX).unwrap()
+        elbow(singular_values, &Rest::default(), negligible, usize::MAX).unwrap()
     }
 
     #[test]

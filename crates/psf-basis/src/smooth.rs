@@ -15,6 +15,7 @@
 
 use faer::{Mat, MatRef, concat};
 use ndarray::{Array1, Array2, ArrayView2, aview1};
+use psf_types::maths::term_count;
 use psf_types::{Position, SamplePositions};
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
@@ -58,7 +59,7 @@ pub(crate) fn smooth_components(
     let (mut of_samples, mut of_noise) = (sums(&polynomials), sums(&(&polynomials * &signs)));
 
     let mut components = known.to_owned();
-    for terms in DEGREES.map(|degree| terms_of(degree) * positions.state_count()) {
+    for terms in DEGREES.map(|degree| term_count(degree) * positions.state_count()) {
         let dimensions = rows.ncols() - components.ncols();
         if terms > polynomials.nrows() || terms >= dimensions {
             break;
@@ -81,11 +82,6 @@ pub(crate) fn smooth_components(
         .to_owned())
 }
 
-/// The number of polynomials in x and y up to a degree.
-fn terms_of(degree: usize) -> usize {
-    (degree + 1) * (degree + 2) / 2
-}
-
 /// Polynomials at the samples `[polynomial, sample]`, divided by the samples' noise, and made orthonormal. In
 /// ascending order of their degrees, as many as the samples of the smallest state allow. Each state has its
 /// own.
@@ -94,7 +90,7 @@ fn polynomials(positions: &SamplePositions, noise: &[f64]) -> Array2<f64> {
         .map(|state| positions.samples_of_state(state))
         .collect();
     let least = states.iter().map(Vec::len).min().unwrap_or(0);
-    let fits = |degree: &usize| SAMPLES_PER_TERM * terms_of(*degree) <= least;
+    let fits = |degree: &usize| SAMPLES_PER_TERM * term_count(*degree) <= least;
     let degree = DEGREES.into_iter().rfind(fits);
     // Within -1 and 1.
     let [(x0, x1), (y0, y1)] = Position::bounds(positions.as_slice());

@@ -6,8 +6,10 @@ use ndarray::{Array1, Array2, Array3, ArrayView1, ArrayView2, Axis, concatenate,
 use psf_types::{PsfSamples, SamplePositions};
 use rayon::prelude::*;
 
-use crate::decomposition::{BasisError, columns_of, decompose, orthonormal_in_order, rows_of_columns};
-use crate::fit::{BasisFit, BasisMethod, Svd};
+use crate::decomposition::{
+    BasisError, columns_of, decompose, orthonormal_in_order, rows_of_columns, stamps_of,
+};
+use crate::fit::{BasisFit, BasisMethod, Svd, rows_of};
 use crate::rank::{RankSelection, Spectrum};
 use crate::smooth::smooth_components;
 
@@ -134,8 +136,7 @@ impl BasisMethod for WeightedPca {
     fn fit(&self, samples: &PsfSamples) -> Result<BasisFit, BasisError> {
         let mut filled = self.filled(samples)?;
         let weights = self.weights.as_standard_layout();
-        let shape = (samples.len(), samples.grid().pixel_count());
-        let weights = weights.view().into_shape_with_order(shape).expect("row-major");
+        let weights = rows_of(weights.view());
         if weights.iter().any(|w| *w == 0.0) {
             // Few components fill bad pixels better than the mean does, and do not follow what is filled in.
             let first = self.svd.with_rank(RankSelection::Elbow).fit(&filled)?;
@@ -167,17 +168,12 @@ impl<'a> Turns<'a> {
     /// Starts from the first `rank` components of a fit, and takes turns until they no longer change the sum
     /// of squares.
     fn solved(first: &BasisFit, rank: usize, samples: &'a PsfSamples, weights: ArrayView2<'a, f64>) -> Self {
-        let flat = (samples.len(), samples.grid().pixel_count());
         let basis = first.basis();
-        let components = basis.components().slice_move(s![..rank, .., ..]);
         let mut turns = Self {
-            rows: samples.stamps().into_shape_with_order(flat).expect("row-major"),
+            rows: rows_of(samples.stamps()),
             weights,
             mean: basis.mean().map(|mean| mean.iter().copied().collect()),
-            components: components
-                .into_shape_with_order((rank, flat.1))
-                .expect("row-major")
-                .to_owned(),
+            components: rows_of(basis.components()).slice_move(s![..rank, ..]).to_owned(),
             coefficients: Array2::zeros((0, 0)),
         };
         let mut before = f64::INFINITY;
@@ -305,10 +301,11 @@ impl<'a> Turns<'a> {
     /// As [`filled_rows`](Self::filled_rows), with the positions and the grid of the samples.
     fn filled(&self, samples: &PsfSamples) -> Result<PsfSamples, BasisError> {
         let (grid, positions) = (samples.grid(), samples.positions().clone());
-        let stamps = self
-            .filled_rows()
-            .into_shape_with_order((samples.len(), grid.ny(), grid.nx()));
-        Ok(PsfSamples::new(stamps.expect("row-major"), positions, grid)?)
+        Ok(PsfSamples::new(
+            stamps_of(self.filled_rows(), grid),
+            positions,
+            grid,
+        )?)
     }
 
     fn into_fit(self, samples: &PsfSamples, spectrum: Spectrum) -> Result<BasisFit, BasisError> {
@@ -320,16 +317,12 @@ impl<'a> Turns<'a> {
         let good = self.weights.iter().filter(|w| **w > 0.0).count();
         let unknowns = (rank + usize::from(self.mean.is_some())) * ny * nx + rank * samples.len();
         let scale = (self.squares() / good.saturating_sub(unknowns).max(1) as f64).sqrt();
-        let stamps = self
-            .components
-            .into_shape_with_order((rank, ny, nx))
-            .expect("row-major");
+        let stamps = stamps_of(self.components, grid);
         let mean = self
             .mean
             .map(|mean| mean.into_shape_with_order((ny, nx)).expect("row-major"));
         let (basis, coefficients) = orthonormal_in_order(mean, stamps, self.coefficients.view(), grid)?;
-        let components = basis.components().into_shape_with_order((basis.rank(), ny * nx));
-        let components = components.expect("row-major");
+        let components = rows_of(basis.components());
         let is_noisy = spectrum.noise_sigma.is_some();
         let noise = is_noisy.then(|| {
             let rows = self.rows.outer_iter().zip(self.weights.outer_iter());

@@ -16,11 +16,12 @@ pub(crate) struct AdaptiveRun<'a> {
     criterion: &'a dyn RefinementCriterion,
     source: &'a dyn PsfSource,
     mesh: Mesh,
-    stamps: DrawnStamps,
+    pub(crate) stamps: DrawnStamps,
     assessed: BTreeMap<Cell, Assessed>,
     /// PSFs drawn at other points than those of the criterion, and the measure of their errors.
     tests: Vec<(Position, DifferenceMeasure)>,
-    outcome: SamplingOutcome,
+    /// The reason why the sampling ended: [`Met`](SamplingOutcome::Met) if the criterion and all tests hold.
+    pub(crate) outcome: SamplingOutcome,
 }
 
 /// Measurements in a cell.
@@ -57,20 +58,6 @@ impl<'a> AdaptiveRun<'a> {
         let mesh = &self.mesh;
         let holds_a_test = |cell: &Cell| tests.iter().any(|&p| mesh.place_in(*cell, p).is_some());
         self.assessed.retain(|cell, _| !holds_a_test(cell));
-    }
-
-    pub(crate) fn stamps(&mut self) -> &mut DrawnStamps {
-        &mut self.stamps
-    }
-
-    /// Whether the criterion and all tests hold.
-    pub(crate) fn is_met(&self) -> bool {
-        self.outcome == SamplingOutcome::Met
-    }
-
-    /// Sets the reason why the sampling ended.
-    pub(crate) fn end(&mut self, outcome: SamplingOutcome) {
-        self.outcome = outcome;
     }
 
     /// The number of PSFs drawn when the starting grid has been assessed.

@@ -3,13 +3,13 @@
 use psf_types::{Position, Progress, PsfSource};
 
 use crate::adaptive::AdaptiveSampling;
+use crate::adaptive_run::AdaptiveRun;
 use crate::criteria::{DifferenceMeasure, InterpolationError, check_threshold};
 use crate::draws::DrawnStamps;
 use crate::learner::Learner;
 use crate::mesh::Mesh;
 use crate::sampling::{Refinement, SampleError, Sampling, SamplingMethod, SamplingOutcome, SamplingReport};
 use crate::spread::Spread;
-use crate::takeover::Takeover;
 use crate::verifier::Verifier;
 
 /// The number of PSFs drawn before the first prediction.
@@ -358,24 +358,43 @@ impl Run<'_> {
         Err(SampleError::not_met(most, Some(wanted), sampling))
     }
 
-    fn refine_mesh(self) -> Result<Sampling, SampleError> {
+    /// The mesh takes over, where the PSF is not smooth. It is refined until its criterion, all PSFs drawn
+    /// before and random tests agree. All PSFs drawn become samples.
+    fn refine_mesh(mut self) -> Result<Sampling, SampleError> {
         let KrigingSampling {
             threshold,
             measure,
             max_draws,
             ..
         } = *self.options;
-        let takeover = Takeover {
-            source: self.source,
-            progress: self.progress,
-            criterion: InterpolationError::new(threshold, measure)?,
-            measure,
-            max_draws,
-            mesh: self.mesh,
-            stamps: self.stamps,
-            drawn: self.drawn,
-            verifier: self.verifier,
+        let criterion = InterpolationError::new(threshold, measure)?;
+        let mut run = AdaptiveRun::new(&criterion, self.source, self.mesh, self.stamps);
+        run.add_tests(&self.drawn, measure);
+        let wanted = loop {
+            if let Some(wanted) = run.refine(max_draws, self.progress)? {
+                break Some(wanted);
+            }
+            let tests = self.verifier.positions()?;
+            let wanted = run.stamps.count() + tests.len();
+            if wanted > max_draws {
+                run.outcome = SamplingOutcome::CapReached;
+                break Some(wanted);
+            }
+            run.stamps.add(self.source, &tests, self.progress)?;
+            let errors: Vec<f64> = tests.iter().map(|&at| run.error_at(at, measure)).collect();
+            let passed = self.verifier.record(tests.iter().copied().zip(errors), threshold);
+            if passed || run.outcome != SamplingOutcome::Met {
+                break None;
+            }
+            run.add_tests(&tests, measure);
         };
-        takeover.run()
+        let is_met = wanted.is_none() && run.outcome == SamplingOutcome::Met;
+        let mut sampling = run.all_samples()?;
+        sampling.report.verification = self.verifier.last;
+        if is_met {
+            Ok(sampling)
+        } else {
+            Err(SampleError::not_met(max_draws, wanted, sampling))
+        }
     }
 }

@@ -62,7 +62,6 @@ mod options;
 mod orthonormal;
 mod sampling;
 mod spread;
-mod takeover;
 mod verification;
 mod verifier;
 

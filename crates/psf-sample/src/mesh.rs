@@ -257,16 +257,12 @@ impl Mesh {
     fn crowded(&self, cell: Cell) -> Halving {
         let quarters = |ends: (u64, u64)| [(ends.0, middle(ends)), (middle(ends), ends.1)].map(middle);
         let at = |x, y| self.nodes.contains(&Node { y, x });
-        let extent = |ends: (u64, u64)| ends.1 > ends.0;
+        let crowded = |ends: (u64, u64), is_node: &dyn Fn(u64) -> bool| {
+            ends.1 > ends.0 && quarters(ends).into_iter().any(is_node)
+        };
         Halving {
-            x: extent(cell.x)
-                && quarters(cell.x)
-                    .iter()
-                    .any(|&x| at(x, cell.y.0) || at(x, cell.y.1)),
-            y: extent(cell.y)
-                && quarters(cell.y)
-                    .iter()
-                    .any(|&y| at(cell.x.0, y) || at(cell.x.1, y)),
+            x: crowded(cell.x, &|x| at(x, cell.y.0) || at(x, cell.y.1)),
+            y: crowded(cell.y, &|y| at(cell.x.0, y) || at(cell.x.1, y)),
         }
     }
 }

@@ -1,6 +1,7 @@
 //! Random tests of a sampling that is done.
 
 use psf_types::Position;
+use statrs::function::beta::inv_beta_reg;
 
 /// The confidence of [`fraction_limit`].
 const CONFIDENCE: f64 = 0.95;
@@ -49,28 +50,7 @@ pub fn fraction_limit(above: usize, tests: usize) -> f64 {
     if above >= tests {
         return 1.0;
     }
-    // The probability of at most `above`, which falls with p. Logarithms hold the small terms.
-    let at_most = |p: f64| {
-        let (n, odds) = (tests as f64, p.ln() - (-p).ln_1p());
-        let mut term = n * (-p).ln_1p();
-        let mut sum = term.exp();
-        for i in 0..above {
-            term += (n - i as f64).ln() - (i as f64 + 1.0).ln() + odds;
-            sum += term.exp();
-        }
-        sum
-    };
-    let (mut low, mut high) = (0.0, 1.0);
-    // Each step halves the interval.
-    for _ in 0..60 {
-        let middle = f64::midpoint(low, high);
-        if at_most(middle) > 1.0 - CONFIDENCE {
-            low = middle;
-        } else {
-            high = middle;
-        }
-    }
-    f64::midpoint(low, high)
+    inv_beta_reg((above + 1) as f64, (tests - above) as f64, CONFIDENCE)
 }
 
 #[cfg(test)]

@@ -1,12 +1,12 @@
 //! The background of a frame and its noise, and two tools that other modules use too: the median
 //! and the spline.
 
-use ndarray::{Array2, ArrayView2, s};
+use ndarray::{Array2, ArrayView2, Zip, s};
 use psf_types::maths::{mirrored_index, spline_coefficients, spline_weights};
 use rayon::prelude::*;
 
 use crate::StarError;
-use crate::error::check;
+use crate::error::{check, checked_setters};
 
 /// Estimates the background on a mesh, as SExtractor does (Bertin and Arnouts 1996, section 7.1).
 ///
@@ -53,18 +53,13 @@ impl BackgroundMesh {
         Ok(Self { cell, filter: 3 })
     }
 
-    /// Sets the median filter to `filter` x `filter` cells. With 1 there is no filter.
-    ///
-    /// # Errors
-    /// [`StarError::Setting`] unless it is odd.
-    pub fn with_filter(self, filter: usize) -> Result<Self, StarError> {
-        check(
-            filter % 2 == 1,
-            "the background filter",
-            "an odd number of cells",
-            filter as f64,
-        )?;
-        Ok(Self { filter, ..self })
+    checked_setters! {
+        /// Sets the median filter to `filter` x `filter` cells. With 1 there is no filter.
+        ///
+        /// # Errors
+        /// [`StarError::Setting`] unless it is odd.
+        with_filter(filter: usize) => filter, if filter % 2 == 1,
+            else "the background filter", "an odd number of cells";
     }
 
     /// Estimates the background of `pixels` `[y, x]`. NaN pixels are ignored. A cell in which more
@@ -101,7 +96,7 @@ impl BackgroundMesh {
             median_filtered(&filled(map), self.filter)
         };
         let (level, rms) = (map(|c| c.0), map(|c| c.1));
-        let typical_rms = median(&mut rms.iter().copied().collect::<Vec<_>>());
+        let typical_rms = median(rms.iter().copied());
         if typical_rms.is_nan() || typical_rms <= 0.0 {
             return Err(StarError::NoNoise);
         }
@@ -114,8 +109,7 @@ impl BackgroundMesh {
         let level = interpolated(&level, (ny, nx));
         let mut rms = interpolated(&rms, (ny, nx));
         rms.mapv_inplace(|v| v.max(least));
-        let known = cells.iter().map(|cell| cell.0).filter(|v| !v.is_nan());
-        let typical_level = median(&mut known.collect::<Vec<_>>());
+        let typical_level = median(cells.iter().map(|cell| cell.0).filter(|v| !v.is_nan()));
         Ok(Background {
             level,
             rms,
@@ -172,8 +166,9 @@ impl Background {
     }
 }
 
-/// Sorts the values and returns their median, or NaN if there are none.
-pub(crate) fn median(values: &mut [f64]) -> f64 {
+/// The median, or NaN if there are no values.
+pub(crate) fn median(values: impl IntoIterator<Item = f64>) -> f64 {
+    let mut values: Vec<f64> = values.into_iter().collect();
     values.sort_unstable_by(f64::total_cmp);
     match values.len() {
         0 => f64::NAN,
@@ -255,14 +250,8 @@ fn median_filtered(map: &Array2<f64>, size: usize) -> Array2<f64> {
     let reach = size / 2;
     Array2::from_shape_fn((rows, columns), |(j, i)| {
         let about = |k: usize, n: usize| k.saturating_sub(reach)..(k + reach + 1).min(n);
-        median(
-            &mut map
-                .slice(s![about(j, rows), about(i, columns)])
-                .iter()
-                .copied()
-                .filter(|v| !v.is_nan())
-                .collect::<Vec<_>>(),
-        )
+        let near = map.slice(s![about(j, rows), about(i, columns)]);
+        median(near.iter().copied().filter(|v| !v.is_nan()))
     })
 }
 
@@ -273,16 +262,9 @@ fn interpolated(map: &Array2<f64>, (ny, nx): (usize, usize)) -> Array2<f64> {
     let coordinate =
         |pixel: usize, cells: usize, n: usize| (pixel as f64 + 0.5) * cells as f64 / n as f64 - 0.5;
     let mut pixels = Array2::zeros((ny, nx));
-    pixels
-        .as_slice_mut()
-        .expect("new arrays are row-major")
-        .par_chunks_mut(nx)
-        .enumerate()
-        .for_each(|(y, row)| {
-            for (x, value) in row.iter_mut().enumerate() {
-                *value = spline.at(coordinate(x, columns, nx), coordinate(y, rows, ny));
-            }
-        });
+    Zip::indexed(&mut pixels).par_for_each(|(y, x), value| {
+        *value = spline.at(coordinate(x, columns, nx), coordinate(y, rows, ny));
+    });
     pixels
 }
 

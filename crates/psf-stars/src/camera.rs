@@ -34,19 +34,19 @@ impl Camera {
         ///
         /// # Errors
         /// [`StarError::Setting`] unless it is above 0.
-        with_gain(gain) => gain: Some, if gain.is_finite() && gain > 0.0,
+        with_gain(gain: f64) => gain: Some, if gain.is_finite() && gain > 0.0,
             else "the gain", "a number of electrons per unit, above 0";
         /// Sets the read noise in electrons. It is used only together with a gain.
         ///
         /// # Errors
         /// [`StarError::Setting`] unless it is 0 or above.
-        with_read_noise(read_noise) => read_noise, if at_least(0.0, read_noise),
+        with_read_noise(read_noise: f64) => read_noise, if at_least(0.0, read_noise),
             else "the read noise", "a number of electrons, 0 or above";
         /// Sets the value, background included, at and above which pixels are saturated.
         ///
         /// # Errors
         /// [`StarError::Setting`] unless it is finite.
-        with_saturation(level) => saturation: Some, if level.is_finite(),
+        with_saturation(level: f64) => saturation: Some, if level.is_finite(),
             else "the saturation level", "a finite number";
         /// Sets the saturation level of the frame's header (`SATURATE`), which is used if no other
         /// level is given. A level at or below the background cannot be true and is ignored
@@ -54,7 +54,7 @@ impl Camera {
         ///
         /// # Errors
         /// [`StarError::Setting`] unless it is finite.
-        with_header_saturation(level) => header_saturation: Some, if level.is_finite(),
+        with_header_saturation(level: f64) => header_saturation: Some, if level.is_finite(),
             else "the saturation level of the header", "a finite number";
     }
 

@@ -1,8 +1,7 @@
 //! Detection of sources.
 
-use ndarray::{Array2, ArrayView2};
+use ndarray::{Array2, ArrayView2, Zip};
 use psf_types::maths::FWHM_PER_SIGMA;
-use rayon::prelude::*;
 
 use crate::error::{at_least, check, checked_setters};
 use crate::{Background, StarError};
@@ -55,13 +54,13 @@ impl Detection {
         ///
         /// # Errors
         /// [`StarError::Setting`] unless it is between 0.5 and 50 pixels.
-        with_kernel_fwhm_px(kernel_fwhm_px) => kernel_fwhm_px, if (0.5..=50.0).contains(&kernel_fwhm_px),
+        with_kernel_fwhm_px(kernel_fwhm_px: f64) => kernel_fwhm_px, if (0.5..=50.0).contains(&kernel_fwhm_px),
             else "the FWHM of the detection kernel", "between 0.5 and 50 pixels";
         /// Sets the number of sigma by which a peak must rise above the saddle to a higher peak.
         ///
         /// # Errors
         /// [`StarError::Setting`] unless it is 0 or above.
-        with_prominence(prominence) => prominence, if at_least(0.0, prominence),
+        with_prominence(prominence: f64) => prominence, if at_least(0.0, prominence),
             else "the prominence of a peak", "a number of sigma, 0 or above";
     }
 
@@ -156,19 +155,14 @@ fn filtered_rows(values: &Array2<f64>, kernel: &[f64]) -> Array2<f64> {
     let (rows, columns) = values.dim();
     let reach = kernel.len() / 2;
     let mut result = Array2::zeros((rows, columns));
-    result
-        .as_slice_mut()
-        .expect("new arrays are row-major")
-        .par_chunks_mut(columns)
-        .enumerate()
-        .for_each(|(j, line)| {
-            let from = values.row(j);
-            for (i, sum) in line.iter_mut().enumerate() {
-                let first = i.saturating_sub(reach);
-                let end = (i + reach + 1).min(columns);
-                *sum = (first..end).map(|k| kernel[k + reach - i] * from[k]).sum();
-            }
-        });
+    Zip::indexed(result.rows_mut()).par_for_each(|j, line| {
+        let from = values.row(j);
+        for (i, sum) in line.into_iter().enumerate() {
+            let first = i.saturating_sub(reach);
+            let end = (i + reach + 1).min(columns);
+            *sum = (first..end).map(|k| kernel[k + reach - i] * from[k]).sum();
+        }
+    });
     result
 }
 

@@ -3,6 +3,7 @@
 use nalgebra::{Matrix3, Vector3};
 use ndarray::Array2;
 use psf_types::FrameShape;
+use psf_types::maths::term_count;
 use rayon::prelude::*;
 
 use crate::Camera;
@@ -120,16 +121,9 @@ impl Epsf {
             let chi = psf.refine(&mut stars);
             if round >= ROUNDS_BEFORE_REJECTION {
                 let limit = mismatch_limit(&chi);
-                let agree: Vec<bool> = chi.iter().map(|c| *c <= limit).collect();
-                mismatched.extend(
-                    stars
-                        .iter()
-                        .zip(&agree)
-                        .filter(|(_, f)| !**f)
-                        .map(|(s, _)| s.source),
-                );
-                let mut agree = agree.iter();
-                stars.retain(|_| *agree.next().expect("one flag per star"));
+                let mut agree = chi.iter().map(|c| *c <= limit);
+                let removed = stars.extract_if(.., |_| !agree.next().expect("one chi per star"));
+                mismatched.extend(removed.map(|star| star.source));
             }
             let prior = gaussian.with_wings_of(&stars, surface, fwhm_px, camera);
             let terms = match degree {
@@ -143,11 +137,11 @@ impl Epsf {
             };
             psf = psf.fitted(&stars, &prior, terms);
         }
-        let mut chi = psf.refine(&mut stars);
+        let chi = psf.refine(&mut stars);
         Self {
             stars,
             mismatched,
-            median_chi: median(&mut chi),
+            median_chi: median(chi),
             left_out,
             psf,
             width_nodes: gaussian.width_nodes,
@@ -208,8 +202,8 @@ impl Epsf {
 }
 
 fn mismatch_limit(chi: &[f64]) -> f64 {
-    let middle = median(&mut chi.to_vec());
-    let spread = 1.4826 * median(&mut chi.iter().map(|c| (c - middle).abs()).collect::<Vec<_>>());
+    let middle = median(chi.iter().copied());
+    let spread = 1.4826 * median(chi.iter().map(|c| (c - middle).abs()));
     (middle + MISMATCH_SIGMA * spread).max(MISMATCH_RATIO * middle)
 }
 
@@ -334,7 +328,7 @@ impl FieldPsf {
         let mut best = FieldTerms::new(0, frame);
         let mut errors = errors_of(best);
         for degree in 1..=HIGHEST_DEGREE {
-            let too_few = stars.len() < STARS_PER_TERM * FieldTerms::count_of(degree);
+            let too_few = stars.len() < STARS_PER_TERM * term_count(degree);
             if too_few || degree > best.degree + VAIN_DEGREES {
                 break;
             }

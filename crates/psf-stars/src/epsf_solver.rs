@@ -28,9 +28,7 @@ const PIECE: usize = 32;
 pub(crate) fn combined(planes: &[Vec<f64>], terms: &[f64]) -> Vec<f64> {
     let mut sum = vec![0.0; planes[0].len()];
     for (plane, term) in planes.iter().zip(terms) {
-        for (s, v) in sum.iter_mut().zip(plane) {
-            *s += term * v;
-        }
+        add_to(&mut sum, *term, plane);
     }
     sum
 }

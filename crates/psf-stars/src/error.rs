@@ -58,12 +58,12 @@ pub(crate) fn at_least(least: f64, value: f64) -> bool {
 macro_rules! checked_setters {
     ($(
         $(#[$doc:meta])*
-        $method:ident($given:ident) => $field:ident $(: $option:ident)?, if $holds:expr,
+        $method:ident($given:ident: $kind:ty) => $field:ident $(: $option:ident)?, if $holds:expr,
         else $name:literal, $allowed:literal;
     )+) => {$(
         $(#[$doc])*
-        pub fn $method(self, $given: f64) -> Result<Self, StarError> {
-            $crate::error::check($holds, $name, $allowed, $given)?;
+        pub fn $method(self, $given: $kind) -> Result<Self, StarError> {
+            $crate::error::check($holds, $name, $allowed, $given as f64)?;
             Ok(Self { $field: $($option)?($given), ..self })
         }
     )+};

@@ -251,12 +251,12 @@ impl FrameView {
                 && ownership.allows(index, 0.0, px, py)
         };
         let ring = self.disc(x, y, RING * inner).filter(free);
-        let mut levels: Vec<f64> = ring.map(|(column, row)| self.excess[[row, column]]).collect();
+        let levels: Vec<f64> = ring.map(|(column, row)| self.excess[[row, column]]).collect();
         if levels.len() < LEAST_RING {
             return (0.0, f64::INFINITY);
         }
         let variance = MEDIAN_VARIANCE * source.background_rms.powi(2) / levels.len() as f64;
-        (median(&mut levels), variance)
+        (median(levels), variance)
     }
 }
 
@@ -267,16 +267,10 @@ impl FrameView {
 fn ring_part(rings: &[(f64, f64)]) -> impl Fn(f64, f64) -> f64 + use<> {
     let known = || rings.iter().filter(|ring| ring.1.is_finite());
     // The squared level minus its noise, for the typical star.
-    let squares: Vec<f64> = known()
-        .map(|(level, variance)| level * level / variance)
-        .collect();
-    let typical = NORMAL_SQUARE_MEDIAN.recip() * median(&mut squares.clone());
-    let variances: Vec<f64> = known().map(|ring| ring.1).collect();
-    let of_map = if squares.is_empty() {
-        0.0
-    } else {
-        (typical - 1.0).max(0.0) * median(&mut variances.clone())
-    };
+    let squares = known().map(|(level, variance)| level * level / variance);
+    let typical = NORMAL_SQUARE_MEDIAN.recip() * median(squares);
+    // NaN without rings.
+    let of_map = (typical - 1.0).max(0.0) * median(known().map(|ring| ring.1));
     move |level, variance| {
         if variance.is_finite() && of_map > 0.0 {
             level * of_map / (of_map + variance)
@@ -385,25 +379,18 @@ impl Neighbours {
     pub(crate) fn nearest(&self, x: f64, y: f64, counts: impl Fn(usize) -> bool) -> Option<(usize, f64)> {
         let from = self.sorted.partition_point(|p| p.0 < y);
         let mut best: Option<(usize, f64)> = None;
-        let look = |p: &(f64, f64, usize), best: &mut Option<(usize, f64)>| {
+        let mut look = |p: &(f64, f64, usize)| {
             let closer = best.is_none_or(|(_, d)| (p.0 - y).abs() <= d);
             let distance = (p.1 - x).hypot(p.0 - y);
             // If two points are equally far, the one with the lower index is chosen.
             if closer && counts(p.2) && best.is_none_or(|(k, d)| distance < d || (distance == d && p.2 < k)) {
-                *best = Some((p.2, distance));
+                best = Some((p.2, distance));
             }
             closer
         };
-        for p in &self.sorted[from..] {
-            if !look(p, &mut best) {
-                break;
-            }
-        }
-        for p in self.sorted[..from].iter().rev() {
-            if !look(p, &mut best) {
-                break;
-            }
-        }
+        let (before, after) = self.sorted.split_at(from);
+        after.iter().take_while(|p| look(p)).for_each(drop);
+        before.iter().rev().take_while(|p| look(p)).for_each(drop);
         best
     }
 }

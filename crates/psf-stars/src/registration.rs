@@ -6,7 +6,7 @@ use serde::Serialize;
 
 use crate::StarError;
 use crate::background::Spline;
-use crate::error::check;
+use crate::error::checked_setters;
 
 /// The method that makes stamps with a common centre and grid from stars.
 ///
@@ -89,43 +89,26 @@ impl Registration {
         Self { method, ..self }
     }
 
-    /// Sets the stamp size in pixels of the frame along each side. An even number is raised to the
-    /// next odd one. By default, a stamp reaches 3 FWHM from its centre in each direction, and has at
-    /// least 11 pixels along each side.
-    ///
-    /// # Errors
-    /// [`StarError::Setting`] unless it is from 5 to 512.
-    pub fn with_stamp_size(self, stamp_size: usize) -> Result<Self, StarError> {
-        check(
-            (5..=Self::LARGEST_STAMP).contains(&stamp_size),
-            "the stamp size",
-            "from 5 to 512 pixels",
-            stamp_size as f64,
-        )?;
-        Ok(Self {
-            stamp_size: Some(stamp_size),
-            ..self
-        })
-    }
+    checked_setters! {
+        /// Sets the stamp size in pixels of the frame along each side. An even number is raised to the
+        /// next odd one. By default, a stamp reaches 3 FWHM from its centre in each direction, and has at
+        /// least 11 pixels along each side.
+        ///
+        /// # Errors
+        /// [`StarError::Setting`] unless it is from 5 to 512.
+        with_stamp_size(size: usize) => stamp_size: Some, if (5..=Self::LARGEST_STAMP).contains(&size),
+            else "the stamp size", "from 5 to 512 pixels";
 
-    /// Sets the number of stamp pixels per pixel of the frame. The default is 1 for
-    /// [`Stamps`](RegistrationMethod::Stamps) of at least 64 stars with a FWHM of at least 2
-    /// pixels. Otherwise it is the smallest number that gives 3 stamp pixels per FWHM, or 4 for
-    /// [`Epsf`](RegistrationMethod::Epsf) of enough stars, at most 8.
-    ///
-    /// # Errors
-    /// [`StarError::Setting`] unless it is from 1 to 8.
-    pub fn with_oversampling(self, oversampling: usize) -> Result<Self, StarError> {
-        check(
-            (1..=Self::LARGEST_OVERSAMPLING).contains(&oversampling),
-            "the oversampling",
-            "a whole number from 1 to 8",
-            oversampling as f64,
-        )?;
-        Ok(Self {
-            oversampling: Some(oversampling),
-            ..self
-        })
+        /// Sets the number of stamp pixels per pixel of the frame. The default is 1 for
+        /// [`Stamps`](RegistrationMethod::Stamps) of at least 64 stars with a FWHM of at least 2
+        /// pixels. Otherwise it is the smallest number that gives 3 stamp pixels per FWHM, or 4 for
+        /// [`Epsf`](RegistrationMethod::Epsf) of enough stars, at most 8.
+        ///
+        /// # Errors
+        /// [`StarError::Setting`] unless it is from 1 to 8.
+        with_oversampling(scale: usize) => oversampling: Some,
+            if (1..=Self::LARGEST_OVERSAMPLING).contains(&scale),
+            else "the oversampling", "a whole number from 1 to 8";
     }
 
     /// Sets whether the oversampled PSF is adapted to each star's own pixels (colour, local

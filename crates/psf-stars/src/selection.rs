@@ -3,7 +3,7 @@
 
 use nalgebra::{DMatrix, DVector};
 use psf_types::FrameShape;
-use psf_types::maths::legendre;
+use psf_types::maths::{legendre, term_count};
 
 use crate::background::median;
 use crate::error::{at_least, checked_setters};
@@ -55,7 +55,7 @@ impl Selection {
         ///
         /// # Errors
         /// [`StarError::Setting`] unless it is 0 or above.
-        with_snr(snr) => snr: Some, if at_least(0.0, snr),
+        with_snr(snr: f64) => snr: Some, if at_least(0.0, snr),
             else "the signal-to-noise limit", "a number, 0 or above";
         /// Sets the smallest distance of a star from the frame's edge in pixels. The default is
         /// half a stamp.
@@ -63,26 +63,26 @@ impl Selection {
         /// # Errors
         /// [`StarError::Setting`] unless it is 0 or above. A distance below half a stamp is an
         /// error of [`StarSampling::run`](crate::StarSampling::run), because stamps must fit.
-        with_edge_px(edge_px) => edge_px: Some, if at_least(0.0, edge_px),
+        with_edge_px(edge_px: f64) => edge_px: Some, if at_least(0.0, edge_px),
             else "the distance from the edge", "a number of pixels, 0 or above";
         /// Sets the radius in pixels in which there may be no bright neighbour. The default is 2.5
         /// FWHM.
         ///
         /// # Errors
         /// [`StarError::Setting`] unless it is 0 or above.
-        with_isolation_px(isolation_px) => isolation_px: Some, if at_least(0.0, isolation_px),
+        with_isolation_px(isolation_px: f64) => isolation_px: Some, if at_least(0.0, isolation_px),
             else "the isolation radius", "a number of pixels, 0 or above";
         /// Sets the fraction of a star's own flux that a neighbour may have.
         ///
         /// # Errors
         /// [`StarError::Setting`] unless it is 0 or above.
-        with_neighbour_flux(neighbour_flux) => neighbour_flux, if at_least(0.0, neighbour_flux),
+        with_neighbour_flux(neighbour_flux: f64) => neighbour_flux, if at_least(0.0, neighbour_flux),
             else "the flux of a neighbour", "a fraction of the star's flux, 0 or above";
         /// Sets the number of sigma at which shapes are clipped.
         ///
         /// # Errors
         /// [`StarError::Setting`] unless it is at least 1.
-        with_shape_sigma(shape_sigma) => shape_sigma, if at_least(1.0, shape_sigma),
+        with_shape_sigma(shape_sigma: f64) => shape_sigma, if at_least(1.0, shape_sigma),
             else "the limit for shapes", "a number of sigma, at least 1";
     }
 
@@ -203,14 +203,10 @@ impl Selection {
                 (s.x, s.y, s.values[quantity], weight)
             })
             .collect();
-        let trend: Option<Trend> = trend(&points, FieldTerms::new(degree, frame));
-        let off = |s: &Shape| {
-            trend
-                .as_ref()
-                .map_or(0.0, |t| s.values[quantity] - t.at(s.x, s.y))
-        };
-        let spread = 1.4826 * median(&mut good().map(|s| off(s).abs()).collect::<Vec<_>>());
-        let measured = median(&mut good().map(|s| s.variances[quantity]).collect::<Vec<_>>());
+        let trend = trend(&points, FieldTerms::new(degree, frame));
+        let off = |s: &Shape| trend.as_ref().map_or(0.0, |of| s.values[quantity] - of(s.x, s.y));
+        let spread = 1.4826 * median(good().map(|s| off(s).abs()));
+        let measured = median(good().map(|s| s.variances[quantity]));
         let scatter2 = (spread * spread - measured).clamp(SCATTER.powi(2), MOST_SCATTER.powi(2));
         shapes
             .iter()
@@ -281,12 +277,8 @@ pub(crate) fn most_frequent_width(mut widths: Vec<f64>) -> Option<f64> {
         .iter()
         .copied()
         .max_by(|a, b| company(*a).cmp(&company(*b)).then(b.total_cmp(a)))?;
-    let mut alike: Vec<f64> = widths
-        .iter()
-        .copied()
-        .filter(|w| (w / centre).ln().abs() <= EQUAL)
-        .collect();
-    Some(median(&mut alike))
+    let alike = widths.iter().filter(|w| (*w / centre).ln().abs() <= EQUAL);
+    Some(median(alike.copied()))
 }
 
 /// The most frequent width is searched among at least this many of the brightest sources, or among
@@ -312,11 +304,7 @@ impl FieldTerms {
     }
 
     pub(crate) fn count(self) -> usize {
-        Self::count_of(self.degree)
-    }
-
-    pub(crate) fn count_of(degree: usize) -> usize {
-        (degree + 1) * (degree + 2) / 2
+        term_count(self.degree)
     }
 
     /// Products of Legendre polynomials, `P_i(x) P_j(y)` with `i + j <= degree`. They have a
@@ -335,7 +323,8 @@ impl FieldTerms {
 }
 
 /// Fits a polynomial to points `(x, y, value, weight)` by weighted least squares, if there are any.
-fn trend(points: &[(f64, f64, f64, f64)], terms: FieldTerms) -> Option<Trend> {
+/// Returns it as a function of the position.
+fn trend(points: &[(f64, f64, f64, f64)], terms: FieldTerms) -> Option<impl Fn(f64, f64) -> f64 + use<>> {
     if points.is_empty() {
         return None;
     }
@@ -353,24 +342,7 @@ fn trend(points: &[(f64, f64, f64, f64)], terms: FieldTerms) -> Option<Trend> {
     // Least squares by SVD. If clustered points leave terms undetermined, the solution with the
     // smallest norm is chosen.
     let found = rows.svd(true, true).solve(&right, 1e-9).ok()?;
-    Some(Trend {
-        terms,
-        coefficients: found.iter().copied().collect(),
-    })
-}
-
-/// A polynomial over the field.
-#[derive(Debug, Clone)]
-struct Trend {
-    terms: FieldTerms,
-    coefficients: Vec<f64>,
-}
-
-impl Trend {
-    fn at(&self, x: f64, y: f64) -> f64 {
-        let terms = self.terms.at(x, y);
-        terms.iter().zip(&self.coefficients).map(|(t, c)| t * c).sum()
-    }
+    Some(move |x, y| terms.at(x, y).iter().zip(&found).map(|(t, c)| t * c).sum())
 }
 
 #[cfg(test)]
@@ -490,11 +462,11 @@ mod tests {
             .collect();
         let found = trend(&points, FieldTerms::new(2, frame)).unwrap();
         for (x, y) in [(0.0, 0.0), (99.0, 59.0), (50.0, 10.0)] {
-            assert!((found.at(x, y) - truth(x, y)).abs() < 1e-10);
+            assert!((found(x, y) - truth(x, y)).abs() < 1e-10);
         }
         assert_eq!(
             FieldTerms::new(3, frame).at(1.0, 2.0).len(),
-            FieldTerms::count_of(3)
+            FieldTerms::new(3, frame).count()
         );
     }
 }

@@ -117,65 +117,48 @@ impl Serialize for Rejections {
     }
 }
 
-/// The columns of a table of [`Source`]s.
-pub const SOURCE_COLUMNS: [&str; 15] = [
-    "x",
-    "y",
-    "flux",
-    "snr",
-    "significance",
-    "peak",
-    "background",
-    "background_rms",
-    "fwhm_px",
-    "e1",
-    "e2",
-    "pixel_count",
-    "nearest_px",
-    "sample",
-    "rejected",
-];
-
-/// A source of a frame, either a PSF sample or rejected.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-#[non_exhaustive]
-pub struct Source {
-    /// Column coordinate of the centre, 0-based pixels of the frame. For a sample of an oversampled
-    /// PSF, it comes from the fit of this PSF. Otherwise it comes from the Gaussian fit. If no
-    /// Gaussian fits, it is the centre of the light around the peak.
-    pub x: f64,
-    /// Row coordinate of the centre.
-    pub y: f64,
-    /// Flux in units of the frame. A PSF stamp of unit flux, multiplied by this flux, gives the
-    /// star. For a sample, the flux results from the registration, which subtracts the background
-    /// near the star. For other sources, the flux results from a fit of the nearest sample's PSF.
-    /// This fit ignores masked and saturated pixels.
-    pub flux: f64,
-    /// Signal-to-noise ratio ([`Camera::snr`](crate::Camera::snr)). The radius of the aperture is
-    /// 1.25 times the FWHM of the frame's stars, at least 2 pixels.
-    pub snr: f64,
-    /// Height of the matched-filtered peak in sigma of the background noise.
-    pub significance: f64,
-    /// The value of the brightest pixel of its core, background included.
-    pub peak: f64,
-    /// The background at its centre.
-    pub background: f64,
-    /// The noise of the background at its centre.
-    pub background_rms: f64,
-    /// FWHM of the Gaussian fit in pixels (geometric mean of the axes). `None` if there is no fit.
-    pub fwhm_px: Option<f64>,
-    /// Distortion of the Gaussian fit along the axes of the frame.
-    pub e1: Option<f64>,
-    /// Distortion along the diagonals.
-    pub e2: Option<f64>,
-    /// Number of pixels above the threshold that belong to it.
-    pub pixel_count: usize,
-    /// Distance to the nearest other source in pixels. `None` if there is no other source.
-    pub nearest_px: Option<f64>,
-    /// Index of its PSF sample. `None` if it was rejected.
-    pub sample: Option<usize>,
-    /// The reasons why it was rejected.
-    pub rejected: Rejections,
+psf_types::table_row! {
+    /// A source of a frame, either a PSF sample or rejected.
+    #[derive(Debug, Clone, PartialEq, Serialize)]
+    #[non_exhaustive]
+    SOURCE_COLUMNS Source {
+        /// Column coordinate of the centre, 0-based pixels of the frame. For a sample of an oversampled
+        /// PSF, it comes from the fit of this PSF. Otherwise it comes from the Gaussian fit. If no
+        /// Gaussian fits, it is the centre of the light around the peak.
+        x: f64,
+        /// Row coordinate of the centre.
+        y: f64,
+        /// Flux in units of the frame. A PSF stamp of unit flux, multiplied by this flux, gives the
+        /// star. For a sample, the flux results from the registration, which subtracts the background
+        /// near the star. For other sources, the flux results from a fit of the nearest sample's PSF.
+        /// This fit ignores masked and saturated pixels.
+        flux: f64,
+        /// Signal-to-noise ratio ([`Camera::snr`](crate::Camera::snr)). The radius of the aperture is
+        /// 1.25 times the FWHM of the frame's stars, at least 2 pixels.
+        snr: f64,
+        /// Height of the matched-filtered peak in sigma of the background noise.
+        significance: f64,
+        /// The value of the brightest pixel of its core, background included.
+        peak: f64,
+        /// The background at its centre.
+        background: f64,
+        /// The noise of the background at its centre.
+        background_rms: f64,
+        /// FWHM of the Gaussian fit in pixels (geometric mean of the axes). `None` if there is no fit.
+        fwhm_px: Option<f64>,
+        /// Distortion of the Gaussian fit along the axes of the frame.
+        e1: Option<f64>,
+        /// Distortion along the diagonals.
+        e2: Option<f64>,
+        /// Number of pixels above the threshold that belong to it.
+        pixel_count: usize,
+        /// Distance to the nearest other source in pixels. `None` if there is no other source.
+        nearest_px: Option<f64>,
+        /// Index of its PSF sample. `None` if it was rejected.
+        sample: Option<usize>,
+        /// The reasons why it was rejected.
+        rejected: Rejections,
+    }
 }
 
 type Parameters = SVector<f64, 6>;

@@ -1,7 +1,7 @@
 //! All steps from a frame to PSF samples.
 
 use ndarray::{Array2, Axis, stack};
-use psf_types::{Image, Position, PsfSamples, Real, SamplePositions, StampGrid};
+use psf_types::{FrameShape, Image, Position, PsfSamples, Real, SamplePositions, StampGrid};
 use rayon::prelude::*;
 
 use crate::background::{Spline, median};
@@ -63,6 +63,8 @@ const LEAST_FOR_FOLDS: usize = 2 * FOLDS;
 
 /// A star's light divided by its flux, and this flux.
 type StampAndFlux = (Array2<f64>, f64);
+/// The position of a star, and its stamp.
+type StampAt = ((f64, f64), Array2<f64>);
 
 /// The smallest size of a frame along each axis, in pixels.
 const LEAST_PIXELS: usize = 24;
@@ -377,7 +379,7 @@ impl Registered {
             let power: f64 = stamp.iter().map(|v| v * v).sum();
             (variance / (power - variance).max(variance)).sqrt()
         });
-        median(&mut noise.collect::<Vec<_>>())
+        median(noise)
     }
 }
 
@@ -425,7 +427,7 @@ const NEAREST: usize = 4;
 /// The samples made without one group of stars. `left_out` has the stars of this group: index of
 /// the sample, x, y, flux.
 struct RegisteredFold {
-    samples: Vec<((f64, f64), Array2<f64>)>,
+    samples: Vec<StampAt>,
     left_out: Vec<(usize, f64, f64, f64)>,
 }
 
@@ -434,9 +436,22 @@ struct RegisteredFold {
 struct Registered {
     samples: Vec<(Star, Array2<f64>, f64)>,
     /// Positions and stamps of the stars that are held out.
-    held_out: Vec<((f64, f64), Array2<f64>)>,
+    held_out: Vec<StampAt>,
     grid: FineGrid,
     report: RegistrationReport,
+}
+
+/// Samples of these stamps at the positions of their stars.
+fn psf_samples<'a>(
+    stars: impl Iterator<Item = ((f64, f64), &'a Array2<f64>)>,
+    grid: StampGrid,
+    frame: FrameShape,
+) -> Result<PsfSamples, StarError> {
+    let (at, stamps): (Vec<_>, Vec<_>) = stars.map(|(at, stamp)| (at, stamp.view())).unzip();
+    let positions = at.into_iter().map(|(x, y)| Position::new(x, y));
+    let positions = SamplePositions::new(positions.collect::<Result<_, _>>()?, Some(frame))?;
+    let stamps = stack(Axis(0), &stamps).expect("stamps have one shape");
+    Ok(PsfSamples::new(stamps, positions, grid)?)
 }
 
 impl FrameView {
@@ -467,23 +482,12 @@ impl FrameView {
         }
         let side = registered.grid.side();
         let grid = StampGrid::new(side, side)?.with_oversampling(registered.grid.scale as f64)?;
-        let samples_of = |stars: &[((f64, f64), &Array2<f64>)]| -> Result<PsfSamples, StarError> {
-            let stamps: Vec<_> = stars.iter().map(|(_, stamp)| stamp.view()).collect();
-            let positions = stars.iter().map(|&((x, y), _)| Position::new(x, y));
-            let positions = SamplePositions::new(positions.collect::<Result<_, _>>()?, Some(shape))?;
-            let stamps = stack(Axis(0), &stamps).expect("stamps have one shape");
-            Ok(PsfSamples::new(stamps, positions, grid)?)
-        };
         let own = registered.samples.iter();
-        let samples = samples_of(&own.map(|(s, stamp, _)| ((s.x, s.y), stamp)).collect::<Vec<_>>())?;
-        let held_out: Vec<_> = registered
-            .held_out
-            .iter()
-            .map(|(at, stamp)| (*at, stamp))
-            .collect();
-        let held_out = (!held_out.is_empty())
-            .then(|| samples_of(&held_out))
-            .transpose()?;
+        let samples = psf_samples(own.map(|(s, stamp, _)| ((s.x, s.y), stamp)), grid, shape)?;
+        let all_of =
+            |stars: &[StampAt]| psf_samples(stars.iter().map(|(at, stamp)| (*at, stamp)), grid, shape);
+        let held_out = Some(&registered.held_out[..]).filter(|stars| !stars.is_empty());
+        let held_out = held_out.map(all_of).transpose()?;
         for (k, (star, _, flux)) in registered.samples.iter().enumerate() {
             let source = &mut sources[star.source];
             (source.x, source.y, source.flux) = (star.x, star.y, *flux);
@@ -491,8 +495,6 @@ impl FrameView {
         }
         self.measure_psf_fluxes(&mut sources, &registered, fwhm_px);
         let fold_of = |fold: RegisteredFold| -> Result<Fold, StarError> {
-            let stars = fold.samples.iter().map(|(at, stamp)| (*at, stamp));
-            let samples = samples_of(&stars.collect::<Vec<_>>())?;
             let left_out = fold.left_out.into_iter().map(|(k, x, y, flux)| Source {
                 x,
                 y,
@@ -500,7 +502,7 @@ impl FrameView {
                 ..sources[registered.samples[k].0.source].clone()
             });
             Ok(Fold {
-                samples,
+                samples: all_of(&fold.samples)?,
                 left_out: left_out.collect(),
             })
         };

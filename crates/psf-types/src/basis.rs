@@ -4,7 +4,7 @@ use ndarray::{ArcArray, Array2, Array3, ArrayView2, ArrayView3, Axis, Ix3};
 use serde::{Deserialize, Serialize};
 
 use crate::frame::{DataError, Quantity, read_through_new};
-use crate::image::{finite2, finite3, row_major};
+use crate::image::row_major;
 use crate::sample_positions::SamplePositions;
 use crate::stamp::StampGrid;
 
@@ -47,10 +47,10 @@ impl PsfBasis {
             return Err(DataError::EmptyBasis);
         }
         grid.check_dim((ny, nx))?;
-        finite3(Quantity::BasisValue, components.view())?;
+        DataError::check_finite(Quantity::BasisValue, components.view())?;
         if let Some(mean) = &mean {
             grid.check_dim(mean.dim())?;
-            finite2(Quantity::MeanValue, mean.view())?;
+            DataError::check_finite(Quantity::MeanValue, mean.view())?;
         }
         let components = row_major(components);
         check_orthonormal(components.view())?;
@@ -120,7 +120,7 @@ impl SampleCoefficients {
     pub fn new(values: Array2<f64>, positions: SamplePositions) -> Result<Self, DataError> {
         let what = "rows of coefficients, one for each sample";
         DataError::check_count(what, positions.len(), values.nrows())?;
-        finite2(Quantity::Coefficient, values.view())?;
+        DataError::check_finite(Quantity::Coefficient, values.view())?;
         Ok(Self {
             values: row_major(values),
             positions,

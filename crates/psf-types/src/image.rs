@@ -1,8 +1,9 @@
 //! Images, owned and borrowed, in the two working precisions.
 
-use ndarray::{Array, Array2, ArrayView2, ArrayView3, CowArray, Dimension, Ix2, NdFloat};
+use ndarray::{Array, Array2, ArrayView, ArrayView2, CowArray, Dimension, Ix2, NdFloat};
 
 use crate::frame::{DataError, FrameShape, Quantity};
+use crate::maths::unravel;
 
 /// An image `[y, x]` in flux per pixel. It is not empty, and every pixel is finite.
 #[derive(Debug, Clone, PartialEq)]
@@ -19,7 +20,7 @@ impl<T: Real> Image<T> {
     pub fn new(pixels: Array2<T>) -> Result<Self, DataError> {
         let (ny, nx) = pixels.dim();
         let shape = FrameShape::new(nx, ny)?;
-        finite2(Quantity::Pixel, pixels.view())?;
+        DataError::check_finite(Quantity::Pixel, pixels.view())?;
         Ok(Self {
             pixels: row_major(pixels),
             shape,
@@ -92,7 +93,7 @@ impl<'a, T: Real> ImageView<'a, T> {
         } else {
             CowArray::from(pixels.as_standard_layout().into_owned())
         };
-        finite2(Quantity::Pixel, pixels.view())?;
+        DataError::check_finite(Quantity::Pixel, pixels.view())?;
         Ok(Self { pixels, shape })
     }
 
@@ -176,36 +177,33 @@ fn all_finite<T: Real>(values: &[T]) -> bool {
         .all(|some| some.iter().fold(true, |finite, v| finite & v.is_finite()))
 }
 
-pub(crate) fn finite2<T: Real>(quantity: Quantity, values: ArrayView2<'_, T>) -> Result<(), DataError> {
-    // For valid values, this fast test is enough. The slow search below finds the index of a bad
-    // value.
-    let finite = match values.as_slice() {
-        Some(values) => all_finite(values),
-        None => values
-            .outer_iter()
-            .all(|row| row.to_slice().is_some_and(all_finite)),
-    };
-    if finite {
-        return Ok(());
-    }
-    match values.indexed_iter().find(|(_, v)| !v.is_finite()) {
-        None => Ok(()),
-        Some(((i, j), v)) => Err(DataError::NonFinite {
-            quantity,
-            index: vec![i, j],
-            value: v.as_f64(),
-        }),
-    }
-}
-
-pub(crate) fn finite3(quantity: Quantity, values: ArrayView3<'_, f64>) -> Result<(), DataError> {
-    match values.indexed_iter().find(|(_, v)| !v.is_finite()) {
-        None => Ok(()),
-        Some(((i, j, k), &value)) => Err(DataError::NonFinite {
-            quantity,
-            index: vec![i, j, k],
-            value,
-        }),
+impl DataError {
+    /// Checks that all values are finite. `quantity` names what they are.
+    ///
+    /// # Errors
+    /// [`DataError::NonFinite`] with the index of the first other value.
+    pub fn check_finite<T: Real, D: Dimension>(
+        quantity: Quantity,
+        values: ArrayView<'_, T, D>,
+    ) -> Result<(), Self> {
+        let finite = match values.as_slice() {
+            Some(values) => all_finite(values),
+            None => values
+                .rows()
+                .into_iter()
+                .all(|row| row.to_slice().is_some_and(all_finite)),
+        };
+        if finite {
+            return Ok(());
+        }
+        match values.iter().enumerate().find(|(_, v)| !v.is_finite()) {
+            None => Ok(()),
+            Some((i, v)) => Err(Self::NonFinite {
+                quantity,
+                index: unravel(i, values.shape()),
+                value: v.as_f64(),
+            }),
+        }
     }
 }
 

@@ -32,6 +32,7 @@ mod sample_positions;
 mod samples;
 mod sources;
 mod stamp;
+mod table_row;
 mod text_file;
 
 pub use basis::{PsfBasis, SampleCoefficients};

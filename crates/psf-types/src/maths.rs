@@ -196,6 +196,21 @@ pub fn smooth_size(at_least: usize, step: usize, prime: usize) -> usize {
     quotient * step
 }
 
+/// The number of terms of a polynomial in x and y of a total degree.
+pub fn term_count(degree: usize) -> usize {
+    (degree + 1) * (degree + 2) / 2
+}
+
+/// The index along each axis of value number `i` of an array of this shape, in row-major order.
+pub fn unravel(mut i: usize, shape: &[usize]) -> Vec<usize> {
+    let mut index = vec![0; shape.len()];
+    for (along, &n) in index.iter_mut().zip(shape).rev() {
+        *along = i % n;
+        i /= n;
+    }
+    index
+}
+
 /// `sin(pi t) / (pi t)`.
 #[inline]
 pub fn sinc(t: f64) -> f64 {

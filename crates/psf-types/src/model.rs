@@ -402,6 +402,16 @@ impl PsfModelRecord {
         Ok(record.with_table_of(self.table_of.clone()))
     }
 
+    /// A record with another policy outside the samples and another scaling.
+    #[must_use]
+    pub fn with_policies(self, outside: OutsidePolicy, normalisation: Normalisation) -> Self {
+        Self {
+            outside,
+            normalisation,
+            ..self
+        }
+    }
+
     /// States the method whose values the table holds ([`table_of`](Self::table_of)). Characters other
     /// than printable ASCII become question marks, and 60 of them are kept.
     #[must_use]

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use crate::frame::{DataError, FrameShape, Position, Quantity, read_through_new};
-use crate::image::{finite3, row_major};
+use crate::image::row_major;
 use crate::sample_positions::SamplePositions;
 use crate::stamp::{Stamp, StampGrid};
 
@@ -119,7 +119,7 @@ impl PsfSamples {
         let what = "stamps in the stack of samples, one for each position";
         DataError::check_count(what, positions.len(), count)?;
         grid.check_dim((ny, nx))?;
-        finite3(Quantity::SampleValue, stamps.view())?;
+        DataError::check_finite(Quantity::SampleValue, stamps.view())?;
         for (sample, stamp) in stamps.axis_iter(Axis(0)).enumerate() {
             let flux = grid.flux_of_sum(stamp.sum());
             if !(flux > 0.0 && flux.is_finite()) {

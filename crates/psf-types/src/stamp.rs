@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::choices::StampInterpolation;
 use crate::frame::{DataError, Quantity, read_through_new};
-use crate::image::{finite2, row_major};
+use crate::image::row_major;
 
 /// The pixel grid of a stamp: shape, centre, oversampling and interpolation between the pixels. It
 /// also records whether the values include the pixel response.
@@ -124,6 +124,35 @@ impl StampGrid {
         }
     }
 
+    /// Returns this grid with `nx` columns and `ny` rows. Its centre is index `(nx / 2, ny / 2)`.
+    ///
+    /// # Errors
+    /// [`DataError::EmptyStamp`] when `nx` or `ny` is 0.
+    pub fn with_size(self, nx: usize, ny: usize) -> Result<Self, DataError> {
+        let Self {
+            centre_x, centre_y, ..
+        } = Self::new(nx, ny)?;
+        Ok(Self {
+            nx,
+            ny,
+            centre_x,
+            centre_y,
+            ..self
+        })
+    }
+
+    /// Returns this grid with `margins` more pixels on the left and on the right, and below and above. Its
+    /// centre lies at the same place on the old pixels.
+    ///
+    /// # Errors
+    /// [`DataError::StampCentre`] for margins so wide that `f64` cannot hold the centre.
+    pub fn with_margins(self, [mx, my]: [usize; 2]) -> Result<Self, DataError> {
+        let side = |count: usize, margin: usize| count.saturating_add(margin.saturating_mul(2));
+        let (nx, ny) = (side(self.nx, mx), side(self.ny, my));
+        let (x, y) = (self.centre_x + mx as f64, self.centre_y + my as f64);
+        Self { nx, ny, ..self }.with_centre(x, y)
+    }
+
     /// Number of columns.
     pub fn nx(self) -> usize {
         self.nx
@@ -223,7 +252,7 @@ impl Stamp {
     /// [`DataError::NonFinite`] for a NaN or an infinity.
     pub fn new(values: Array2<f64>, grid: StampGrid) -> Result<Self, DataError> {
         grid.check_dim(values.dim())?;
-        finite2(Quantity::StampValue, values.view())?;
+        DataError::check_finite(Quantity::StampValue, values.view())?;
         Ok(Self {
             values: row_major(values),
             grid,

@@ -5,6 +5,8 @@ use std::io::Write;
 use std::path::Path;
 
 use anyhow::Context as _;
+use clap::ArgMatches;
+use clap::parser::ValueSource;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use psf_io::{Card, IoError, Place, Precision};
 use psf_types::{Progress, PsfSamples};
@@ -16,6 +18,32 @@ use serde::Serialize;
 #[derive(Debug, thiserror::Error)]
 #[error("{0}")]
 pub(crate) struct UsageError(pub(crate) String);
+
+/// The options that were given, as in `--gain`.
+#[derive(Debug, Clone)]
+pub(crate) struct GivenOptions(Vec<String>);
+
+impl GivenOptions {
+    pub(crate) fn of(command: &clap::Command, matches: &ArgMatches) -> Self {
+        let on_command_line = |arg: &&clap::Arg| {
+            let source = matches.value_source(arg.get_id().as_str());
+            source == Some(ValueSource::CommandLine)
+        };
+        Self(names_of(command.get_arguments().filter(on_command_line)))
+    }
+
+    /// Those of a group, in its order.
+    pub(crate) fn of_group<A: clap::Args>(&self) -> Vec<String> {
+        let mut names = names_of(A::augment_args(clap::Command::new("")).get_arguments());
+        names.retain(|name| self.0.contains(name));
+        names
+    }
+}
+
+fn names_of<'a>(args: impl Iterator<Item = &'a clap::Arg>) -> Vec<String> {
+    let names = args.filter_map(clap::Arg::get_long);
+    names.map(|name| format!("--{name}")).collect()
+}
 
 /// Makes an object from keys and values. JSON has the keys in the given order, and code can read
 /// them as fields.
@@ -107,6 +135,7 @@ pub(crate) struct Context {
     pub(crate) quiet: bool,
     /// The start of warnings and notes: the name of a batch job and a colon. Empty outside a batch.
     pub(crate) part: String,
+    pub(crate) given: GivenOptions,
 }
 
 impl Context {
@@ -115,6 +144,7 @@ impl Context {
     pub(crate) fn for_part(&self, name: &str) -> Self {
         Self {
             part: format!("{name}: "),
+            given: self.given.clone(),
             ..*self
         }
     }

@@ -1,7 +1,6 @@
 //! `psfield convert`.
 
 use std::path::PathBuf;
-use std::str::FromStr;
 
 use anyhow::Context as _;
 use psfield::Psf;
@@ -10,7 +9,7 @@ use psfield::convert::{PsfFormat, SamplesAt, is_on_grid};
 use super::UsageError;
 use super::context::{Context, object, signature};
 use super::files::OutputFile;
-use super::values::{Pair, Precision};
+use super::values::{Precision, pair};
 use crate::psf_args::{PsfArgs, notes_of};
 use crate::table_args::TableArgs;
 
@@ -39,7 +38,7 @@ pub(crate) struct ConvertArgs {
     /// polynomial in x and y of degree 0 to 10. psfex without DEGREE keeps the degree of a model
     /// that is a polynomial, and is an error for other PSFs. gridded is a FITS library of PSFs on a
     /// regular grid of positions, which photutils reads.
-    #[arg(long, value_name = "FORMAT")]
+    #[arg(long, value_name = "FORMAT", value_parser = target)]
     to: Option<Target>,
     /// Replace the output if it exists
     #[arg(long)]
@@ -50,8 +49,8 @@ pub(crate) struct ConvertArgs {
     /// For gridded, a PSF keeps its own positions only if it is interpolated between them on a
     /// regular grid (bilinear or bicubic). For other PSFs, the default is a square grid of at least
     /// 11 x 11 positions.
-    #[arg(long, value_name = "NX,NY", conflicts_with = "at")]
-    grid: Option<Pair>,
+    #[arg(long, value_name = "NX,NY", value_parser = pair, conflicts_with = "at")]
+    grid: Option<(usize, usize)>,
     /// For psf-samples and gridded: evaluate at the positions of this table
     ///
     /// CSV or FITS table with columns x, y (0-based pixels). gridded needs a regular grid.
@@ -76,20 +75,18 @@ enum Target {
     Gridded,
 }
 
-impl FromStr for Target {
-    type Err = String;
-    fn from_str(text: &str) -> Result<Self, String> {
-        match text.split_once('=') {
-            None if text == "psf-samples" => Ok(Self::PsfSamples),
-            None if text == "psf-model" => Ok(Self::PsfModel),
-            None if text == "psfex" => Ok(Self::Psfex(None)),
-            None if text == "gridded" => Ok(Self::Gridded),
-            Some(("psfex", degree)) => match degree.parse() {
-                Ok(degree) if degree <= psf_io::PsfexPolynomial::MAX_DEGREE => Ok(Self::Psfex(Some(degree))),
-                _ => Err("the degree of a PSFEx model must be 0 to 10".to_owned()),
-            },
-            _ => Err("psf-samples, psf-model, psfex=DEGREE or gridded is needed".to_owned()),
-        }
+/// Parses the format to write.
+fn target(text: &str) -> Result<Target, String> {
+    match text.split_once('=') {
+        None if text == "psf-samples" => Ok(Target::PsfSamples),
+        None if text == "psf-model" => Ok(Target::PsfModel),
+        None if text == "psfex" => Ok(Target::Psfex(None)),
+        None if text == "gridded" => Ok(Target::Gridded),
+        Some(("psfex", degree)) => match degree.parse() {
+            Ok(degree) if degree <= psf_io::PsfexPolynomial::MAX_DEGREE => Ok(Target::Psfex(Some(degree))),
+            _ => Err("the degree of a PSFEx model must be 0 to 10".to_owned()),
+        },
+        _ => Err("psf-samples, psf-model, psfex=DEGREE or gridded is needed".to_owned()),
     }
 }
 
@@ -121,9 +118,9 @@ impl ConvertArgs {
     pub(crate) fn run(self, context: &Context) -> anyhow::Result<()> {
         let target = self.target()?;
         self.check_usage(target)?;
-        self.table.check(self.at.as_deref())?;
+        TableArgs::check(self.at.as_deref(), &context.given)?;
         let at = match (self.grid, &self.at) {
-            (Some(Pair(nx, ny)), _) => {
+            (Some((nx, ny)), _) => {
                 if nx.saturating_mul(ny) > MAX_POSITIONS {
                     let what = format!("--grid {nx},{ny}: at most {MAX_POSITIONS} positions are possible");
                     return Err(UsageError(what).into());

@@ -120,15 +120,8 @@ impl NamesFile for PathBuf {
     }
 }
 
-impl NamesFile for OutputFile {
-    const USE: Use = Use::Output;
-    fn files(&self) -> Vec<PathBuf> {
-        vec![self.0.clone()]
-    }
-}
-
-impl NamesFile for OutputFolder {
-    const USE: Use = Use::Folder;
+impl<const IS_FOLDER: bool> NamesFile for OutputPath<IS_FOLDER> {
+    const USE: Use = if IS_FOLDER { Use::Folder } else { Use::Output };
     fn files(&self) -> Vec<PathBuf> {
         vec![self.0.clone()]
     }
@@ -180,37 +173,11 @@ impl NamesFile for Layer {
 
 /// The name of a bandpass: a file, and perhaps a unit.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(crate) struct BandpassName(String);
+pub(crate) struct BandpassName(pub(crate) String);
 
 /// The name of a spectrum, which may be a file.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(crate) struct SpectrumName(String);
-
-impl From<String> for BandpassName {
-    fn from(name: String) -> Self {
-        Self(name)
-    }
-}
-
-impl From<String> for SpectrumName {
-    fn from(name: String) -> Self {
-        Self(name)
-    }
-}
-
-impl Deref for BandpassName {
-    type Target = str;
-    fn deref(&self) -> &str {
-        &self.0
-    }
-}
-
-impl Deref for SpectrumName {
-    type Target = str;
-    fn deref(&self) -> &str {
-        &self.0
-    }
-}
+pub(crate) struct SpectrumName(pub(crate) String);
 
 /// An image and its spectrum.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -234,29 +201,21 @@ impl FromStr for Layer {
     }
 }
 
-/// An argument that names a file to write.
+/// An argument that names a file to write, or a folder to write files in.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 #[serde(transparent)]
-pub(crate) struct OutputFile(PathBuf);
+pub(crate) struct OutputPath<const IS_FOLDER: bool>(PathBuf);
 
-/// An argument that names a folder to write files in.
-#[derive(Debug, Clone, Serialize)]
-#[serde(transparent)]
-pub(crate) struct OutputFolder(PathBuf);
+pub(crate) type OutputFile = OutputPath<false>;
+pub(crate) type OutputFolder = OutputPath<true>;
 
-impl From<OsString> for OutputFile {
+impl<const IS_FOLDER: bool> From<OsString> for OutputPath<IS_FOLDER> {
     fn from(path: OsString) -> Self {
         Self(path.into())
     }
 }
 
-impl From<OsString> for OutputFolder {
-    fn from(path: OsString) -> Self {
-        Self(path.into())
-    }
-}
-
-impl Deref for OutputFile {
+impl<const IS_FOLDER: bool> Deref for OutputPath<IS_FOLDER> {
     type Target = PathBuf;
     fn deref(&self) -> &PathBuf {
         &self.0
@@ -279,13 +238,6 @@ pub(crate) fn beside(output: &Path, ending: &str) -> PathBuf {
 
 impl AsRef<Path> for OutputFile {
     fn as_ref(&self) -> &Path {
-        &self.0
-    }
-}
-
-impl Deref for OutputFolder {
-    type Target = PathBuf;
-    fn deref(&self) -> &PathBuf {
         &self.0
     }
 }

@@ -57,20 +57,19 @@ fn tell(signal: i32, outputs: &[PathBuf]) {
         line = format!("\r\x1b[2K{line}");
     }
     let name = signal_name(signal).unwrap_or("a signal");
-    let _ = write!(line, "interrupted ({name}), ");
-    if outputs.is_empty() {
-        line.push_str("no output was being written");
-    }
-    for (n, output) in outputs.iter().enumerate() {
+    let state = |output: &PathBuf| {
         let state = if output.exists() {
             "is unchanged"
         } else {
             "was not written"
         };
-        let separator = if n > 0 { ", " } else { "" };
-        let _ = write!(line, "{separator}{} {state}", output.display());
-    }
-    line.push('\n');
+        format!("{} {state}", output.display())
+    };
+    let states = match outputs {
+        [] => "no output was being written".to_owned(),
+        _ => outputs.iter().map(state).collect::<Vec<_>>().join(", "),
+    };
+    let _ = writeln!(line, "interrupted ({name}), {states}");
     // The write fails if standard error is closed, for example after the end of a terminal.
     let _ = std::io::stderr().write_all(line.as_bytes());
 }

@@ -35,8 +35,8 @@ use std::process::ExitCode;
 
 use anyhow::Context as _;
 use clap::builder::{BoolValueParser, TypedValueParser};
-use clap::{FromArgMatches, Parser, Subcommand};
-use context::{Context, UsageError, message_of};
+use clap::{ArgMatches, FromArgMatches, Parser, Subcommand};
+use context::{Context, GivenOptions, UsageError, message_of};
 use conv_core::InstructionSet;
 use files::NamedFiles;
 
@@ -105,9 +105,9 @@ enum Command {
 }
 
 impl Cli {
-    /// Runs the command. `files`: the files that its arguments name. `notes`: notes to print.
-    fn run(self, files: Result<NamedFiles, UsageError>, notes: &[String]) -> anyhow::Result<()> {
-        let mut files = files?;
+    /// Runs the command. `ran` and `matches`: its definition and its arguments. `notes`: notes to print.
+    fn run(self, ran: &clap::Command, matches: &ArgMatches, notes: &[String]) -> anyhow::Result<()> {
+        let mut files = NamedFiles::of(ran, matches)?;
         match &self.command {
             Command::Sample(args) => files.outputs.extend(args.hold_out_file()),
             Command::Simulate(args) => files.outputs.extend(args.default_truth()),
@@ -130,6 +130,7 @@ impl Cli {
             json: self.global.json == files::JsonTo::Output,
             quiet: self.global.quiet,
             part: String::new(),
+            given: GivenOptions::of(ran, matches),
         };
         for note in notes {
             context.note(note);
@@ -187,7 +188,7 @@ fn main() -> ExitCode {
     let cli = Cli::from_arg_matches(&given).unwrap_or_else(|error| refuse(&error.format(&mut command)));
     let (name, arguments) = given.subcommand().expect("clap requires a command");
     let ran = command.find_subcommand(name).expect("clap found this command");
-    let Err(error) = cli.run(NamedFiles::of(ran, arguments), &notes) else {
+    let Err(error) = cli.run(ran, arguments, &notes) else {
         return ExitCode::SUCCESS;
     };
     if let Some(usage) = error.downcast_ref::<UsageError>() {

@@ -57,8 +57,8 @@ pub(crate) struct MeasureArgs {
 impl MeasureArgs {
     pub(crate) fn run(self, context: &Context) -> anyhow::Result<()> {
         let spinner = context.spinner("measuring");
-        let rows = self.measure(&self.input)?;
-        psf_io::write_csv(&self.output, &MEASUREMENT_COLUMNS, &rows, self.overwrite)?;
+        let rows = self.measure(&self.input, context)?;
+        psf_io::write_csv(&self.output, MEASUREMENT_COLUMNS, &rows, self.overwrite)?;
         drop(spinner);
         let failed = rows.iter().filter(|row| row.has_failed()).count();
         let with_notes = rows.iter().filter(|row| !row.note.is_empty()).count();
@@ -84,12 +84,12 @@ impl MeasureArgs {
         Ok(())
     }
 
-    fn measure(&self, path: &Path) -> anyhow::Result<Vec<Measurement>> {
+    fn measure(&self, path: &Path, context: &Context) -> anyhow::Result<Vec<Measurement>> {
         let options = MeasureOptions {
             window: self.window.map(usize::from),
             background: self.background,
         };
-        self.table.check(self.at.as_deref())?;
+        TableArgs::check(self.at.as_deref(), &context.given)?;
         let kind = psf_io::detect_hdu(path, self.extension.as_ref())?;
         if self.at.is_some() && kind != FileKind::Image {
             let path = path.display();

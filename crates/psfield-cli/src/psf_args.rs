@@ -1,8 +1,8 @@
 //! Options for reading PSF files, and for fitting a model to samples.
 
 use std::path::{Path, PathBuf};
-use std::str::FromStr;
 
+use clap::builder::{PossibleValuesParser, TypedValueParser};
 use psf_basis::{Centring, PixelNoise, RankSelection};
 use psf_io::{HduChoice, PlaneOrder};
 use psf_types::{Interpolation, Normalisation, OutsidePolicy, Position};
@@ -138,13 +138,8 @@ pub(crate) struct PsfFileArgs {
     pub(crate) psf_extension: Option<HduChoice>,
     /// PSFEx: values of the quantities on which the PSF depends besides the position, as in
     /// MAG_AUTO=18
-    #[arg(
-        long,
-        value_name = "NAME=VALUE,...",
-        value_delimiter = ',',
-        hide_short_help = true
-    )]
-    psf_context: Vec<ContextValue>,
+    #[arg(long, value_name = "NAME=VALUE,...", value_parser = context_value, value_delimiter = ',', hide_short_help = true)]
+    psf_context: Vec<(String, f64)>,
     /// STDPSF: number of the detector, from 1 (required if the file has several detectors)
     #[arg(long, value_name = "N", value_parser = detector, hide_short_help = true)]
     psf_detector: Option<usize>,
@@ -185,8 +180,8 @@ pub(crate) struct PsfFileArgs {
     #[arg(long, value_name = "ARCSEC", value_parser = above_zero, hide_short_help = true)]
     pixel_scale: Option<f64>,
     /// ScopeSim: where the centre of the PSF's field lies on the frame (0-based pixels, required)
-    #[arg(long, value_name = "X,Y", allow_hyphen_values = true, hide_short_help = true)]
-    field_centre: Option<Point>,
+    #[arg(long, value_name = "X,Y", value_parser = position, allow_hyphen_values = true, hide_short_help = true)]
+    field_centre: Option<Position>,
     /// Cube without positions: table of the positions of its planes (required for several planes)
     ///
     /// CSV or FITS table with columns x, y (0-based pixels), one row per plane.
@@ -199,49 +194,36 @@ pub(crate) struct PsfFileArgs {
     /// Cube or single stamp without positions: centre of the PSF in a stamp (0-based stamp pixels)
     ///
     /// Default: CENX, CENY of the header, else NX / 2, NY / 2 rounded down.
-    #[arg(long, value_name = "X,Y", allow_hyphen_values = true, hide_short_help = true)]
-    psf_centre: Option<Point>,
+    #[arg(long, value_name = "X,Y", value_parser = position, allow_hyphen_values = true, hide_short_help = true)]
+    psf_centre: Option<Position>,
     /// Integration over the area of a frame pixel: included in the stamps, or missing from them
     /// [default: as the header or the format says]
     ///
     /// If it is missing, psfield integrates the PSF over each pixel.
-    #[arg(long, value_name = "included|missing", value_enum, hide_short_help = true)]
-    pixel_response: Option<PixelResponse>,
+    #[arg(long, value_name = "included|missing", value_parser = pixel_response(), hide_short_help = true)]
+    pixel_response: Option<bool>,
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, clap::ValueEnum)]
-enum PixelResponse {
-    Included,
-    Missing,
+/// The parser of `--pixel-response`. True if it is included.
+fn pixel_response() -> impl TypedValueParser<Value = bool> {
+    PossibleValuesParser::new(["included", "missing"]).map(|response| response == "included")
 }
 
-/// A position `X,Y` of finite numbers.
-#[derive(Debug, Clone, Copy, PartialEq)]
-struct Point(Position);
-
-impl FromStr for Point {
-    type Err = String;
-    fn from_str(text: &str) -> Result<Self, String> {
-        match numbers::<f64>(text).as_deref() {
-            Some(&[x, y]) => Position::new(x, y).map(Self).map_err(|e| e.to_string()),
-            _ => Err("two numbers are needed, as in 2047.5,2047.5".to_owned()),
-        }
+/// Parses a position `X,Y` of finite numbers.
+fn position(text: &str) -> Result<Position, String> {
+    match numbers::<f64>(text).as_deref() {
+        Some(&[x, y]) => Position::new(x, y).map_err(|e| e.to_string()),
+        _ => Err("two numbers are needed, as in 2047.5,2047.5".to_owned()),
     }
 }
 
-/// A value of a quantity on which a PSF depends.
-#[derive(Debug, Clone, PartialEq)]
-struct ContextValue(String, f64);
-
-impl FromStr for ContextValue {
-    type Err = String;
-    fn from_str(text: &str) -> Result<Self, String> {
-        let parts = text.split_once('=');
-        let value = parts.and_then(|(name, value)| Some((name.trim(), value.trim().parse::<f64>().ok()?)));
-        match value {
-            Some((name, value)) if !name.is_empty() && value.is_finite() => Ok(Self(name.to_owned(), value)),
-            _ => Err("a name and a number are needed, as in MAG_AUTO=18".to_owned()),
-        }
+/// Parses the name and the value of a quantity on which a PSF depends.
+fn context_value(text: &str) -> Result<(String, f64), String> {
+    let parts = text.split_once('=');
+    let value = parts.and_then(|(name, value)| Some((name.trim(), value.trim().parse::<f64>().ok()?)));
+    match value {
+        Some((name, value)) if !name.is_empty() && value.is_finite() => Ok((name.to_owned(), value)),
+        _ => Err("a name and a number are needed, as in MAG_AUTO=18".to_owned()),
     }
 }
 
@@ -254,11 +236,7 @@ impl PsfFileArgs {
     fn options(&self) -> anyhow::Result<PsfFileOptions> {
         Ok(PsfFileOptions {
             extension: self.psf_extension.clone(),
-            contexts: self
-                .psf_context
-                .iter()
-                .map(|ContextValue(name, value)| (name.clone(), *value))
-                .collect(),
+            contexts: self.psf_context.clone(),
             detector: self.psf_detector,
             plane_order: self.psf_order,
             skip_invalid: self.psf_skip_invalid,
@@ -266,7 +244,7 @@ impl PsfFileArgs {
             time_s: self.psf_time,
             frame_number: self.psf_frame.map(f64::from),
             pixel_scale_arcsec: self.pixel_scale,
-            field_centre: self.field_centre.map(|point| point.0),
+            field_centre: self.field_centre,
             positions: self
                 .psf_positions
                 .as_ref()
@@ -274,10 +252,8 @@ impl PsfFileArgs {
                 .transpose()
                 .map_err(without_option)?,
             oversampling: self.psf_oversampling,
-            centre: self.psf_centre.map(|point| point.0),
-            pixel_response_included: self
-                .pixel_response
-                .map(|response| matches!(response, PixelResponse::Included)),
+            centre: self.psf_centre,
+            pixel_response_included: self.pixel_response,
         })
     }
 }

@@ -32,24 +32,38 @@ impl ReportFolder {
     /// Refuses, before any work, a folder that cannot be made or that cannot take these files. The
     /// folder is made later, when there is something to write.
     pub(crate) fn check(&self, files: &[&str]) -> anyhow::Result<()> {
-        check(&self.report, files, self.overwrite)?;
+        let folder = self.report.as_path();
+        if !folder.is_dir() {
+            // Leaves no new folders behind.
+            let missing: Vec<&Path> = folder
+                .ancestors()
+                .take_while(|part| !part.as_os_str().is_empty() && !part.exists())
+                .collect();
+            self.make()?;
+            for part in missing {
+                // This fails, and keeps the folder, if another process has written in it by now.
+                let _ = std::fs::remove_dir(part);
+            }
+            return Ok(());
+        }
+        for name in files {
+            psf_io::check_output(folder.join(name), self.overwrite)?;
+        }
         // The names of some files are not known yet. Without `--overwrite`, the folder must
         // therefore be empty.
-        let held = match std::fs::read_dir(&*self.report) {
-            Ok(mut found) => found.next().is_some(),
-            Err(_) => false,
-        };
+        let held = std::fs::read_dir(folder).is_ok_and(|mut found| found.next().is_some());
         anyhow::ensure!(
             self.overwrite || !held,
             "{}: the folder is not empty: choose another, or allow files there to be replaced (--overwrite)",
-            self.report.display()
+            folder.display()
         );
         Ok(())
     }
 
     /// Makes the folder if it does not exist.
     pub(crate) fn make(&self) -> anyhow::Result<()> {
-        make(&self.report)
+        std::fs::create_dir_all(&*self.report)
+            .with_context(|| format!("{}: the report folder cannot be made", self.report.display()))
     }
 
     /// Writes all files, and returns their names. Tables and numbers come first, so that an error in
@@ -89,31 +103,4 @@ impl ReportFolder {
         psf_io::write_text(at(PAGE.to_owned()), &document.to_html(), self.overwrite)?;
         Ok(files)
     }
-}
-
-/// Checks that a report can be written to a folder. Returns an error if the folder cannot be made,
-/// or if it holds one of `files` and `overwrite` is false. Leaves no new folders behind.
-fn check(folder: &Path, files: &[&str], overwrite: bool) -> anyhow::Result<()> {
-    if folder.is_dir() {
-        for name in files {
-            psf_io::check_output(folder.join(name), overwrite)?;
-        }
-        return Ok(());
-    }
-    let missing: Vec<&Path> = folder
-        .ancestors()
-        .take_while(|part| !part.as_os_str().is_empty() && !part.exists())
-        .collect();
-    make(folder)?;
-    for part in missing {
-        // This fails, and keeps the folder, if another process has written in it by now.
-        let _ = std::fs::remove_dir(part);
-    }
-    Ok(())
-}
-
-/// Makes a folder if it does not exist.
-fn make(folder: &Path) -> anyhow::Result<()> {
-    std::fs::create_dir_all(folder)
-        .with_context(|| format!("{}: the report folder cannot be made", folder.display()))
 }

@@ -6,7 +6,7 @@ use psfield_lab::report::{Reproduction, ReproductionOptions, Software, Target};
 use super::UsageError;
 use super::context::{Context, command_text, object};
 use super::report_folder::{self, ReportFolder};
-use super::values::Pair;
+use super::values::pair;
 
 /// Remake every figure and table of the paper that describes psfield's method
 ///
@@ -27,8 +27,8 @@ pub(crate) struct ReproduceArgs {
     #[arg(long)]
     quick: bool,
     /// Columns and rows of the frame (pixels) [default: 9232,9216, with --quick 2308,2304]
-    #[arg(long, value_name = "NX,NY", hide_short_help = true)]
-    frame: Option<Pair>,
+    #[arg(long, value_name = "NX,NY", value_parser = pair, hide_short_help = true)]
+    frame: Option<(usize, usize)>,
     /// PSF samples along each axis [default: 71, with --quick 36]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(4..=200), hide_short_help = true)]
     samples: Option<u16>,
@@ -85,7 +85,7 @@ impl ReproduceArgs {
         } else {
             ReproductionOptions::full()
         };
-        if let Some(Pair(nx, ny)) = self.frame {
+        if let Some((nx, ny)) = self.frame {
             if nx.max(ny) > MAX_SIDE {
                 let what =
                     format!("--frame {nx},{ny}: at most {MAX_SIDE} pixels along each axis are possible");

@@ -20,7 +20,8 @@ pub(crate) struct StarArgs {
     /// else the only one]
     #[arg(long, value_name = "N|NAME")]
     pub(crate) extension: Option<HduChoice>,
-    #[arg(long, value_name = "X", value_parser = above_zero, help = format!("Detection threshold (sigma) [default: {}]", Detection::DEFAULT_THRESHOLD))]
+    /// Detection threshold (sigma) [default: {detection_threshold}]
+    #[arg(long, value_name = "X", value_parser = above_zero)]
     pub(crate) detection_threshold: Option<f64>,
     /// Smallest signal-to-noise ratio of a star [default: 10 to 50]
     ///
@@ -98,12 +99,6 @@ pub(crate) struct MaskArgs {
 }
 
 impl MaskArgs {
-    /// Returns the name of the first option that was given.
-    pub(crate) fn given(&self) -> Option<&'static str> {
-        let mask = self.mask.is_some().then_some("--mask");
-        mask.or(self.nan_is_masked.then_some("--nan-is-masked"))
-    }
-
     /// Reads the pixels of a frame. Bad pixels become NaN.
     fn read(&self, reader: &mut ImageReader, path: &Path) -> anyhow::Result<Array2<f64>> {
         let (shape, rows) = (reader.shape(), 0..reader.shape().ny());
@@ -139,26 +134,6 @@ impl MaskArgs {
 }
 
 impl StarArgs {
-    /// Returns the name of the first option that was given.
-    pub(crate) fn given(&self) -> Option<&'static str> {
-        [
-            ("--extension", self.extension.is_some()),
-            ("--detection-threshold", self.detection_threshold.is_some()),
-            ("--snr", self.snr.is_some()),
-            ("--saturation", self.saturation.is_some()),
-            ("--gain", self.gain.is_some()),
-            ("--read-noise", self.read_noise.is_some()),
-            ("--isolation", self.isolation.is_some()),
-            ("--edge", self.edge.is_some()),
-            ("--stamp-size", self.stamp_size.is_some()),
-            ("--oversampling", self.oversampling.is_some()),
-            ("--registration", self.registration.is_some()),
-            ("--background-mesh", self.background_mesh.is_some()),
-        ]
-        .into_iter()
-        .find_map(|(name, given)| given.then_some(name))
-    }
-
     /// Reads a frame and its header, and builds the settings. Bad pixels of the frame become NaN.
     /// The settings include the saturation level, which the header may hold.
     pub(crate) fn open(
@@ -167,18 +142,15 @@ impl StarArgs {
         mask: &MaskArgs,
     ) -> anyhow::Result<(Array2<f64>, HeaderCards, StarSampling)> {
         let mut reader = ImageReader::open_hdu(path, self.extension.as_ref())?;
-        let (header, sampling) = (reader.header().clone(), self.sampling_of(reader.header())?);
-        Ok((mask.read(&mut reader, path)?, header, sampling))
-    }
-
-    fn sampling_of(&self, header: &HeaderCards) -> anyhow::Result<StarSampling> {
+        let header = reader.header().clone();
         let in_header = match header.get("SATURATE").and_then(Card::value) {
             Some(CardValue::Real(level)) => Some(level),
             Some(CardValue::Integer(level)) => Some(level as f64),
             _ => None,
         };
         let sampling = self.sampling(in_header);
-        Ok(sampling.map_err(|e| UsageError(e.to_string()))?)
+        let sampling = sampling.map_err(|e| UsageError(e.to_string()))?;
+        Ok((mask.read(&mut reader, path)?, header, sampling))
     }
 
     fn sampling(&self, in_header: Option<f64>) -> Result<StarSampling, StarError> {

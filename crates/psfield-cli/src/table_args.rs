@@ -5,6 +5,7 @@ use std::path::Path;
 use psf_io::{CatalogColumns, CatalogOptions, HduChoice};
 
 use crate::UsageError;
+use crate::context::GivenOptions;
 
 /// The table in a file, the names of its columns, and the first index of its positions (0 or 1).
 #[derive(Debug, Clone, Default, clap::Args)]
@@ -37,21 +38,10 @@ impl TableArgs {
     }
 
     /// Refuses these options if there is no table of positions.
-    pub(crate) fn check(&self, at: Option<&Path>) -> Result<(), UsageError> {
-        match (at, self.given()) {
+    pub(crate) fn check(at: Option<&Path>, given: &GivenOptions) -> Result<(), UsageError> {
+        match (at, given.of_group::<Self>().first()) {
             (None, Some(option)) => Err(UsageError(format!("{option} applies only to the table of --at"))),
             _ => Ok(()),
         }
-    }
-
-    /// Returns the name of the first option that was given.
-    pub(crate) fn given(&self) -> Option<&'static str> {
-        [
-            ("--columns", self.columns.is_some()),
-            ("--one-based", self.one_based),
-            ("--table", self.table.is_some()),
-        ]
-        .into_iter()
-        .find_map(|(name, given)| given.then_some(name))
     }
 }

@@ -26,34 +26,22 @@ impl From<Precision> for psf_io::Precision {
     }
 }
 
-/// Two sizes or counts `NX,NY`, both above 0.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Pair(pub(crate) usize, pub(crate) usize);
-
-impl FromStr for Pair {
-    type Err = String;
-    fn from_str(text: &str) -> Result<Self, String> {
-        match numbers::<usize>(text).as_deref() {
-            Some(&[nx, ny]) if nx > 0 && ny > 0 => Ok(Self(nx, ny)),
-            _ => Err("two whole numbers above 0 are needed, as in 1024,512".to_owned()),
-        }
+/// Parses two sizes or counts `NX,NY`, both above 0.
+pub(crate) fn pair(text: &str) -> Result<(usize, usize), String> {
+    match numbers::<usize>(text).as_deref() {
+        Some(&[nx, ny]) if nx > 0 && ny > 0 => Ok((nx, ny)),
+        _ => Err("two whole numbers above 0 are needed, as in 1024,512".to_owned()),
     }
 }
 
-/// A region `X0,Y0,NX,NY`: its first column and row, and its size. `NX` and `NY` are above 0.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Frame(pub(crate) PixelRegion);
-
-impl FromStr for Frame {
-    type Err = String;
-    fn from_str(text: &str) -> Result<Self, String> {
-        match numbers::<i64>(text).as_deref() {
-            Some(&[x0, y0, nx, ny]) if nx > 0 && ny > 0 => {
-                let shape = FrameShape::new(nx as usize, ny as usize).map_err(|e| e.to_string())?;
-                Ok(Self(PixelRegion::new(x0, y0, shape)))
-            }
-            _ => Err("four whole numbers are needed, the last two above 0, as in 64,64,1024,1024".to_owned()),
+/// Parses a region `X0,Y0,NX,NY`: its first column and row, and its size. `NX` and `NY` are above 0.
+pub(crate) fn region(text: &str) -> Result<PixelRegion, String> {
+    match numbers::<i64>(text).as_deref() {
+        Some(&[x0, y0, nx, ny]) if nx > 0 && ny > 0 => {
+            let shape = FrameShape::new(nx as usize, ny as usize).map_err(|e| e.to_string())?;
+            Ok(PixelRegion::new(x0, y0, shape))
         }
+        _ => Err("four whole numbers are needed, the last two above 0, as in 64,64,1024,1024".to_owned()),
     }
 }
 

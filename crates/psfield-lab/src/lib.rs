@@ -8,20 +8,6 @@
 //! # Features
 //! `gpu` (off by default): enables the feature `gpu` of [`psfield`].
 
-/// Declares a struct for the rows of a table, and a constant with the names of the table's columns:
-/// the names of the struct's fields.
-macro_rules! table_row {
-    ($(#[$meta:meta])* $columns:ident $row:ident { $($field:ident: $type:ty,)+ }) => {
-        #[doc = concat!("The names of the columns of a table of [`", stringify!($row), "`]s.")]
-        pub const $columns: &[&str] = &[$(stringify!($field)),+];
-
-        $(#[$meta])*
-        pub struct $row {
-            $(pub $field: $type,)+
-        }
-    };
-}
-
 pub mod bench;
 mod error;
 mod memory;

@@ -368,7 +368,7 @@ fn rows(
         .collect()
 }
 
-table_row! {
+psf_types::table_row! {
     /// A star in the frame and in the first simulated frame, measured in the same way. Columns with
     /// `left_out` in the name hold the values of the star drawn by a model that was made without
     /// it. The cells of the table for a failed measurement are empty, and so are flux ratio and

@@ -169,7 +169,7 @@ pub(crate) fn measure_image(
     background: bool,
 ) -> PyResult<String> {
     let image = image.as_array();
-    let at = positions(&x.as_array().to_vec(), &y.as_array().to_vec())?;
+    let at = positions(&x, &y)?;
     let options = MeasureOptions {
         window: size,
         background,

@@ -126,33 +126,21 @@ impl Plan {
             })?),
             other => return Err(invalid(format!("precision must be f32 or f64, got {other}"))),
         };
-        Ok(Self {
-            simulators,
-            making: Arc::default(),
-            process: std::process::id(),
-        })
+        Ok(Self::of(simulators, Arc::default()))
     }
 
     /// Makes a plan for another region of the same frame.
     fn for_region(&self, py: Python<'_>, at: (i64, i64, usize, usize)) -> PyResult<Self> {
         let at = PixelRegion::try_from(at).map_err(Failure::from)?;
         let simulators = another!(self, py, |of, watch| of.for_region(at, watch));
-        Ok(Self {
-            simulators,
-            making: Arc::clone(&self.making),
-            process: std::process::id(),
-        })
+        Ok(Self::of(simulators, Arc::clone(&self.making)))
     }
 
     /// Makes a plan for another PSF, with the settings of this plan and, if possible, its tiles.
     fn with_psf(&self, py: Python<'_>, model: &PsfModel) -> PyResult<Self> {
         let psf = model.0.clone();
         let simulators = another!(self, py, |of, watch| of.with_psf(&psf, watch));
-        Ok(Self {
-            simulators,
-            making: Arc::default(),
-            process: std::process::id(),
-        })
+        Ok(Self::of(simulators, Arc::default()))
     }
 
     /// (x0, y0, nx, ny) of the part of the scene whose light reaches the image, in pixels of the
@@ -316,6 +304,15 @@ impl Plan {
 }
 
 impl Plan {
+    /// A plan of this process.
+    fn of(simulators: AnySimulators, making: Arc<Mutex<()>>) -> Self {
+        Self {
+            simulators,
+            making,
+            process: std::process::id(),
+        }
+    }
+
     /// Makes a scene and prepares its simulator.
     fn ready<'a, T: ConvReal>(
         &self,
@@ -442,14 +439,11 @@ fn planned<T: ConvReal>(
     py: Python<'_>,
     make: impl FnOnce(&Watch) -> Result<Simulators<T>, PsfieldError> + Send + 'static,
 ) -> PyResult<Arc<Simulators<T>>> {
-    let made = threads::run_apart(py, move |watch, pool| {
-        pool.install(|| -> Result<_, Failure> {
-            let simulators = make(watch)?;
-            if simulators.has_spectrum() {
-                simulators.first.prepare(&Scene::streamed(), watch)?;
-            }
-            Ok(Arc::new(simulators))
-        })
-    })?;
-    Ok(made?)
+    threads::run_apart(py, move |watch| -> Result<_, PsfieldError> {
+        let simulators = make(watch)?;
+        if simulators.has_spectrum() {
+            simulators.first.prepare(&Scene::streamed(), watch)?;
+        }
+        Ok(Arc::new(simulators))
+    })
 }

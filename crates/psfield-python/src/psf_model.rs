@@ -69,7 +69,7 @@ impl PsfModel {
             memory::check("the fit of the samples", bytes)?;
         }
         let psf = self.0.clone();
-        Ok(threads::run_apart(py, move |_, pool| pool.install(|| work(&psf)))?.map_err(Failure::from)?)
+        threads::run_apart(py, move |_| work(&psf))
     }
 
     /// Returns the model in the form that files store.
@@ -203,10 +203,7 @@ impl PsfModel {
         fit: &Bound<'_, PyMapping>,
     ) -> PyResult<Self> {
         let (file, choices) = (from_python(file)?, from_python(fit)?);
-        let psf = threads::run_apart(py, move |_, pool| {
-            pool.install(|| Psf::open_with(&path, &file, &choices))
-        })?;
-        Ok(Self(psf.map_err(Failure::from)?))
+        threads::run_apart(py, move |_| Psf::open_with(&path, &file, &choices)).map(Self)
     }
 
     /// Notes on how the file was read, in sentences.
@@ -288,14 +285,12 @@ impl PsfModel {
 
     /// (ny, nx) of the field, if it is known.
     fn field(&self) -> Option<(usize, usize)> {
-        let field = self.0.positions().field()?;
-        Some((field.ny(), field.nx()))
+        self.0.positions().field().map(|field| (field.ny(), field.nx()))
     }
 
     /// (ny, nx) of the frame: as stated or, for a PSFEx model, the frame that fits its stars.
     fn field_shape(&self) -> Option<(usize, usize)> {
-        let field = self.0.field_shape()?;
-        Some((field.ny(), field.nx()))
+        self.0.field_shape().map(|field| (field.ny(), field.nx()))
     }
 
     /// The names of the interpolation, the outside policy and the normalisation of the model.
@@ -330,7 +325,7 @@ impl PsfModel {
         size: Option<usize>,
         sub_pixel: bool,
     ) -> PyResult<(Cube<'py>, Option<String>)> {
-        let at = positions(&x.as_array().to_vec(), &y.as_array().to_vec())?;
+        let at = positions(&x, &y)?;
         let grid = self.0.grid();
         let stamp = size.map_or(grid.pixel_count(), |size| size.saturating_mul(size));
         let bytes = at
@@ -392,14 +387,13 @@ fn sample_positions(
     field: Option<(usize, usize)>,
 ) -> PyResult<SamplePositions> {
     let field: Option<FrameShape> = field.map(frame_shape).transpose()?;
-    let made = positions(&x.as_array().to_vec(), &y.as_array().to_vec())?;
     let states = match states {
         Some((kind, values)) => {
             Some(SampleStates::new(parsed::<StateKind>(&kind)?, &values).map_err(Failure::from)?)
         }
         None => None,
     };
-    Ok(SamplePositions::with_states(made, field, states).map_err(Failure::from)?)
+    Ok(SamplePositions::with_states(positions(x, y)?, field, states).map_err(Failure::from)?)
 }
 
 fn points<'py>(py: Python<'py>, of: &SamplePositions) -> Points<'py> {

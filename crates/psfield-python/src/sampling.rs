@@ -173,8 +173,8 @@ pub(crate) fn sample_telescope(
             Telescope::PRESETS.join(", ")
         )));
     }
-    let drawn = threads::run_apart(py, move |watch, pool| pool.install(|| settings.draw(watch)))?;
-    Ok(PsfModel(Psf::new(drawn.map_err(Failure::from)?, options)))
+    let drawn = threads::run_apart(py, move |watch| settings.draw(watch))?;
+    Ok(PsfModel(Psf::new(drawn, options)))
 }
 
 impl TelescopeSettings {

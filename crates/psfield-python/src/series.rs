@@ -1,11 +1,11 @@
 //! Series of exposures.
 
-use std::sync::{Mutex, PoisonError};
+use std::sync::Mutex;
 
 use numpy::{Element, IntoPyArray, PyArray1};
 use psfield::conv_core::ConvReal;
 use psfield::series::{Exposures, LightCurves, Pointing, PointingPath, SeriesFrames, SourceInExposure};
-use psfield::{Psf, SceneLight, SimulateOptions, SimulationWarning};
+use psfield::{Psf, SimulateOptions, SimulationWarning};
 use pyo3::prelude::*;
 use pyo3::types::PyMapping;
 
@@ -54,12 +54,9 @@ impl Changes {
 
 /// A series of exposures.
 #[pyclass(frozen, module = "psfield._native")]
-pub(crate) struct Series {
-    frames: AnyFrames,
-    /// Held by the thread that makes an exposure.
-    making: Mutex<()>,
-}
+pub(crate) struct Series(AnyFrames);
 
+/// The thread that makes an exposure holds the lock.
 enum AnyFrames {
     Single(Mutex<SeriesFrames<f32>>),
     Double(Mutex<SeriesFrames<f64>>),
@@ -92,17 +89,11 @@ impl Series {
         let none = Sources::default();
         let sources = sources.as_deref().unwrap_or(&none);
         let of = (model.0.clone(), shape, options(settings)?, changes.series()?);
-        let frames = if precision == "f64" {
-            let light = light_of_scene(colour.as_ref(), Borrowed::new(&images)?.views(), sources)?;
-            AnyFrames::Double(frames(py, of, colour, light)?)
+        Ok(Self(if precision == "f64" {
+            AnyFrames::Double(frames(py, of, colour, &images, sources)?)
         } else {
-            let light = light_of_scene(colour.as_ref(), Borrowed::new(&images)?.views(), sources)?;
-            AnyFrames::Single(frames(py, of, colour, light)?)
-        };
-        Ok(Self {
-            frames,
-            making: Mutex::default(),
-        })
+            AnyFrames::Single(frames(py, of, colour, &images, sources)?)
+        }))
     }
 
     /// Simulates an exposure.
@@ -112,72 +103,66 @@ impl Series {
         number: usize,
         progress: Option<Py<PyAny>>,
     ) -> PyResult<Exposure<'py>> {
-        match &self.frames {
-            AnyFrames::Single(frames) => self.exposed(py, frames, number, progress.as_ref()),
-            AnyFrames::Double(frames) => self.exposed(py, frames, number, progress.as_ref()),
+        match &self.0 {
+            AnyFrames::Single(frames) => exposed(py, frames, number, progress.as_ref()),
+            AnyFrames::Double(frames) => exposed(py, frames, number, progress.as_ref()),
         }
     }
 }
 
-impl Series {
-    fn exposed<'py, T: ConvReal + Element>(
-        &self,
-        py: Python<'py>,
-        frames: &Mutex<SeriesFrames<T>>,
-        number: usize,
-        progress: Option<&Py<PyAny>>,
-    ) -> PyResult<Exposure<'py>> {
-        let made = threads::run_beside(py, progress, &*pool()?, |watch, pool| -> Result<_, Failure> {
-            let _making = threads::turn(&self.making, watch)?;
-            // Only this thread uses the frames.
-            let mut locked = frames.lock().unwrap_or_else(PoisonError::into_inner);
-            let frames = &mut *locked;
-            pool.install(|| {
-                let exposure = frames.exposure(number, watch)?;
-                let (simulator, scene) = (&exposure.simulator, &exposure.scene);
-                let mut image = simulator.zeros();
-                simulator.simulate_into(scene, image.view_mut(), watch)?;
-                Ok((
-                    image,
-                    exposure.shift_px,
-                    exposure.sources,
-                    simulator.warnings(scene),
-                ))
-            })
-        })?;
-        let (image, shift_px, sources, warnings) = made?;
-        let column = |value: fn(&SourceInExposure) -> f64| {
-            sources.iter().map(value).collect::<Vec<_>>().into_pyarray(py)
-        };
-        let columns = [
-            column(|source| source.row as f64),
-            column(|source| source.x),
-            column(|source| source.y),
-            column(|source| source.flux),
-        ];
-        let text = |warning: &SimulationWarning| with_argument(warning.to_string(), warning.setting());
-        let warnings = warnings.iter().map(text).collect();
-        Ok((image.into_pyarray(py).into_any(), shift_px, columns, warnings))
-    }
+fn exposed<'py, T: ConvReal + Element>(
+    py: Python<'py>,
+    frames: &Mutex<SeriesFrames<T>>,
+    number: usize,
+    progress: Option<&Py<PyAny>>,
+) -> PyResult<Exposure<'py>> {
+    let made = threads::run_beside(py, progress, &*pool()?, |watch, pool| -> Result<_, Failure> {
+        let mut locked = threads::turn(frames, watch)?;
+        let frames = &mut *locked;
+        pool.install(|| {
+            let exposure = frames.exposure(number, watch)?;
+            let (simulator, scene) = (&exposure.simulator, &exposure.scene);
+            let mut image = simulator.zeros();
+            simulator.simulate_into(scene, image.view_mut(), watch)?;
+            Ok((
+                image,
+                exposure.shift_px,
+                exposure.sources,
+                simulator.warnings(scene),
+            ))
+        })
+    })?;
+    let (image, shift_px, sources, warnings) = made?;
+    let column =
+        |value: fn(&SourceInExposure) -> f64| sources.iter().map(value).collect::<Vec<_>>().into_pyarray(py);
+    let columns = [
+        column(|source| source.row as f64),
+        column(|source| source.x),
+        column(|source| source.y),
+        column(|source| source.flux),
+    ];
+    let text = |warning: &SimulationWarning| with_argument(warning.to_string(), warning.setting());
+    let warnings = warnings.iter().map(text).collect();
+    Ok((image.into_pyarray(py).into_any(), shift_px, columns, warnings))
 }
 
 /// The settings of a simulation of exposures: the PSF, the shape of scenes, options, and what changes.
 type Of = (Psf, (usize, usize), SimulateOptions, psfield::series::Series);
 
-fn frames<T: ConvReal>(
+fn frames<T: ConvReal + Element>(
     py: Python<'_>,
     (psf, shape, options, series): Of,
     colour: Option<Colour>,
-    light: SceneLight<T>,
+    images: &[(Option<String>, Bound<'_, PyAny>)],
+    sources: &Sources,
 ) -> PyResult<Mutex<SeriesFrames<T>>> {
-    let made = threads::run_apart(py, move |_, pool| {
-        pool.install(|| -> Result<_, Failure> {
-            let psf = match colour {
-                Some(colour) => colour.psf_of(&psf, &light)?,
-                None => psf,
-            };
-            Ok(SeriesFrames::new(&psf, shape, options, series, light)?)
-        })
-    })?;
-    Ok(Mutex::new(made?))
+    let light = light_of_scene(colour.as_ref(), Borrowed::new(images)?.views(), sources)?;
+    let made = threads::run_apart(py, move |_| {
+        let psf = match colour {
+            Some(colour) => colour.psf_of(&psf, &light)?,
+            None => psf,
+        };
+        SeriesFrames::new(&psf, shape, options, series, light)
+    });
+    made.map(Mutex::new)
 }

@@ -2,6 +2,7 @@
 
 use std::str::FromStr;
 
+use numpy::PyReadonlyArray1;
 use psfield::fit::OwnInterpolation;
 use psfield::psf_sample::SamplingOptions;
 use psfield::psf_types::{FrameShape, Position, Real, StampGrid, StampInterpolation};
@@ -180,7 +181,11 @@ pub(crate) fn frame_shape((ny, nx): (usize, usize)) -> PyResult<FrameShape> {
 }
 
 /// Makes positions from columns x and y of the same length.
-pub(crate) fn positions(x: &[f64], y: &[f64]) -> PyResult<Vec<Position>> {
+pub(crate) fn positions(
+    x: &PyReadonlyArray1<'_, f64>,
+    y: &PyReadonlyArray1<'_, f64>,
+) -> PyResult<Vec<Position>> {
+    let (x, y) = (x.as_array(), y.as_array());
     if x.len() != y.len() {
         return Err(invalid(format!(
             "x and y must have the same length, got {} and {}",

@@ -10,7 +10,7 @@ use psfield::psf_types::{Cancelled, Progress};
 use pyo3::prelude::*;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 
-use crate::error::invalid;
+use crate::error::{Failure, invalid};
 
 /// The thread pool of one process.
 struct Pool {
@@ -192,27 +192,28 @@ pub(crate) fn run_beside<R: Send>(
     Ok(result)
 }
 
-/// Works like [`run_beside`], for work that borrows nothing from the caller. After an interruption
-/// this function returns at once. The work then goes on in the background until it ends or checks
-/// whether it is cancelled, and its result is dropped.
-pub(crate) fn run_apart<R: Send + 'static>(
+/// Works like [`run`], for work that borrows nothing from the caller. After an interruption this
+/// function returns at once. The work then goes on in the background until it ends or checks whether it
+/// is cancelled, and its result is dropped.
+pub(crate) fn run_apart<R: Send + 'static, E: Into<Failure> + Send + 'static>(
     py: Python<'_>,
-    work: impl FnOnce(&Watch, &ThreadPool) -> R + Send + 'static,
+    work: impl FnOnce(&Watch) -> Result<R, E> + Send + 'static,
 ) -> PyResult<R> {
     let pool = pool()?;
     let watch = Arc::new(Watch::default());
-    py.detach(|| {
+    let made = py.detach(|| -> PyResult<_> {
         let (ended, end) = channel::<()>();
         let of_work = Arc::clone(&watch);
         let worker = std::thread::spawn(move || {
             let _ended = ended;
-            work(&of_work, &pool)
+            pool.install(|| work(&of_work))
         });
         Teller::new(None, &watch).wait(&end)?;
         Ok(worker
             .join()
             .unwrap_or_else(|panic| std::panic::resume_unwind(panic)))
-    })
+    })?;
+    Ok(made.map_err(Into::into)?)
 }
 
 /// The interval between two attempts to take a lock.
@@ -220,7 +221,7 @@ const RETRY_INTERVAL: Duration = Duration::from_millis(2);
 
 /// Waits for a lock and takes it, or returns an error when the work is cancelled. Call it on a
 /// thread outside the pool.
-pub(crate) fn turn<'a>(mutex: &'a Mutex<()>, watch: &Watch) -> Result<MutexGuard<'a, ()>, ConvError> {
+pub(crate) fn turn<'a, T>(mutex: &'a Mutex<T>, watch: &Watch) -> Result<MutexGuard<'a, T>, ConvError> {
     loop {
         match mutex.try_lock() {
             Ok(guard) => return Ok(guard),

@@ -152,12 +152,9 @@ impl FromStr for Dispersion {
     }
 }
 
-/// The photons of a spectrum: how much each wavelength of the samples counts, and by how many stamp
-/// pixels its light is shifted.
-struct Shifted {
-    /// The state, the weight, and the shift along x and y.
-    photons: Vec<(usize, f64, [f64; 2])>,
-}
+/// The photons of a spectrum: how much the state of each wavelength of the samples counts, and by how many
+/// stamp pixels its light is shifted.
+type Shifted = Vec<(usize, Line)>;
 
 impl Psf {
     /// The PSFs of spectra through a dispersing atmosphere: as [`for_spectra`](Self::for_spectra), with
@@ -184,15 +181,24 @@ impl Psf {
         let shifted: Vec<Shifted> = spectra
             .iter()
             .map(|spectrum| {
-                let photons = self.photons_of(bandpass, spectrum)?;
-                Ok(Shifted::new(&photons, wavelengths, |um| {
-                    let (dx, dy) = dispersion.shift_px(um, reference);
-                    [dx * grid.oversampling(), dy * grid.oversampling()]
-                }))
+                let of_photon = |photon: PhotonFraction| {
+                    let (dx, dy) = dispersion.shift_px(photon.wavelength_um, reference);
+                    let states = coeff_field::state_weights(wavelengths, photon.wavelength_um);
+                    states.into_iter().map(move |(state, weight)| {
+                        let line = Line {
+                            weight: weight * photon.weight,
+                            middle: [dx, dy].map(|shift| shift * grid.oversampling()),
+                            length: [0.0, 0.0],
+                        };
+                        (state, line)
+                    })
+                };
+                let photons = self.photons_of(bandpass, spectrum)?.into_iter();
+                Ok(photons.flat_map(of_photon).collect())
             })
             .collect::<Result<_, PsfieldError>>()?;
-        let all = || shifted.iter().flat_map(|s| &s.photons);
-        let margin = [0, 1].map(|axis| margin_of(all().map(|photon| photon.2[axis])));
+        let all = || shifted.iter().flatten();
+        let margin = [0, 1].map(|axis| margin_of(all().map(|(_, line)| line.middle[axis])));
         let wide = widened(grid, margin)?;
         let (nodes, stamps) = stamps_at_nodes(record, wavelengths)?;
         check_stack(nodes.len() * spectra.len(), wide)?;
@@ -209,35 +215,6 @@ impl Psf {
             ..FitOptions::default()
         };
         Ok(Self::new(PsfSamples::new(mixed, positions, wide)?, options))
-    }
-}
-
-impl Shifted {
-    fn new(photons: &[PhotonFraction], wavelengths: &[f64], shift: impl Fn(f64) -> [f64; 2]) -> Self {
-        let of_photon = |photon: &PhotonFraction| {
-            let at = shift(photon.wavelength_um);
-            let weights = coeff_field::state_weights(wavelengths, photon.wavelength_um);
-            let weight = photon.weight;
-            weights
-                .into_iter()
-                .map(move |(state, w)| (state, w * weight, at))
-                .collect::<Vec<_>>()
-        };
-        Self {
-            photons: photons.iter().flat_map(of_photon).collect(),
-        }
-    }
-
-    /// The factor of a state's stamps in Fourier space. None if the state does not count.
-    fn factor(&self, state: usize, plane: &StampPlane) -> Option<Array2<Complex64>> {
-        let own = self.photons.iter().filter(|photon| photon.0 == state);
-        let shifted = |&(_, weight, shift): &(usize, f64, [f64; 2])| Line {
-            weight,
-            middle: shift,
-            length: [0.0, 0.0],
-        };
-        let own: Vec<_> = own.map(shifted).collect();
-        (!own.is_empty()).then(|| plane.shift_factor(&own))
     }
 }
 
@@ -280,9 +257,15 @@ fn dispersed(
         .map(|stamp| plane.forward(&[stamps.index_axis(Axis(0), stamp)], margin))
         .collect();
     let states = stamps.dim().0 / nodes;
+    // The factor of a state's stamps in Fourier space. None if the state does not count.
+    let factor = |spectrum: &Shifted, state: usize| {
+        let own = spectrum.iter().filter(|photon| photon.0 == state);
+        let own: Vec<Line> = own.map(|&(_, line)| line).collect();
+        (!own.is_empty()).then(|| plane.shift_factor(&own))
+    };
     let factors: Vec<Vec<_>> = spectra
         .par_iter()
-        .map(|spectrum| (0..states).map(|state| spectrum.factor(state, &plane)).collect())
+        .map(|spectrum| (0..states).map(|state| factor(spectrum, state)).collect())
         .collect();
     let mut mixed = Array3::zeros((spectra.len() * nodes, wide.ny(), wide.nx()));
     let planes: Vec<_> = mixed.outer_iter_mut().collect();

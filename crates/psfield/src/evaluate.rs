@@ -6,8 +6,7 @@ use psf_types::{DataError, FrameShape, Position, PsfModel, PsfSamples, SamplePos
 use rayon::prelude::*;
 
 use crate::error::{ErrorKind, PsfieldError};
-use crate::psf::Psf;
-use crate::psf::native_grid_of;
+use crate::psf::{Psf, native_grid_of};
 use crate::stack_size::check_stack;
 
 /// The pixels at which PSFs are evaluated.
@@ -98,7 +97,7 @@ pub fn evaluate(
     options: EvaluateOptions,
 ) -> Result<PsfSamples, PsfieldError> {
     const NONE: &str = "there are no positions: at least one is needed";
-    check(model, &positions, options)?;
+    check_on_field(model, &positions)?;
     let positions = SamplePositions::new(positions, model.field_shape()).map_err(|error| match error {
         // The caller gave positions, not samples, so the messages speak of positions.
         DataError::NoSamples => PsfieldError::new(ErrorKind::Data, NONE).because(error),
@@ -112,7 +111,7 @@ pub fn evaluate(
         }
         other => other.into(),
     })?;
-    let (stamps, grid) = stamps_at(model, positions.as_slice(), options)?;
+    let (stamps, grid) = evaluate_stamps(model, positions.as_slice(), options)?;
     Ok(PsfSamples::new(stamps, positions, grid)?)
 }
 
@@ -146,24 +145,11 @@ pub fn evaluate_stamps(
     positions: &[Position],
     options: EvaluateOptions,
 ) -> Result<(Array3<f64>, StampGrid), PsfieldError> {
-    check(model, positions, options)?;
-    stamps_at(model, positions, options)
-}
-
-fn check(model: &PsfModel, positions: &[Position], options: EvaluateOptions) -> Result<(), PsfieldError> {
     if options.sub_pixel && options.grid != OutputGrid::Native {
         const NATIVE: &str = "sub-pixel phases need the frame's own pixels: choose the native grid";
         return Err(PsfieldError::of_setting("grid", NATIVE));
     }
-    check_on_field(model, positions)
-}
-
-/// Evaluates the PSFs at positions. The caller has checked the positions.
-fn stamps_at(
-    model: &PsfModel,
-    positions: &[Position],
-    options: EvaluateOptions,
-) -> Result<(Array3<f64>, StampGrid), PsfieldError> {
+    check_on_field(model, positions)?;
     let target = target_grid(model, options)?;
     check_stack(positions.len(), target)?;
     let stamps: Vec<Result<Array2<f64>, PsfieldError>> = positions
@@ -199,9 +185,6 @@ fn target_grid(model: &PsfModel, options: EvaluateOptions) -> Result<StampGrid, 
     let Some(size) = options.size else { return Ok(base) };
     // A centre between pixels stays between pixels, so that values need no interpolation.
     let centre = |c: f64| (size / 2) as f64 + c.fract();
-    Ok(StampGrid::new(size, size)?
-        .with_oversampling(base.oversampling())?
-        .with_pixel_response_included(base.pixel_response_included())
-        .with_interpolation(base.interpolation())
-        .with_centre(centre(base.centre_x()), centre(base.centre_y()))?)
+    let sized = base.with_size(size, size)?;
+    Ok(sized.with_centre(centre(base.centre_x()), centre(base.centre_y()))?)
 }

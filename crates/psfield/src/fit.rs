@@ -211,10 +211,6 @@ fn fit_basis(
     mut training: Array3<f64>,
     options: &FitOptions,
 ) -> Result<(BasisFit, Vec<f64>), PsfieldError> {
-    let method = Svd::new()
-        .with_rank(options.rank)
-        .with_centring(options.centring)
-        .with_noise(options.noise);
     let samples = normalised(samples, options.normalisation);
     let norms = norms_of(&samples);
     if options.normalisation != Normalisation::Keep {
@@ -228,8 +224,16 @@ fn fit_basis(
         let error = median.map_or(RankSelection::AUTO_ERROR, |median| BELOW_INTERPOLATION * median);
         error.max(SMALLEST_AUTO_ERROR)
     };
-    let fit = method.fit_for_field(samples, training.view(), &smaller_error)?;
+    let fit = svd_of(options).fit_for_field(samples, training.view(), &smaller_error)?;
     Ok((fit, norms))
+}
+
+/// The basis method that the options describe.
+fn svd_of(options: &FitOptions) -> Svd {
+    Svd::new()
+        .with_rank(options.rank)
+        .with_centring(options.centring)
+        .with_noise(options.noise)
 }
 
 /// With the rank `auto`, the truncation error is at most this fraction of the interpolation error.
@@ -280,11 +284,7 @@ pub fn fit_weighted(
     weights: Array3<f64>,
     options: &FitOptions,
 ) -> Result<Fit, PsfieldError> {
-    let svd = Svd::new()
-        .with_rank(options.rank)
-        .with_centring(options.centring)
-        .with_noise(options.noise);
-    let method = WeightedPca::new(weights)?.with_svd(svd);
+    let method = WeightedPca::new(weights)?.with_svd(svd_of(options));
     let filled = method.filled(&samples)?;
     if options.normalisation == Normalisation::Keep {
         return fit_by(filled, &method, options);
@@ -406,12 +406,8 @@ impl Fit {
                 .map(|((tail, norm), error)| error.hypot(tail / norm))
                 .collect(),
             record,
-            spectrum: self.spectrum.clone(),
-            norms: self.norms.clone(),
             noise_is_guessed: false,
-            reason: self.reason.clone(),
-            left_out: self.left_out.clone(),
-            expected_error: self.expected_error,
+            ..self.clone()
         })
     }
 

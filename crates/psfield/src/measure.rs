@@ -1,62 +1,43 @@
 //! Measures sizes and shapes of many stamps.
 
-use metrics::{AdaptiveMomentFinder, GaussianFitter, Window};
+use metrics::{AdaptiveMomentFinder, AdaptiveMoments, GaussianFit, GaussianFitter, Window};
 use ndarray::{ArrayView2, ArrayView3};
 use psf_types::{Position, PsfSamples, Real};
 use rayon::prelude::*;
 use serde::Serialize;
 
-/// The columns of a table of [`Measurement`]s.
-pub const MEASUREMENT_COLUMNS: [&str; 17] = [
-    "x",
-    "y",
-    "flux",
-    "x_centroid",
-    "y_centroid",
-    "fwhm_px",
-    "fwhm_major_px",
-    "fwhm_minor_px",
-    "angle_rad",
-    "eccentricity",
-    "e1",
-    "e2",
-    "g1",
-    "g2",
-    "sigma_px",
-    "ellipticity",
-    "note",
-];
-
-/// The measurements of one PSF. A field is None if its measurement failed. In this case, `note`
-/// says why. `x` and `y` are the given position, None if there is none.
-///
-/// The fields from `flux` to `eccentricity` are from the fit of an elliptical Gaussian with axes
-/// `a >= b` (`fwhm_px` is the geometric mean, `eccentricity = sqrt(1 - b^2 / a^2)`). `angle_rad` is
-/// the direction of the major axis, from +x towards +y. The fields from `e1` to `ellipticity` are
-/// from adaptive moments (`e`: distortion, `g`: reduced shear, `ellipticity = |e1 + i e2|`). Widths
-/// and `sigma_px` are in pixels of the array, but [`MeasureOptions::samples`] returns them in frame
-/// pixels.
-#[derive(Debug, Clone, PartialEq, Default, Serialize)]
-#[non_exhaustive]
-#[allow(missing_docs, reason = "the columns of the table, described above")]
-pub struct Measurement {
-    pub x: Option<f64>,
-    pub y: Option<f64>,
-    pub flux: Option<f64>,
-    pub x_centroid: Option<f64>,
-    pub y_centroid: Option<f64>,
-    pub fwhm_px: Option<f64>,
-    pub fwhm_major_px: Option<f64>,
-    pub fwhm_minor_px: Option<f64>,
-    pub angle_rad: Option<f64>,
-    pub eccentricity: Option<f64>,
-    pub e1: Option<f64>,
-    pub e2: Option<f64>,
-    pub g1: Option<f64>,
-    pub g2: Option<f64>,
-    pub sigma_px: Option<f64>,
-    pub ellipticity: Option<f64>,
-    pub note: String,
+psf_types::table_row! {
+    /// The measurements of one PSF. A field is None if its measurement failed. In this case, `note`
+    /// says why. `x` and `y` are the given position, None if there is none.
+    ///
+    /// The fields from `flux` to `eccentricity` are from the fit of an elliptical Gaussian with axes
+    /// `a >= b` (`fwhm_px` is the geometric mean, `eccentricity = sqrt(1 - b^2 / a^2)`). `angle_rad` is
+    /// the direction of the major axis, from +x towards +y. The fields from `e1` to `ellipticity` are
+    /// from adaptive moments (`e`: distortion, `g`: reduced shear, `ellipticity = |e1 + i e2|`). Widths
+    /// and `sigma_px` are in pixels of the array, but [`MeasureOptions::samples`] returns them in frame
+    /// pixels.
+    #[derive(Debug, Clone, PartialEq, Default, Serialize)]
+    #[non_exhaustive]
+    #[allow(missing_docs, reason = "the columns of the table, described above")]
+    MEASUREMENT_COLUMNS Measurement {
+        x: Option<f64>,
+        y: Option<f64>,
+        flux: Option<f64>,
+        x_centroid: Option<f64>,
+        y_centroid: Option<f64>,
+        fwhm_px: Option<f64>,
+        fwhm_major_px: Option<f64>,
+        fwhm_minor_px: Option<f64>,
+        angle_rad: Option<f64>,
+        eccentricity: Option<f64>,
+        e1: Option<f64>,
+        e2: Option<f64>,
+        g1: Option<f64>,
+        g2: Option<f64>,
+        sigma_px: Option<f64>,
+        ellipticity: Option<f64>,
+        note: String,
+    }
 }
 
 /// Options for the measurement of PSFs.
@@ -129,10 +110,12 @@ impl MeasureOptions {
                         let window = Window::about(size, column, row);
                         self.one(image, Some(p), window, window)
                     }
-                    _ => Measurement::failed(
-                        p,
-                        format!("the position {p} lies outside the image of {nx} x {ny} pixels"),
-                    ),
+                    _ => Measurement {
+                        x: Some(p.x()),
+                        y: Some(p.y()),
+                        note: format!("the position {p} lies outside the image of {nx} x {ny} pixels"),
+                        ..Measurement::default()
+                    },
                 }
             })
             .collect()
@@ -161,20 +144,20 @@ impl MeasureOptions {
         Measurement {
             x: at.map(Position::x),
             y: at.map(Position::y),
-            flux: fit.map(metrics::GaussianFit::flux),
-            x_centroid: fit.map(metrics::GaussianFit::x_centroid),
-            y_centroid: fit.map(metrics::GaussianFit::y_centroid),
-            fwhm_px: fit.map(metrics::GaussianFit::fwhm_px),
-            fwhm_major_px: fit.map(metrics::GaussianFit::fwhm_major_px),
-            fwhm_minor_px: fit.map(metrics::GaussianFit::fwhm_minor_px),
-            angle_rad: fit.map(metrics::GaussianFit::angle_rad),
-            eccentricity: fit.map(metrics::GaussianFit::eccentricity),
-            e1: moments.map(metrics::AdaptiveMoments::e1),
-            e2: moments.map(metrics::AdaptiveMoments::e2),
-            g1: moments.map(metrics::AdaptiveMoments::g1),
-            g2: moments.map(metrics::AdaptiveMoments::g2),
-            sigma_px: moments.map(metrics::AdaptiveMoments::sigma_px),
-            ellipticity: moments.map(metrics::AdaptiveMoments::ellipticity),
+            flux: fit.map(GaussianFit::flux),
+            x_centroid: fit.map(GaussianFit::x_centroid),
+            y_centroid: fit.map(GaussianFit::y_centroid),
+            fwhm_px: fit.map(GaussianFit::fwhm_px),
+            fwhm_major_px: fit.map(GaussianFit::fwhm_major_px),
+            fwhm_minor_px: fit.map(GaussianFit::fwhm_minor_px),
+            angle_rad: fit.map(GaussianFit::angle_rad),
+            eccentricity: fit.map(GaussianFit::eccentricity),
+            e1: moments.map(AdaptiveMoments::e1),
+            e2: moments.map(AdaptiveMoments::e2),
+            g1: moments.map(AdaptiveMoments::g1),
+            g2: moments.map(AdaptiveMoments::g2),
+            sigma_px: moments.map(AdaptiveMoments::sigma_px),
+            ellipticity: moments.map(AdaptiveMoments::ellipticity),
             note: notes.join("; "),
         }
     }
@@ -184,14 +167,5 @@ impl Measurement {
     /// Returns whether neither the Gaussian fit nor the adaptive moments gave a result.
     pub fn has_failed(&self) -> bool {
         self.flux.is_none() && self.sigma_px.is_none()
-    }
-
-    fn failed(at: Position, note: String) -> Self {
-        Self {
-            x: Some(at.x()),
-            y: Some(at.y()),
-            note,
-            ..Self::default()
-        }
     }
 }

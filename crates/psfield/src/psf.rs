@@ -20,8 +20,7 @@ use psf_types::{
 };
 
 use crate::error::PsfieldError;
-use crate::fit::FitOptions;
-use crate::fit::{Fit, OwnInterpolation, fit, models_of, table_of, tabulated};
+use crate::fit::{Fit, FitOptions, OwnInterpolation, fit, models_of, table_of, tabulated};
 
 pub use extrapolation::Extrapolation;
 pub use format_records::record_of_psfex;

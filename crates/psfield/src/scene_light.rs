@@ -265,7 +265,8 @@ impl<T: ConvReal> SceneLight<T> {
         let mut sources = LayerSources::new(self.images.len());
         for (place, source) in sources_of(&self.catalog).enumerate() {
             for (layer, part) in self.layers_of(place) {
-                sources.push(layer, source.with_flux(part * source.flux))?;
+                let flux = part * source.flux;
+                sources.push(layer, Source { flux, ..source })?;
             }
         }
         let scenes = self.images.into_iter().zip(sources.0).map(|(image, sources)| {
@@ -334,12 +335,6 @@ pub(crate) struct Source {
     pub(crate) flux: f64,
     /// None for a star.
     pub(crate) profile: Option<SersicProfile>,
-}
-
-impl Source {
-    pub(crate) fn with_flux(self, flux: f64) -> Self {
-        Self { flux, ..self }
-    }
 }
 
 /// The sources of a catalogue: stars, then galaxies.

@@ -19,7 +19,7 @@ mod warnings;
 
 use std::sync::{Arc, Mutex, OnceLock};
 
-use conv_core::{ConvError, ConvReal, ConvolutionMethod, Engine, Operation, PlanSummary, TileCounts};
+use conv_core::{ConvError, ConvReal, ConvolutionMethod, Operation, PlanSummary, TileCounts};
 use ndarray::{Array2, ArrayViewMut2};
 use psf_types::{
     DataError, FrameShape, Image, ImageView, NoProgress, PixelRegion, Progress, PsfModel, SampleStates,
@@ -144,9 +144,6 @@ pub struct Preparation<'a> {
     pub plan_seconds: f64,
 }
 
-/// The image of a layer, or a part of it, and the column and the row of the scene at which it begins.
-type LitImage<'a, T> = (ImageView<'a, T>, (usize, usize));
-
 impl<T: ConvReal> Simulator<T> {
     /// The largest number of pixels of a scene without an image: 4 GiB in f32. A larger number is
     /// an error, because it is probably a mistake.
@@ -154,7 +151,7 @@ impl<T: ConvReal> Simulator<T> {
 
     /// The PSF.
     pub fn psf(&self) -> &Psf {
-        self.shared.parts[0].psf()
+        &self.shared.parts[0].psf
     }
 
     /// The settings.
@@ -223,7 +220,7 @@ impl<T: ConvReal> Simulator<T> {
         progress: &dyn Progress,
     ) -> Result<TileCounts, PsfieldError> {
         self.check_scene(scene)?;
-        self.check_image(&image)?;
+        self.check_image(image.dim())?;
         let mut counts = TileCounts::default();
         if scene.has_image() {
             counts = self.convolve_into(scene, image.view_mut(), progress)?;
@@ -233,12 +230,12 @@ impl<T: ConvReal> Simulator<T> {
     }
 
     /// Checks the shape of an array for an image.
-    fn check_image(&self, image: &ArrayViewMut2<'_, T>) -> Result<(), PsfieldError> {
+    fn check_image(&self, (ny, nx): (usize, usize)) -> Result<(), PsfieldError> {
         let expected = self.image_shape();
-        if image.dim() == (expected.ny(), expected.nx()) {
+        if (ny, nx) == (expected.ny(), expected.nx()) {
             return Ok(());
         }
-        let got = FrameShape::new(image.ncols(), image.nrows())?;
+        let got = FrameShape::new(nx, ny)?;
         Err(ConvError::FrameShape { expected, got }.into())
     }
 
@@ -261,10 +258,7 @@ impl<T: ConvReal> Simulator<T> {
         image: &ImageView<'_, T>,
         progress: &dyn Progress,
     ) -> Result<Vec<Image<T>>, PsfieldError> {
-        let (expected, got) = (self.image_shape(), image.shape());
-        if expected != got {
-            return Err(ConvError::FrameShape { expected, got }.into());
-        }
+        self.check_image(image.pixels().dim())?;
         let (layers, geometry) = (self.shared.layers_of_images(), &self.setup.geometry);
         let convolver = self.convolver(&layers, progress)?;
         let engine = convolver.engine_for("the adjoint can be computed")?;
@@ -276,12 +270,11 @@ impl<T: ConvReal> Simulator<T> {
         let zeros = |_: &usize| conv_core::zeros((shape.ny(), shape.nx()));
         let mut light: Vec<Array2<T>> = layers.iter().map(zeros).collect();
         let into = light.iter_mut().map(|light| light.view_mut()).collect();
-        if geometry.oversample == 1 {
-            engine.execute(Operation::Adjoint, &[image.view()], into, progress)?;
-        } else {
-            let fine = geometry.spread(image)?;
-            engine.execute(Operation::Adjoint, &[fine.view()], into, progress)?;
-        }
+        let spread = (geometry.oversample > 1)
+            .then(|| geometry.spread(image))
+            .transpose()?;
+        let fine = spread.as_ref().map_or_else(|| image.view(), Image::view);
+        engine.execute(Operation::Adjoint, &[fine], into, progress)?;
         light.into_iter().map(|light| Ok(Image::new(light)?)).collect()
     }
 
@@ -430,10 +423,10 @@ impl<T: ConvReal> Simulator<T> {
         &self,
         scene: &'a Scene<'_, T>,
         progress: &dyn Progress,
-    ) -> Result<Vec<LitImage<'a, T>>, PsfieldError> {
+    ) -> Result<Vec<ImageView<'a, T>>, PsfieldError> {
         let with_image = scene.layers().iter().filter(|layer| layer.has_image());
         let light = with_image.map(|layer| match layer.image() {
-            Some(image) => self.light(image, scene, progress),
+            Some(image) => Ok(self.light(image, scene, progress)?.0),
             None => Err(PsfieldError::new(
                 ErrorKind::Data,
                 "the image of this scene is read row by row: use stream",
@@ -442,12 +435,13 @@ impl<T: ConvReal> Simulator<T> {
         light.collect()
     }
 
+    /// The image of a layer, or a part of it, and the column and the row of the scene at which it begins.
     fn light<'a>(
         &self,
         image: &'a ImageView<'_, T>,
         scene: &Scene<'_, T>,
         progress: &dyn Progress,
-    ) -> Result<LitImage<'a, T>, PsfieldError> {
+    ) -> Result<(ImageView<'a, T>, (usize, usize)), PsfieldError> {
         let (whole, mut first) = (self.setup.geometry.shape, (0, 0));
         if image.shape() != whole {
             let part = self.light_region_of(&scene.layers_with_image(), progress)?;
@@ -469,13 +463,8 @@ impl<T: ConvReal> Simulator<T> {
     ) -> Result<TileCounts, PsfieldError> {
         let layers = scene.layers_with_image();
         let convolver = self.convolver(&layers, progress)?;
-        let light: Vec<ImageView<'_, T>> = self
-            .lights(scene, progress)?
-            .into_iter()
-            .map(|(light, _)| light)
-            .collect();
+        let (light, geometry) = (self.lights(scene, progress)?, &self.setup.geometry);
         let Some(engine) = &convolver.engine else {
-            let geometry = &self.setup.geometry;
             let (method, frame) = (&self.shared.method, geometry.fine(geometry.frame)?);
             let method = method.as_ref().expect("a simulator without a plan has a method");
             for (&layer, light) in layers.iter().zip(&light) {
@@ -485,25 +474,13 @@ impl<T: ConvReal> Simulator<T> {
             }
             return Ok(TileCounts::default());
         };
-        self.add_executed(engine, image, |image| {
-            engine.execute(Operation::Convolve, &light, vec![image], progress)
-        })
-    }
-
-    /// Adds the result of an execution of a plan to `image`. The result of a finer scene is sampled.
-    fn add_executed(
-        &self,
-        engine: &Engine<T>,
-        image: ArrayViewMut2<'_, T>,
-        execute: impl FnOnce(ArrayViewMut2<'_, T>) -> Result<TileCounts, ConvError>,
-    ) -> Result<TileCounts, PsfieldError> {
-        if self.setup.geometry.oversample == 1 {
+        let execute = |image| engine.execute(Operation::Convolve, &light, vec![image], progress);
+        if geometry.oversample == 1 {
             return Ok(execute(image)?);
         }
-        let shape = engine.plan().region().shape();
-        let mut fine = conv_core::zeros((shape.ny(), shape.nx()));
+        let mut fine = engine.plan().zeros();
         let counts = execute(fine.view_mut())?;
-        self.setup.geometry.add_sampled(fine.view(), image);
+        geometry.add_sampled(fine.view(), image);
         Ok(counts)
     }
 }

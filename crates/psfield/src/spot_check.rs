@@ -366,13 +366,10 @@ impl PixelPicker {
     /// absolute value of the image.
     pub(crate) fn finish(self) -> (Vec<PickedPixel>, Vec<Vec<PickedPixel>>, f64) {
         let anywhere = self.anywhere.into_iter().zip(self.values);
+        let anywhere = anywhere.map(|((row, column), value)| (row, column, value));
         let mut picked: Vec<PickedPixel> = anywhere
-            .map(|((row, column), value)| PickedPixel { column, row, value })
-            .chain(
-                self.bright
-                    .into_iter()
-                    .map(|(row, column, value)| PickedPixel { column, row, value }),
-            )
+            .chain(self.bright)
+            .map(|(row, column, value)| PickedPixel { column, row, value })
             .collect();
         picked.sort_by_key(|p| (p.row, p.column));
         (picked, self.squares, self.peak)

@@ -29,9 +29,8 @@ pub(crate) fn margin_of(shifts: impl Iterator<Item = f64>) -> usize {
 /// # Errors
 /// [`ErrorKind::TooLarge`] for stamps of more than 16 million pixels.
 pub(crate) fn widened(grid: StampGrid, margin: [usize; 2]) -> Result<StampGrid, PsfieldError> {
-    let side = |count: usize, margin: usize| count.saturating_add(margin.saturating_mul(2));
-    let (nx, ny) = (side(grid.nx(), margin[0]), side(grid.ny(), margin[1]));
-    if nx.saturating_mul(ny) > MOST_PIXELS.max(grid.pixel_count()) {
+    let wide = grid.with_margins(margin)?;
+    if wide.pixel_count() > MOST_PIXELS.max(grid.pixel_count()) {
         let [right, up] = margin.map(|margin| margin as f64 / grid.oversampling());
         let message = format!(
             "light is shifted by up to {right:.3e} pixels along x and {up:.3e} along y, for which PSF stamps would need more \
@@ -39,15 +38,7 @@ pub(crate) fn widened(grid: StampGrid, margin: [usize; 2]) -> Result<StampGrid, 
         );
         return Err(PsfieldError::new(ErrorKind::TooLarge, message));
     }
-    let centre = (
-        grid.centre_x() + margin[0] as f64,
-        grid.centre_y() + margin[1] as f64,
-    );
-    Ok(StampGrid::new(nx, ny)?
-        .with_centre(centre.0, centre.1)?
-        .with_oversampling(grid.oversampling())?
-        .with_pixel_response_included(grid.pixel_response_included())
-        .with_interpolation(grid.interpolation()))
+    Ok(wide)
 }
 
 /// A shift of light along a line, with equal light at each of its points, or to one point. Shifts are along x

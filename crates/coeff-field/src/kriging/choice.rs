@@ -23,9 +23,9 @@ const RANGE: (f64, f64) = (0.02, 10.0);
 
 /// Parameters, and what they score: smaller is better.
 #[derive(Debug, Clone, Copy)]
-struct Scored {
-    parameters: KrigingParameters,
-    score: f64,
+pub(super) struct Scored {
+    pub(super) parameters: KrigingParameters,
+    pub(super) score: f64,
 }
 
 /// Samples at scaled points, and their values `[sample, column]`.
@@ -54,17 +54,45 @@ pub(super) fn chosen(points: &[Point], values: ArrayView2<'_, f64>) -> Option<Kr
             Some(trend) => vec![(kernel, trend, 1.0)],
         })
         .collect();
-    let scored: Vec<Option<Scored>> = first
-        .into_par_iter()
-        .map(|(kernel, trend, length)| few.best_nugget(kernel, [length; 2], trend))
-        .collect();
-    let best = best_of(scored.into_iter().flatten())?;
+    let best = best_of(first, |(kernel, trend, length)| {
+        few.best_nugget(kernel, [length; 2], trend)
+    })?;
     let many = all.select(&all.spread(MOST_SAMPLES));
-    Some(many.refined(best.parameters)?.parameters)
+    let least_nugget = LEAST_NUGGET * many.points.len() as f64;
+    let neighbours = |of| neighbours_of(of, least_nugget);
+    refined(best.parameters, MOST_ROUNDS, neighbours, |parameters| {
+        many.score(&Covariances::new(&many.points, &parameters)?, parameters)
+    })
 }
 
-fn best_of(scored: impl Iterator<Item = Scored>) -> Option<Scored> {
+/// The best of some trials, which are scored in parallel.
+pub(super) fn best_of<T: Send>(
+    trials: Vec<T>,
+    score: impl Fn(T) -> Option<Scored> + Sync + Send,
+) -> Option<Scored> {
+    let scored: Vec<Option<Scored>> = trials.into_par_iter().map(score).collect();
+    smallest(scored.into_iter().flatten())
+}
+
+fn smallest(scored: impl Iterator<Item = Scored>) -> Option<Scored> {
     scored.min_by(|a, b| a.score.total_cmp(&b.score))
+}
+
+/// Steps to better parameters until none of the neighbours is better, at most `rounds` times.
+pub(super) fn refined(
+    first: KrigingParameters,
+    rounds: usize,
+    neighbours: impl Fn(KrigingParameters) -> Vec<KrigingParameters>,
+    score: impl Fn(KrigingParameters) -> Option<Scored> + Sync + Send,
+) -> Option<KrigingParameters> {
+    let mut best = score(first)?;
+    for _ in 0..rounds {
+        match best_of(neighbours(best.parameters), &score) {
+            Some(better) if better.score < best.score => best = better,
+            _ => break,
+        }
+    }
+    Some(best.parameters)
 }
 
 impl Samples {
@@ -110,7 +138,7 @@ impl Samples {
             let parameters = KrigingParameters::new(kernel, lengths, trend, nugget).ok()?;
             self.score(&covariances, parameters)
         });
-        best_of(scored)
+        smallest(scored)
     }
 
     fn score(&self, covariances: &Covariances, parameters: KrigingParameters) -> Option<Scored> {
@@ -126,24 +154,6 @@ impl Samples {
         // Equal samples have no errors.
         let score = (squares / count).max(f64::MIN_POSITIVE).ln() + logarithms / count;
         score.is_finite().then_some(Scored { parameters, score })
-    }
-
-    /// Steps to better parameters until none of the neighbours is better.
-    fn refined(&self, first: KrigingParameters) -> Option<Scored> {
-        let scored = |parameters: KrigingParameters| {
-            let covariances = Covariances::new(&self.points, &parameters)?;
-            self.score(&covariances, parameters)
-        };
-        let mut best = scored(first)?;
-        for _ in 0..MOST_ROUNDS {
-            let neighbours = neighbours_of(best.parameters, LEAST_NUGGET * self.points.len() as f64);
-            let tried: Vec<Option<Scored>> = neighbours.into_par_iter().map(scored).collect();
-            match best_of(tried.into_iter().flatten()) {
-                Some(better) if better.score < best.score => best = better,
-                _ => break,
-            }
-        }
-        Some(best)
     }
 }
 

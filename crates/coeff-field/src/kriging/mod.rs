@@ -9,6 +9,7 @@ mod system;
 use std::sync::Arc;
 
 use ndarray::Array2;
+use psf_types::maths::term_count;
 use psf_types::{CoefficientField, KrigingParameters, OutsidePolicy, Position, SampleCoefficients};
 
 use self::field::{Functions, KrigingField};
@@ -19,7 +20,6 @@ pub use self::noisy::NoisyKrigingFit;
 use crate::error::CoeffFieldError;
 use crate::geometry::{Hull, Point, Points, query, range};
 use crate::interpolation::{FieldInterpolation, Interpolated, Outcomes, Unpredictable, hull_leave_one_out};
-use crate::polynomial::term_count;
 
 /// Universal kriging, also called Gaussian process regression: a polynomial trend, and around it a
 /// random field with a covariance ([`psf_types::KrigingKernel`]), observed at the samples with noise

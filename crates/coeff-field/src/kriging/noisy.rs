@@ -1,16 +1,15 @@
 //! Kriging of samples with noise.
 
 use ndarray::{Array2, ArrayView1, ArrayView2, Axis};
-use psf_types::{KrigingKernel, KrigingParameters, OutsidePolicy, Position, SampleCoefficients};
-use rayon::prelude::*;
+use psf_types::maths::term_count;
+use psf_types::{DataError, KrigingKernel, KrigingParameters, OutsidePolicy, Position, SampleCoefficients};
 
-use super::choice::{LENGTHS, Samples, neighbours_of};
+use super::choice::{LENGTHS, Samples, Scored, best_of, neighbours_of, refined};
 use super::system::{Covariances, Equations};
 use super::{Prepared, few, inside, rms};
 use crate::error::CoeffFieldError;
 use crate::geometry::{Hull, Point, query};
 use crate::interpolation::LeaveOneOut;
-use crate::polynomial::term_count;
 
 /// Kriging of samples whose noise is known up to a factor.
 ///
@@ -64,17 +63,11 @@ impl NoisyKrigingFit {
     ///
     /// # Errors
     /// The errors of [`Kriging::fit`](super::Kriging::fit). [`CoeffFieldError::Parameter`] for a noise that
-    /// is not above 0, and [`CoeffFieldError::CountMismatch`] if there is not one value for each sample.
+    /// is not above 0, and [`DataError::CountMismatch`] if there is not one value for each sample.
     pub fn new(samples: &SampleCoefficients, noise: &[f64]) -> Result<Self, CoeffFieldError> {
         let prepared = Prepared::new(samples)?;
         let count = samples.positions().len();
-        if noise.len() != count {
-            return Err(CoeffFieldError::CountMismatch {
-                what: "values of noise, one for each sample",
-                expected: count,
-                got: noise.len(),
-            });
-        }
+        DataError::check_count("values of noise, one for each sample", count, noise.len())?;
         if let Some(&wrong) = noise.iter().find(|n| !(**n > 0.0 && n.is_finite())) {
             return Err(CoeffFieldError::Parameter {
                 name: "the noise of a sample",
@@ -236,31 +229,22 @@ impl Noisy {
         let trials = KERNELS
             .into_iter()
             .flat_map(|kernel| LENGTHS.map(|length| (kernel, length)));
-        let trials: Vec<_> = trials
-            .filter_map(|(kernel, length)| KrigingParameters::new(kernel, [length; 2], 0, 0.0).ok())
-            .collect();
-        let mut best = first.best_of(trials)?.1;
+        let best = best_of(trials.collect(), |(kernel, length)| {
+            first.scored(KrigingParameters::new(kernel, [length; 2], 0, 0.0).ok()?)
+        })?;
         let many = self.spread(MOST_SAMPLES);
-        let mut score = many.score(best)?.score;
-        for _ in 0..MOST_ROUNDS {
-            let steps = neighbours_of(best, 0.0).into_iter();
-            let steps = steps
-                .filter(|step| step.nugget() == 0.0 && step != &best)
-                .collect();
-            match many.best_of(steps) {
-                Some((better, parameters)) if better < score => (score, best) = (better, parameters),
-                _ => break,
-            }
-        }
-        Some(best)
+        let neighbours = |of: KrigingParameters| {
+            let steps = neighbours_of(of, 0.0).into_iter();
+            steps.filter(|step| step.nugget() == 0.0 && *step != of).collect()
+        };
+        refined(best.parameters, MOST_ROUNDS, neighbours, |parameters| {
+            many.scored(parameters)
+        })
     }
 
-    fn best_of(&self, trials: Vec<KrigingParameters>) -> Option<(f64, KrigingParameters)> {
-        let scored: Vec<_> = trials
-            .into_par_iter()
-            .map(|parameters| self.score(parameters).map(|found| (found.score, parameters)))
-            .collect();
-        scored.into_iter().flatten().min_by(|a, b| a.0.total_cmp(&b.0))
+    fn scored(&self, parameters: KrigingParameters) -> Option<Scored> {
+        let score = self.score(parameters)?.score;
+        Some(Scored { parameters, score })
     }
 
     /// Minus twice the logarithm of the density that the other samples give to a sample, in the sum over

@@ -11,14 +11,14 @@ use faer::dyn_stack::{MemBuffer, MemStack};
 use faer::linalg::cholesky::llt::factor::{LltRegularization, cholesky_in_place, cholesky_in_place_scratch};
 use faer::linalg::matmul::matmul;
 use faer::linalg::triangular_solve::{solve_lower_triangular_in_place, solve_upper_triangular_in_place};
-use faer::{Accum, Mat, MatMut, Par, Spec};
+use faer::{Accum, Mat, MatRef, Par, Spec};
 use nalgebra::DMatrix;
 use ndarray::{Array2, ArrayView2};
 use psf_types::KrigingParameters;
+use psf_types::maths::term_count;
 
 use super::field::{Functions, Solution};
 use crate::geometry::Point;
-use crate::polynomial::term_count;
 
 /// The nugget is at least this fraction of the sum of the variances about the trend. So the condition
 /// number of the equations is at most 1e14. Closed forms of leave-one-out errors mean nothing near 1e16.
@@ -37,8 +37,8 @@ const DEPENDENT: f64 = 1e-8;
 pub(super) struct Covariances {
     functions: Functions,
     reflections: Vec<Vec<f64>>,
-    /// `R`, upper triangular, row-major.
-    upper: Vec<Vec<f64>>,
+    /// `R`, upper triangular.
+    upper: Mat<f64>,
     /// `H K H^T`.
     reflected: Mat<f64>,
     /// `H D H^T` for samples of uneven noise, with its relative variances on the diagonal of `D`. None if all
@@ -60,7 +60,7 @@ impl Covariances {
         }
         let rows: Vec<Vec<f64>> = points.iter().map(|&p| functions.of_trend(p)).collect();
         let columns = (0..terms).map(|j| rows.iter().map(|row| row[j]).collect());
-        let [reflections, upper] = reflections_of(columns.collect())?;
+        let (reflections, upper) = reflections_of(columns.collect())?;
         let mut reflected = Mat::zeros(count, count);
         for j in 0..count {
             for i in j..count {
@@ -69,13 +69,7 @@ impl Covariances {
                 reflected[(j, i)] = value;
             }
         }
-        // From one side, and by symmetry from the other.
-        for _ in 0..2 {
-            for j in 0..count {
-                reflect_by(&reflections, column_of(reflected.as_mut(), j));
-            }
-            reflected = reflected.transpose().to_owned();
-        }
+        let reflected = reflected_twice(&reflections, reflected);
         let diagonal = (terms..count).map(|i| reflected[(i, i)]).sum::<f64>();
         // Without any variance about the trend, any scale of the nugget will do.
         let variance = diagonal / (count - terms) as f64;
@@ -96,15 +90,9 @@ impl Covariances {
         if relative.len() != count {
             return None;
         }
-        let mut noise = Mat::from_fn(count, count, |i, j| if i == j { relative[i] } else { 0.0 });
-        for _ in 0..2 {
-            for j in 0..count {
-                reflect_by(&self.reflections, column_of(noise.as_mut(), j));
-            }
-            noise = noise.transpose().to_owned();
-        }
+        let noise = Mat::from_fn(count, count, |i, j| if i == j { relative[i] } else { 0.0 });
         Some(Self {
-            noise: Some(noise),
+            noise: Some(reflected_twice(&self.reflections, noise)),
             ..self
         })
     }
@@ -120,15 +108,6 @@ impl Covariances {
     /// The number of values that are free of the trend.
     fn free(&self) -> usize {
         self.functions.points.len() - self.reflections.len()
-    }
-
-    /// `H y`, column by column.
-    fn reflected_values(&self, values: ArrayView2<'_, f64>) -> Mat<f64> {
-        let mut all = Mat::from_fn(values.nrows(), values.ncols(), |i, j| values[(i, j)]);
-        for j in 0..all.ncols() {
-            reflect_by(&self.reflections, column_of(all.as_mut(), j));
-        }
-        all
     }
 }
 
@@ -192,47 +171,25 @@ impl<C: Borrow<Covariances>> Equations<C> {
     /// The field through values `[sample, column]`.
     pub(super) fn solve(&self, values: ArrayView2<'_, f64>) -> Solution {
         let all = self.covariances.borrow();
-        let (terms, count) = (all.reflections.len(), all.functions.points.len());
-        let mut known = all.reflected_values(values);
-        let columns = known.ncols();
-        let mut free = known.submatrix(terms, 0, all.free(), columns).to_owned();
+        let terms = all.reflections.len();
+        let mut known = Mat::from_fn(values.nrows(), values.ncols(), |i, j| values[(i, j)]);
+        reflect_columns(all.reflections.iter(), &mut known);
+        let (mut trend, mut free) = known.as_mut().split_at_row_mut(terms);
         solve_lower_triangular_in_place(self.lower.as_ref(), free.as_mut(), Par::Seq);
         solve_upper_triangular_in_place(self.lower.transpose(), free.as_mut(), Par::Seq);
         // R b = first rows of H (y - (K + l D) dual).
-        let mut along = Mat::zeros(terms, columns);
         let first_rows = Mat::from_fn(terms, all.free(), |i, j| self.element(i, terms + j));
-        matmul(
-            along.as_mut(),
-            Accum::Replace,
-            first_rows.as_ref(),
-            free.as_ref(),
-            1.0,
-            Par::Seq,
-        );
-        let mut trend = Array2::zeros((terms, columns));
-        for column in 0..columns {
-            for i in (0..terms).rev() {
-                let later = (i + 1..terms)
-                    .map(|j| all.upper[i][j] * trend[(j, column)])
-                    .sum::<f64>();
-                trend[(i, column)] = (known[(i, column)] - along[(i, column)] - later) / all.upper[i][i];
-            }
+        let (to, free) = (trend.as_mut(), free.as_ref());
+        matmul(to, Accum::Add, first_rows.as_ref(), free, -1.0, Par::Seq);
+        solve_upper_triangular_in_place(all.upper.as_ref(), trend.as_mut(), Par::Seq);
+        let in_array = |matrix: MatRef<'_, f64>| Array2::from_shape_fn(matrix.shape(), |at| matrix[at]);
+        let found = in_array(trend.as_ref());
+        trend.fill(0.0);
+        reflect_columns(all.reflections.iter().rev(), &mut known);
+        Solution {
+            duals: in_array(known.as_ref()),
+            trend: found,
         }
-        let mut duals = Array2::zeros((count, columns));
-        for column in 0..columns {
-            let rows = column_of(known.as_mut(), column);
-            rows[..terms].fill(0.0);
-            for (row, value) in rows[terms..].iter_mut().zip(free.col(column).iter()) {
-                *row = *value;
-            }
-            for v in all.reflections.iter().rev() {
-                reflect(v, rows);
-            }
-            for (dual, row) in duals.column_mut(column).iter_mut().zip(rows) {
-                *dual = *row;
-            }
-        }
-        Solution { duals, trend }
     }
 
     /// For each sample, the inverse of the variance with which the other samples predict it (O.
@@ -242,16 +199,9 @@ impl<C: Borrow<Covariances>> Equations<C> {
         let all = self.covariances.borrow();
         let (terms, count) = (all.reflections.len(), all.functions.points.len());
         // The last rows of H, then L^-1 times them.
-        let mut rows = Mat::zeros(all.free(), count);
-        let mut unit = vec![0.0; count];
-        for j in 0..count {
-            unit.fill(0.0);
-            unit[j] = 1.0;
-            reflect_by(&all.reflections, &mut unit);
-            for (to, value) in column_of(rows.as_mut(), j).iter_mut().zip(&unit[terms..]) {
-                *to = *value;
-            }
-        }
+        let mut rows = Mat::identity(count, count);
+        reflect_columns(all.reflections.iter(), &mut rows);
+        let mut rows = rows.subrows_mut(terms, all.free());
         solve_lower_triangular_in_place(self.lower.as_ref(), rows.as_mut(), Par::Seq);
         rows.col_iter().map(|column| column.squared_norm_l2()).collect()
     }
@@ -265,25 +215,14 @@ impl<C: Borrow<Covariances>> Equations<C> {
     pub(super) fn predictions(&self, points: Vec<Point>) -> Predictions<'_> {
         let all = self.covariances.borrow();
         let (terms, free) = (all.reflections.len(), all.free());
-        let mut weights = Mat::zeros(terms, points.len());
-        let mut along = Mat::zeros(terms, points.len());
-        let mut explained = Mat::zeros(free, points.len());
-        for (column, &at) in points.iter().enumerate() {
-            let mut known = all.functions.of_samples(at);
-            reflect_by(&all.reflections, &mut known);
-            for (j, term) in all.functions.of_trend(at).into_iter().enumerate() {
-                let before = (0..j).map(|i| all.upper[i][j] * weights[(i, column)]);
-                let before: f64 = before.sum();
-                weights[(j, column)] = (term - before) / all.upper[j][j];
-            }
-            let (of_trend, of_field) = known.split_at(terms);
-            for (to, value) in column_of(along.as_mut(), column).iter_mut().zip(of_trend) {
-                *to = *value;
-            }
-            for (to, value) in column_of(explained.as_mut(), column).iter_mut().zip(of_field) {
-                *to = *value;
-            }
-        }
+        let of_trend: Vec<_> = points.iter().map(|&at| all.functions.of_trend(at)).collect();
+        let mut weights = Mat::from_fn(terms, points.len(), |i, j| of_trend[j][i]);
+        solve_lower_triangular_in_place(all.upper.transpose(), weights.as_mut(), Par::Seq);
+        let of_samples: Vec<_> = points.iter().map(|&at| all.functions.of_samples(at)).collect();
+        let mut known = Mat::from_fn(terms + free, points.len(), |i, j| of_samples[j][i]);
+        reflect_columns(all.reflections.iter(), &mut known);
+        let along = known.subrows(0, terms).to_owned();
+        let mut explained = known.subrows(terms, free).to_owned();
         let across = Mat::from_fn(free, terms, |i, j| self.element(terms + i, j));
         let to = explained.as_mut();
         matmul(to, Accum::Add, across.as_ref(), weights.as_ref(), -1.0, Par::Seq);
@@ -343,9 +282,9 @@ fn dot(a: &Mat<f64>, i: usize, b: &Mat<f64>, j: usize) -> f64 {
     products.sum()
 }
 
-/// The reflections that make columns upper triangular, and the triangle, row-major. `None` if columns
-/// depend on each other.
-fn reflections_of(mut columns: Vec<Vec<f64>>) -> Option<[Vec<Vec<f64>>; 2]> {
+/// The reflections that make columns upper triangular, and the triangle. `None` if columns depend on each
+/// other.
+fn reflections_of(mut columns: Vec<Vec<f64>>) -> Option<(Vec<Vec<f64>>, Mat<f64>)> {
     let count = columns.len();
     let mut reflections: Vec<Vec<f64>> = Vec::with_capacity(count);
     for k in 0..count {
@@ -366,18 +305,29 @@ fn reflections_of(mut columns: Vec<Vec<f64>>) -> Option<[Vec<Vec<f64>>; 2]> {
         }
         reflections.push(v);
     }
-    let upper = (0..count).map(|i| columns.iter().map(|column| column[i]).collect());
-    Some([reflections, upper.collect()])
+    Some((reflections, Mat::from_fn(count, count, |i, j| columns[j][i])))
 }
 
 fn norm(values: &[f64]) -> f64 {
     values.iter().map(|v| v * v).sum::<f64>().sqrt()
 }
 
-fn reflect_by(reflections: &[Vec<f64>], x: &mut [f64]) {
-    for v in reflections {
-        reflect(v, x);
+/// Applies reflections, one after the other, to each column of a matrix.
+fn reflect_columns<'a>(reflections: impl Iterator<Item = &'a Vec<f64>> + Clone, matrix: &mut Mat<f64>) {
+    for column in matrix.col_iter_mut() {
+        let column = column.try_as_col_major_mut().expect("matrices are column-major");
+        let column = column.as_slice_mut();
+        reflections.clone().for_each(|v| reflect(v, column));
     }
+}
+
+/// `H M H^T` of a symmetric matrix: it is reflected from one side, and by symmetry from the other.
+fn reflected_twice(reflections: &[Vec<f64>], mut matrix: Mat<f64>) -> Mat<f64> {
+    for _ in 0..2 {
+        reflect_columns(reflections.iter(), &mut matrix);
+        matrix = matrix.transpose().to_owned();
+    }
+    matrix
 }
 
 /// `x - 2 v (v^T x)`.
@@ -386,11 +336,6 @@ fn reflect(v: &[f64], x: &mut [f64]) {
     for (x, v) in x.iter_mut().zip(v) {
         *x -= 2.0 * along * v;
     }
-}
-
-fn column_of(matrix: MatMut<'_, f64>, column: usize) -> &mut [f64] {
-    let column = matrix.col_mut(column).try_as_col_major_mut();
-    column.expect("matrices are column-major").as_slice_mut()
 }
 
 /// Returns values `[sample, column]` with at most as many columns as samples, whose rows have the same

@@ -3,11 +3,10 @@
 use ndarray::ArrayViewMut2;
 use rayon::prelude::*;
 
-use super::gather::gather_block;
+use super::gather::{Task, gather_block};
 use super::ordered_image::{TileResult, order};
 use super::processor::{BlockKernels, LightPass};
 use super::scatter::scatter_block;
-use super::tasks::Task;
 use super::treatment::TileCounts;
 use crate::plan::geometry::Direction;
 use crate::simd::{Lanes, WithIsa, vectorized};
@@ -39,11 +38,7 @@ impl<T: ConvReal> WithIsa<T> for Many<'_, '_, T> {
             .par_chunks_mut(per_task)
             .map(|passes| few(simd, passes))
             .collect();
-        let mut counts = TileCounts::default();
-        for outcome in done {
-            counts += outcome?;
-        }
-        Ok(counts)
+        done.into_iter().sum()
     }
 }
 

@@ -10,7 +10,6 @@ pub(crate) mod many;
 mod ordered_image;
 pub(crate) mod processor;
 pub(crate) mod scatter;
-mod tasks;
 mod tile_draw;
 mod tile_engine;
 pub(crate) mod treatment;

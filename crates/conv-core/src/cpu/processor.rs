@@ -12,7 +12,7 @@ use crate::ConvReal;
 use crate::plan::Plan;
 use crate::plan::block::{Block, Stamps};
 use crate::plan::coefficient_table::CoefficientTable;
-use crate::plan::geometry::{Direction, TilePart};
+use crate::plan::geometry::{Direction, PlacedTile};
 use crate::simd::{Lanes, vectorized};
 use crate::transform::TileTransform;
 use crate::workspaces::Workspaces;
@@ -121,7 +121,7 @@ impl<'a, T: ConvReal> BlockKernels<'a, T> {
     /// from the tile's first pixel.
     pub(crate) fn check(
         &self,
-        part: TilePart,
+        tile: PlacedTile,
         layers: &Range<usize>,
         needed: impl Fn(usize, usize, usize) -> bool,
     ) -> Result<(), FieldError> {
@@ -129,10 +129,10 @@ impl<'a, T: ConvReal> BlockKernels<'a, T> {
         self.table().check(self.plan.models(), |row, column| {
             let (layer, row, column) = (
                 (row / height).wrapping_sub(layers.start),
-                (row % height).wrapping_sub(part.corner.1),
-                column.wrapping_sub(part.corner.0),
+                (row % height).wrapping_sub(tile.corner.1),
+                column.wrapping_sub(tile.corner.0),
             );
-            layer < layers.len() && row < part.size.1 && column < part.size.0 && needed(layer, column, row)
+            layer < layers.len() && row < tile.size.1 && column < tile.size.0 && needed(layer, column, row)
         })
     }
 

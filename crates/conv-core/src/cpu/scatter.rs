@@ -63,11 +63,7 @@ impl<T: ConvReal> WithIsa<T> for Scatter<'_, '_, T> {
             .collect();
         // Of several errors, returns that of the first block.
         done.sort_unstable_by_key(|&(number, _)| number);
-        let mut counts = TileCounts::default();
-        for (_, of_block) in done {
-            counts += of_block?;
-        }
-        Ok(counts)
+        done.into_iter().map(|(_, counts)| counts).sum()
     }
 }
 
@@ -88,9 +84,9 @@ pub(super) fn scatter_block<T: ConvReal, S: Lanes<T>>(
         block,
         kernels,
         workspace,
-        |local, (x, y), treatment, workspace| {
-            let reach = plan.geometry.reach_from(x, y);
-            let (mut size, mut first) = (plan.geometry.around(local.part.size), (0, 0));
+        |local, treatment, workspace| {
+            let reach = plan.geometry.reach_from(local.tile.first.0, local.tile.first.1);
+            let (mut size, mut first) = (plan.geometry.around(local.tile.size), (0, 0));
             if let Some(method) = treatment.method {
                 vectorized!(simd, {
                     match method {
@@ -104,7 +100,7 @@ pub(super) fn scatter_block<T: ConvReal, S: Lanes<T>>(
                     }
                 });
             } else {
-                (first, size) = reached(&treatment.drawn, local.part.size.1, engine.geometry.stamp);
+                (first, size) = reached(&treatment.drawn, local.tile.size.1, engine.geometry.stamp);
             }
             let (pitch, plane) = (engine.fft.pitch(), workspace.weighted.get_mut());
             if !treatment.drawn.is_empty() {

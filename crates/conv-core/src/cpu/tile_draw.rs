@@ -26,7 +26,7 @@ impl<T: ConvReal> TileEngine<'_, T> {
         let kernels = local.table.kernel_count();
         let mut coefficients = vec![T::zero(); pixels.len() * kernels];
         for (&(y, x, value), all) in pixels.iter().zip(coefficients.chunks_exact_mut(kernels)) {
-            let (column, row) = (local.part.corner.0 + x, local.row_in_table(y));
+            let (column, row) = (local.tile.corner.0 + x, local.row_in_table(y));
             let coefficients_here = local.table.pixel(row, column);
             for (kernel, c) in all.iter_mut().enumerate() {
                 *c = coefficients_here.weigh(kernel, value);
@@ -37,7 +37,7 @@ impl<T: ConvReal> TileEngine<'_, T> {
         // cache while every pixel uses it.
         for j in 0..sy {
             for (&(y, x, _), all) in pixels.iter().zip(coefficients.chunks_exact(kernels)) {
-                let y = y % local.part.size.1;
+                let y = y % local.tile.size.1;
                 let (column, row) = (corner.0 + x as i64, corner.1 + (y + j) as i64);
                 let from = (-column).clamp(0, sx as i64) as usize;
                 let to = (width as i64 - column).clamp(from as i64, sx as i64) as usize;
@@ -69,7 +69,7 @@ impl<T: ConvReal> TileEngine<'_, T> {
         pixels: &[LitPixel<T>],
         output: &mut ArrayViewMut2<'_, T>,
     ) {
-        let (columns, rows) = local.part.size;
+        let (columns, rows) = local.tile.size;
         let (sx, sy) = self.geometry.stamp;
         let (mut line, mut weighted) = (vec![T::zero(); sx], vec![T::zero(); sx]);
         let (mut function, mut fluxes) = (FunctionRows::default(), FunctionRows::default());
@@ -86,7 +86,7 @@ impl<T: ConvReal> TileEngine<'_, T> {
             // Adds up the pixel's modes first, as in `draw_scattered`.
             let mut sums = sums.slice_mut(s![lit.clone(), from..to]);
             sums.fill(T::zero());
-            let (x0, y0) = (local.part.corner.0, local.row_in_table(0));
+            let (x0, y0) = (local.tile.corner.0, local.row_in_table(0));
             for function in [&mut function, &mut fluxes] {
                 function.place(local.table, x0 + from..x0 + to, y0 + lit.start..y0 + lit.end);
             }

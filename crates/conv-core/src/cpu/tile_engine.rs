@@ -8,7 +8,7 @@ use crate::ConvReal;
 use crate::overlap::overlap;
 use crate::plan::coefficient_table::CoefficientTable;
 use crate::plan::function_rows::{FunctionRows, WeightedLayers};
-use crate::plan::geometry::{Geometry, TilePart};
+use crate::plan::geometry::{Geometry, PlacedTile};
 use crate::simd::{Aligned, Lanes};
 use crate::transform::{TileTransform, X_STEP};
 
@@ -61,7 +61,7 @@ pub(crate) struct TileEngine<'a, T> {
 /// A tile and its block's coefficients and stamps.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct LocalTile<'a, T> {
-    pub(crate) part: TilePart,
+    pub(crate) tile: PlacedTile,
     /// The first layer and the number of layers.
     pub(crate) layers: (usize, usize),
     pub(crate) table: &'a CoefficientTable<T>,
@@ -74,20 +74,20 @@ pub(crate) struct LocalTile<'a, T> {
 impl<T: ConvReal> LocalTile<'_, T> {
     /// The columns of the tile, counted from its block's first.
     fn columns(&self) -> Range<usize> {
-        self.part.corner.0..self.part.corner.0 + self.part.size.0
+        self.tile.corner.0..self.tile.corner.0 + self.tile.size.0
     }
 
     /// The rows of the tile in the table: those of a layer follow those of the layers before it.
     /// `layer` counts from the first of this tile's layers.
     fn rows(&self, layer: usize) -> Range<usize> {
-        let first = (self.layers.0 + layer) * self.table.region.shape().ny() + self.part.corner.1;
-        first..first + self.part.size.1
+        let first = (self.layers.0 + layer) * self.table.region.shape().ny() + self.tile.corner.1;
+        first..first + self.tile.size.1
     }
 
     /// The row in the table of a row of the tile's light, in which the layers follow each other.
     #[inline(always)]
     pub(crate) fn row_in_table(&self, row: usize) -> usize {
-        let rows = self.part.size.1;
+        let rows = self.tile.size.1;
         self.rows(row / rows).start + row % rows
     }
 
@@ -105,7 +105,7 @@ impl<T: ConvReal> LocalTile<'_, T> {
     #[inline(always)]
     fn choose(&self, kernel: usize, light: &mut [T], pitch: usize, functions: &mut [FunctionRows<T>]) {
         let role = self.table.role;
-        let (columns, rows) = self.part.size;
+        let (columns, rows) = self.tile.size;
         let divides = role.is_divided(kernel) && (kernel == 0 || !role.is_divided(kernel - 1));
         for (function, light) in functions.iter_mut().zip(light.chunks_mut(rows * pitch)) {
             if divides {
@@ -160,7 +160,7 @@ impl<T: ConvReal> LocalTile<'_, T> {
     /// Zeros with the tile's size, if there are values to be divided by the flux. Otherwise without
     /// any row.
     fn zeros(&self) -> Array2<T> {
-        let (columns, rows) = self.part.size;
+        let (columns, rows) = self.tile.size;
         let rows = if self.table.role.divides() { rows } else { 0 };
         Array2::zeros((rows, columns))
     }
@@ -270,7 +270,7 @@ impl<T: ConvReal> TileEngine<'_, T> {
         local: LocalTile<'_, T>,
         workspace: &mut Workspace<T>,
     ) {
-        let (columns, rows) = local.part.size;
+        let (columns, rows) = local.tile.size;
         let (pitch, length) = (self.fft.pitch(), self.fft.spectrum_len());
         let (sx, sy) = self.geometry.stamp;
         let w = workspace;
@@ -307,7 +307,7 @@ impl<T: ConvReal> TileEngine<'_, T> {
                     .forward_multiply_swapped(simd, light, size, factor, sum, add, spectrum, column);
             }
         }
-        let (width, height) = self.geometry.around(local.part.size);
+        let (width, height) = self.geometry.around(local.tile.size);
         self.fft.inverse_of_swapped(
             simd,
             w.sum.get_mut(),
@@ -328,8 +328,8 @@ impl<T: ConvReal> TileEngine<'_, T> {
         workspace: &mut Workspace<T>,
         output: &mut ArrayViewMut2<'_, T>,
     ) {
-        let rows = local.part.size.1;
-        let (width, height) = self.geometry.around(local.part.size);
+        let rows = local.tile.size.1;
+        let (width, height) = self.geometry.around(local.tile.size);
         let (pitch, length) = (self.fft.pitch(), self.fft.spectrum_len());
         let w = workspace;
         local.place(&mut w.functions);
@@ -372,7 +372,7 @@ impl<T: ConvReal> TileEngine<'_, T> {
     /// Like [`scatter`](Self::scatter), but by the direct sum from stamps.
     #[inline(always)]
     pub(crate) fn scatter_directly(&self, local: LocalTile<'_, T>, workspace: &mut Workspace<T>) {
-        let (columns, rows) = local.part.size;
+        let (columns, rows) = local.tile.size;
         let (sx, sy) = self.geometry.stamp;
         let pitch = self.fft.pitch();
         let w = workspace;
@@ -417,7 +417,7 @@ impl<T: ConvReal> TileEngine<'_, T> {
         workspace: &mut Workspace<T>,
         output: &mut ArrayViewMut2<'_, T>,
     ) {
-        let (columns, rows) = local.part.size;
+        let (columns, rows) = local.tile.size;
         let (sx, sy) = self.geometry.stamp;
         let pitch = self.fft.pitch();
         let w = workspace;

@@ -1,12 +1,13 @@
 //! The choice of the treatment of a tile: the way in which the tile's light is convolved. The
 //! choice depends on the light.
 
+use std::iter::Sum;
 use std::ops::AddAssign;
 
 use super::processor::{BlockKernels, LightPass};
 use super::tile_engine::{LocalTile, Workspace};
 use crate::plan::Paths;
-use crate::plan::geometry::{Direction, PlacedTile, TilePart};
+use crate::plan::geometry::{Direction, PlacedTile};
 use crate::simd::{Lanes, vectorized};
 use crate::working_range::{Rescaling, brightest_allowed, contrast};
 use crate::{ConvError, ConvReal};
@@ -236,13 +237,7 @@ pub(crate) fn treated<T: ConvReal>(
     let (plan, direction) = (&pass.processor.plan, pass.direction());
     let engine = pass.tile_engine();
     let pitch = engine.fft.pitch();
-    let (corner, size) = match direction {
-        Direction::Scatter => ((tile.first.0 as i64, tile.first.1 as i64), tile.part.size),
-        Direction::Gather => (
-            plan.geometry.reach_from(tile.first.0, tile.first.1),
-            plan.geometry.around(tile.part.size),
-        ),
-    };
+    let [(corner, size), _] = plan.geometry.light_and_result(direction, tile);
     let layer_len = size.1 * pitch;
     if pass.light.len() > 1 {
         workspace.light.at_least(pass.light.len() * layer_len);
@@ -269,7 +264,7 @@ pub(crate) fn treated<T: ConvReal>(
         return Ok(None);
     }
     let plane = workspace.light.get();
-    kernels.check(tile.part, &pass.layers, |layer, column, row| match direction {
+    kernels.check(tile, &pass.layers, |layer, column, row| match direction {
         Direction::Scatter => !plane[layer * layer_len + row * pitch + column].is_zero(),
         // A pixel needs its PSF if any light reaches it.
         Direction::Gather => (row..row + engine.geometry.stamp.1).any(|row| {
@@ -280,7 +275,7 @@ pub(crate) fn treated<T: ConvReal>(
     let count = kernels.block.kernel_count();
     let draw = plan.cost.draw(direction, engine.geometry.stamp, count);
     let back = rescale(&mut seen, workspace.light.get_mut());
-    let (method, mut drawn) = choose(pass, seen, size, tile.part.size, (count, draw), workspace);
+    let (method, mut drawn) = choose(pass, seen, size, tile.size, (count, draw), workspace);
     if let Some(back) = back {
         // Scales the single pixels back before they are drawn: drawing a stamp has no sums that
         // could leave the range.
@@ -321,6 +316,15 @@ impl AddAssign for TileCounts {
     }
 }
 
+impl Sum for TileCounts {
+    fn sum<I: Iterator<Item = Self>>(all: I) -> Self {
+        all.fold(Self::default(), |mut sum, counts| {
+            sum += counts;
+            sum
+        })
+    }
+}
+
 impl TileCounts {
     pub(crate) fn count<T>(&mut self, treatment: &Treatment<T>, modes: usize) {
         self.drawn_pixels += treatment.drawn.len();
@@ -349,7 +353,7 @@ pub(crate) fn each_tile<T: ConvReal, S: Lanes<T>>(
     (column, row): (usize, usize),
     kernels: &mut BlockKernels<'_, T>,
     workspace: &mut Workspace<T>,
-    mut convolve: impl FnMut(LocalTile<'_, T>, (usize, usize), &Treatment<T>, &mut Workspace<T>),
+    mut convolve: impl FnMut(LocalTile<'_, T>, &Treatment<T>, &mut Workspace<T>),
 ) -> Result<TileCounts, ConvError> {
     let plan = &pass.processor.plan;
     let mut counts = TileCounts::default();
@@ -359,11 +363,11 @@ pub(crate) fn each_tile<T: ConvReal, S: Lanes<T>>(
     let transforms_kernels = pass.direction() == Direction::Scatter && is_alone;
     for (y, rows, below) in up.placed() {
         for (x, columns, left) in across.placed() {
-            let part = TilePart {
+            let tile = PlacedTile {
+                first: (x, y),
                 corner: (left, below),
                 size: (columns, rows),
             };
-            let tile = PlacedTile { first: (x, y), part };
             let Some(treatment) = treated(pass, kernels, tile, workspace)? else {
                 counts.dark += 1;
                 continue;
@@ -373,13 +377,13 @@ pub(crate) fn each_tile<T: ConvReal, S: Lanes<T>>(
                 kernels.transform(simd, &pass.tile_engine(), workspace);
             }
             let local = LocalTile {
-                part,
+                tile,
                 layers: (pass.layers.start, pass.layers.len()),
                 table: kernels.table(),
                 stamps: kernels.stamps(),
                 transforms_kernels,
             };
-            convolve(local, (x, y), &treatment, workspace);
+            convolve(local, &treatment, workspace);
         }
     }
     Ok(counts)

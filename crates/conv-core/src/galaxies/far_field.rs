@@ -410,17 +410,11 @@ impl<'a, T: ConvReal> Square<'a, T> {
         if self.pixels.is_empty() && self.blocks.iter().all(Vec::is_empty) {
             return None;
         }
-        let (side, first_column, first_row) = (self.weights.side, self.x0, self.y0);
-        let values = self
-            .into_values()
-            .into_iter()
-            .map(|v| U::nearest(v.as_f64()))
-            .collect();
-        Some(Piece {
-            first_column,
-            first_row,
-            values: Array2::from_shape_vec((side, side), values).expect("the pixels of a square"),
-        })
+        let (side, first) = (self.weights.side, (self.x0, self.y0));
+        let values = self.into_values().into_iter();
+        let values = values.map(|v| U::nearest(v.as_f64())).collect();
+        let values = Array2::from_shape_vec((side, side), values).expect("the pixels of a square");
+        Some(Piece { first, values })
     }
 }
 

@@ -11,12 +11,11 @@ use super::far_field::{BlockWeights, FarLight, SMALLEST, add_far_light};
 use super::kernels::{Kernels, ModelStamps};
 use super::power_spectrum::Outline;
 use super::window::{Drawn, Spectra, WindowDrawer};
-use crate::image_memory::{check_shape, with_rows_in_memory};
 use crate::kept::Kept;
-use crate::overlap::{self, Piece, add_pieces, shared};
+use crate::overlap::{Piece, add_pieces, shared};
 use crate::plan::local_modes::LocalModes;
 use crate::sources::{BlockKey, SourcePsfs, block_of, region_of};
-use crate::{ConvError, ConvReal};
+use crate::{ConvError, ConvReal, view};
 
 /// The light of an extended source, made when it is drawn.
 pub type Light = Arc<dyn LightProfile + Send + Sync>;
@@ -173,18 +172,8 @@ impl<T: ConvReal> GalaxyDrawer<T> {
         })
     }
 
-    /// Adds galaxies to a part of an image.
+    /// Adds galaxies to a part of an image, whose rows are contiguous in memory.
     pub(crate) fn draw_into(
-        &self,
-        catalogue: ExtendedToDraw<'_>,
-        region: PixelRegion,
-        image: ArrayViewMut2<'_, T>,
-    ) -> Result<(), ConvError> {
-        check_shape(region.shape(), image.dim())?;
-        with_rows_in_memory(image, |image| self.draw_catalogue(catalogue, region, image))
-    }
-
-    fn draw_catalogue(
         &self,
         catalogue: ExtendedToDraw<'_>,
         region: PixelRegion,
@@ -263,7 +252,7 @@ impl<T: ConvReal> GalaxyDrawer<T> {
             let centre = (x - window.0 as f64, y - window.1 as f64);
             let psf = self.psf(local.as_ref(), position, flux)?;
             let light = catalogue.light(placed.index);
-            let on_region = shared(overlap::region(window.0, window.1, (side, side)), region);
+            let on_region = shared(view::region(window.0, window.1, (side, side)), region);
             let mut drawn = None;
             if let Some([_, (rows, _)]) = &on_region {
                 drawn = Some(match &psf {
@@ -296,17 +285,12 @@ impl<T: ConvReal> GalaxyDrawer<T> {
                 if let Some(outside) = &outside {
                     outside.subtract_repeated(&weights, rows.start, &mut values);
                 }
-                let (first_column, first_row) =
-                    (window.0 + columns.start as i64, window.1 + rows.start as i64);
+                let first = (window.0 + columns.start as i64, window.1 + rows.start as i64);
                 // Windows may be larger than the region.
                 if columns.len() < side {
                     values = values.slice(s![.., columns]).to_owned();
                 }
-                pieces.push(Piece {
-                    first_column,
-                    first_row,
-                    values,
-                });
+                pieces.push(Piece { first, values });
             }
             far.extend(outside);
         }

@@ -132,8 +132,7 @@ impl<T: ConvReal> Examination<'_, '_, T> {
     }
 
     fn light_size(&self, slot: &TileSlot) -> (usize, usize) {
-        self.geometry()
-            .light_size(self.pass.direction(), slot.tile.part.size)
+        self.geometry().light_size(self.pass.direction(), slot.tile.size)
     }
 
     /// Copies a tile's light to its place in the mapped buffer.
@@ -154,17 +153,7 @@ impl<T: ConvReal> Examination<'_, '_, T> {
     /// The part's kernels and coefficients for a tile, and the place of the tile's result within
     /// the panel.
     fn place(&self, part: &Part, slot: &TileSlot) -> Place {
-        let geometry = self.geometry();
-        let (first, size) = match self.pass.direction() {
-            Direction::Scatter => (
-                geometry.reach_from(slot.tile.first.0, slot.tile.first.1),
-                geometry.around(slot.tile.part.size),
-            ),
-            Direction::Gather => (
-                (slot.tile.first.0 as i64, slot.tile.first.1 as i64),
-                slot.tile.part.size,
-            ),
-        };
+        let [_, (first, size)] = self.geometry().light_and_result(self.pass.direction(), slot.tile);
         let [columns, rows] = &self.panel.output;
         let out = (
             (first.0 - columns.start as i64) as i32,
@@ -173,7 +162,7 @@ impl<T: ConvReal> Examination<'_, '_, T> {
         Place {
             kernels: part.kernels.len() as u32,
             table: part.number,
-            corner: slot.tile.part.corner,
+            corner: slot.tile.corner,
             out,
             size,
         }
@@ -208,7 +197,7 @@ impl<T: ConvReal> Examination<'_, '_, T> {
         treatment: &Treatment<T>,
     ) -> DrawnTile {
         let skip = self.skip();
-        let corner = slot.tile.part.corner;
+        let corner = slot.tile.corner;
         let pixels = treatment
             .drawn
             .iter()

@@ -15,7 +15,7 @@ use crate::ConvReal;
 use crate::error::GpuError;
 use crate::overlap::colours;
 use crate::plan::Plan;
-use crate::plan::geometry::{Direction, PlacedTile, TilePart};
+use crate::plan::geometry::{Direction, PlacedTile};
 
 /// The extent of a tile along an axis, and the index of its block there.
 #[derive(Debug, Clone, Copy)]
@@ -192,10 +192,8 @@ impl<T: ConvReal> Packing<'_, T> {
         let (x, y) = (self.tiles[0][column], self.tiles[1][row]);
         let tile = PlacedTile {
             first: (x.start, y.start),
-            part: TilePart {
-                corner: (x.corner, y.corner),
-                size: (x.length, y.length),
-            },
+            corner: (x.corner, y.corner),
+            size: (x.length, y.length),
         };
         TileSlot {
             tile,
@@ -285,7 +283,7 @@ impl<T: ConvReal> Packing<'_, T> {
     /// The number of values of a tile's light, rounded up so that the next tile's light begins at
     /// an offset to which the host may write.
     fn light_values(&self, slot: &TileSlot) -> usize {
-        let (columns, rows) = self.plan.geometry.light_size(self.direction, slot.tile.part.size);
+        let (columns, rows) = self.plan.geometry.light_size(self.direction, slot.tile.size);
         (columns * rows).next_multiple_of(4)
     }
 

@@ -135,7 +135,7 @@ pub(crate) fn stamps_of<T: ConvReal>(
         exact.extend(first..if has_reference { first + 1 } else { end });
         rows.push(first..end);
     }
-    let held = blocks.iter().map(|block| block.modes.direction_count()).max();
+    let held = blocks.iter().map(|block| block.modes.directions).max();
     let held = held.unwrap_or(0);
     let of_exact = all.select(Axis(0), &exact);
     let of_modes = all.slice(s![.., ..held]).mapv(T::nearest);

@@ -16,22 +16,15 @@ pub(crate) enum Direction {
     Gather,
 }
 
-/// A tile within its block.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct TilePart {
-    /// First column and row, counted from the block's first pixel.
-    pub(crate) corner: (usize, usize),
-    /// Columns and rows.
-    pub(crate) size: (usize, usize),
-}
-
 /// A tile of the weighted side ([`Geometry`]).
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct PlacedTile {
     /// Its first pixel on the weighted side.
     pub(crate) first: (usize, usize),
-    /// Its position in its block, and its size.
-    pub(crate) part: TilePart,
+    /// Its first column and row, counted from its block's first pixel.
+    pub(crate) corner: (usize, usize),
+    /// Columns and rows.
+    pub(crate) size: (usize, usize),
 }
 
 /// The two sides of the operator, in field positions. PSFs belong to pixels of the `weighted` side:
@@ -94,6 +87,21 @@ impl Geometry {
     /// Columns and rows of a tile plus the margin that its stamps reach.
     pub(crate) fn around(&self, (columns, rows): (usize, usize)) -> (usize, usize) {
         (columns + self.stamp.0 - 1, rows + self.stamp.1 - 1)
+    }
+
+    /// The first pixel and the size of the light that a tile needs, and of its result.
+    pub(crate) fn light_and_result(
+        &self,
+        direction: Direction,
+        tile: PlacedTile,
+    ) -> [((i64, i64), (usize, usize)); 2] {
+        let (x, y) = tile.first;
+        let own = ((x as i64, y as i64), tile.size);
+        let around = (self.reach_from(x, y), self.around(tile.size));
+        match direction {
+            Direction::Scatter => [own, around],
+            Direction::Gather => [around, own],
+        }
     }
 
     /// Columns and rows of the light needed for a tile of the given size.

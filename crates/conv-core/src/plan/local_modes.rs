@@ -39,7 +39,7 @@ pub struct LocalModes {
     /// Flux and coefficients.
     values: NodeFunctions,
     /// The number of directions that the modes hold, counted from the first.
-    directions: usize,
+    pub(crate) directions: usize,
 }
 
 /// The number of bands (neighbouring rows, [`RegionCells`]) of each layer whose PSFs determine the
@@ -197,11 +197,6 @@ impl LocalModes {
     /// The mean PSF of a region, `[direction]`, not scaled to unit flux.
     pub(crate) fn mean(space: &PsfSpace, cells: &RegionCells) -> Array1<f64> {
         Support::of(cells).mean(&space.rows(cells))
-    }
-
-    /// The number of directions that the modes hold, counted from the first.
-    pub(crate) fn direction_count(&self) -> usize {
-        self.directions
     }
 
     /// The number of modes, without the reference.

@@ -47,7 +47,7 @@ pub use summary::PlanSummary;
 use tiling::{Tiling, WholeFrame};
 
 use crate::image_memory::zeros;
-use crate::view::{View, in_words};
+use crate::view::{self, View, in_words};
 use crate::{ConvError, ConvReal};
 
 /// Returns whether models have the same stamps and the same scaling to unit flux.
@@ -365,8 +365,8 @@ impl<T: ConvReal> Plan<T> {
     /// light.
     pub fn light_region(&self) -> PixelRegion {
         let [columns, rows] = &self.light;
-        let shape = FrameShape::new(columns.len(), rows.len()).expect("the part contains the region");
-        PixelRegion::new(columns.start as i64, rows.start as i64, shape)
+        let (x0, y0) = (columns.start as i64, rows.start as i64);
+        view::region(x0, y0, (columns.len(), rows.len()))
     }
 
     /// The blocks, row by row: the pixels of each, and its number of modes, the reference included.
@@ -456,8 +456,15 @@ impl<T: ConvReal> Plan<T> {
         let kernels: usize = self.blocks.iter().map(Block::kernel_count).sum();
         let stamp = self.geometry.stamp.0 * self.geometry.stamp.1 * size_of::<T>();
         let tiles = |stretches: &[Stretch]| stretches.iter().map(|s| s.tiles.len()).sum::<usize>();
-        let tile = (longest(&self.tiling.columns), longest(&self.tiling.rows));
-        let mut summary = PlanSummary {
+        let tiling = &self.tiling;
+        let tile = (longest(&tiling.columns), longest(&tiling.rows));
+        let tiles = tiles(&tiling.columns) * tiles(&tiling.rows);
+        let mean_modes = kernels as f64 / self.blocks.len().max(1) as f64;
+        let (whole, direct) = self.whole_tile(tile, mean_modes.ceil() as usize);
+        let (direction, shape) = (self.direction(false), self.geometry.stamp);
+        let draw = self.cost.draw(direction, shape, mean_modes.ceil() as usize);
+        let draws = self.options.paths() == Paths::Cheapest;
+        PlanSummary {
             frame: self.frame().shape(),
             region: self.region,
             precision: T::NAME,
@@ -466,26 +473,17 @@ impl<T: ConvReal> Plan<T> {
             anchor: self.options.anchor(),
             paths: self.options.paths(),
             tile,
-            transform: self.tiling.size,
-            tiles: tiles(&self.tiling.columns) * tiles(&self.tiling.rows),
+            transform: tiling.size,
+            tiles,
             blocks: self.blocks.len(),
             blocks_by_modes,
-            drawn_up_to: 0,
-            direct: false,
-            predicted_seconds: 0.0,
+            drawn_up_to: usize::from(draws) * (whole / draw) as usize,
+            direct,
+            predicted_seconds: tiles as f64 * whole
+                + self.blocks.len() as f64 * mean_modes * self.cost.kernel(tiling.size, shape),
             kept_bytes,
             made_anew,
             all_bytes: kernels * stamp + kept_bytes.0 * self.blocks.len() / kept_tables.max(1),
-        };
-        let kernels = summary.mean_modes();
-        let (whole, direct) = self.whole_tile(tile, kernels.ceil() as usize);
-        summary.direct = direct && self.options.paths() == Paths::Cheapest;
-        let draws = self.options.paths() == Paths::Cheapest;
-        let (direction, stamp) = (self.direction(false), self.geometry.stamp);
-        let draw = self.cost.draw(direction, stamp, kernels.ceil() as usize);
-        summary.drawn_up_to = usize::from(draws) * (whole / draw) as usize;
-        summary.predicted_seconds = summary.tiles as f64 * whole
-            + summary.blocks as f64 * kernels * self.cost.kernel(self.tiling.size, self.geometry.stamp);
-        summary
+        }
     }
 }

@@ -6,8 +6,8 @@ use std::sync::Arc;
 
 use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis, s};
 use psf_types::{
-    BilinearCells, CoefficientField, ErrorLimit, FieldError, FrameShape, MeanParts, PixelRegion, Position,
-    PsfModel, ToleranceOn,
+    BilinearCells, CoefficientField, ErrorLimit, FieldError, MeanParts, PixelRegion, Position, PsfModel,
+    ToleranceOn,
 };
 
 use super::allowed_errors::{AllowedErrors, CellError, ROUNDING_NORM};
@@ -16,7 +16,7 @@ use super::growth_curves::GrowthCurves;
 use super::norm::norm;
 use super::region_cells::{CellLimits, RegionCells, node_count};
 use super::smooth_table::{SmoothTable, Tabulated};
-use crate::ConvReal;
+use crate::{ConvReal, view};
 
 /// Coordinates in which the norm of a vector is the L2 norm of its PSF.
 ///
@@ -63,8 +63,6 @@ const PARTS: usize = 8;
 /// The fraction of the tolerance that is left to the cells. More of it makes cells larger and needs
 /// more modes.
 const SHARE_OF_CELLS: f64 = 0.3;
-/// The number of rows of cells that are looked at to predict the number of modes.
-const FEWEST_ROWS: usize = 5;
 /// The largest number of rows of cells that are looked at to find modes for sources.
 const MOST_ROWS: usize = 17;
 
@@ -104,8 +102,7 @@ impl PsfSpace {
     /// plans need them.
     pub(crate) fn with_tables(mut self, region: PixelRegion, tolerance: f64) -> Self {
         // All cells of a large tree take long to list. A single pixel tells whether cells are known.
-        let pixel = FrameShape::new(1, 1).expect("a pixel");
-        let pixel = PixelRegion::new(region.x0(), region.y0(), pixel);
+        let pixel = view::region(region.x0(), region.y0(), (1, 1));
         let scale_of = |model: &PsfModel| match model.field().bilinear_cells(pixel, ErrorLimit::ZERO) {
             BilinearCells::Unknown { scale, slow: true } => Some(scale),
             _ => None,
@@ -135,9 +132,8 @@ impl PsfSpace {
                 let place = |i: usize, pixels: usize| (i * pixels).div_ceil(PARTS);
                 let (x, y) = (place(column, shape.nx()), place(row, shape.ny()));
                 let size = |i: usize, pixels: usize| place(i + 1, pixels).min(pixels) - place(i, pixels);
-                let part = FrameShape::new(size(column, shape.nx()).max(1), size(row, shape.ny()).max(1));
-                let part = part.expect("a part has pixels");
-                let part = PixelRegion::new(region.x0() + x as i64, region.y0() + y as i64, part);
+                let size = (size(column, shape.nx()).max(1), size(row, shape.ny()).max(1));
+                let part = view::region(region.x0() + x as i64, region.y0() + y as i64, size);
                 let error = self.error_of_cells(part, tolerance);
                 least.l2 = least.l2.min(error.l2);
                 least.circle = least.circle.zip(error.circle).map(|(a, b)| a.min(b));
@@ -173,20 +169,15 @@ impl PsfSpace {
         &self.models[0]
     }
 
-    /// The field of each layer, with a table if its error is small beside `error`.
-    fn fields(&self, error: CellError) -> Vec<Tabulated<'_>> {
+    /// Lends the field of each layer, with a table if its error is small beside `error`.
+    fn with_fields<R>(&self, error: CellError, use_fields: impl FnOnce(&[&dyn CoefficientField]) -> R) -> R {
         let tables = self.tables.iter().map(Option::as_ref).chain(iter::repeat(None));
         let fields = self.models.iter().zip(tables);
-        fields
-            .map(|(model, table)| Tabulated {
-                field: model.field(),
-                table: table.filter(|table| table.limit().is_within(error.times(OF_TABLE))),
-            })
-            .collect()
-    }
-
-    fn with_fields<R>(&self, error: CellError, use_fields: impl FnOnce(&[&dyn CoefficientField]) -> R) -> R {
-        let fields = self.fields(error);
+        let fields = fields.map(|(model, table)| Tabulated {
+            field: model.field(),
+            table: table.filter(|table| table.limit.is_within(error.times(OF_TABLE))),
+        });
+        let fields: Vec<Tabulated<'_>> = fields.collect();
         let fields: Vec<&dyn CoefficientField> = fields.iter().map(|field| field as _).collect();
         use_fields(&fields)
     }
@@ -359,7 +350,8 @@ impl PsfSpace {
         })
     }
 
-    fn sampled(&self, region: PixelRegion, count: usize) -> RegionCells {
+    /// Some cells of a region, without any error: `count` rows of them.
+    pub(crate) fn sampled_cells(&self, region: PixelRegion, count: usize) -> RegionCells {
         let any = CellError {
             l2: f64::INFINITY,
             circle: None,
@@ -368,17 +360,12 @@ impl PsfSpace {
         self.with_fields(any, |fields| RegionCells::sampled(fields, region, count))
     }
 
-    /// Some cells of a region, without any error: [`FEWEST_ROWS`] rows of them.
-    pub(crate) fn sampled_cells(&self, region: PixelRegion) -> RegionCells {
-        self.sampled(region, FEWEST_ROWS)
-    }
-
     /// Cells of a region whose corners are enough PSFs to find modes for sources, which are tested one by
     /// one: the cells that bilinear interpolation with this tolerance needs or, if they are many, those of
     /// [`MOST_ROWS`] rows.
     pub(crate) fn cells_for_sources(&self, region: PixelRegion, tolerance: f64) -> RegionCells {
         if self.expected_cells(region, tolerance) > MOST_ROWS * MOST_ROWS * self.models.len() {
-            return self.sampled(region, MOST_ROWS);
+            return self.sampled_cells(region, MOST_ROWS);
         }
         let mut cells = self.cells(region, self.error_of_cells(region, tolerance));
         // Only the corners count.

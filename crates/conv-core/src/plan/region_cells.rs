@@ -6,12 +6,13 @@
 
 use std::{iter, ops::Range};
 
-use psf_types::{BilinearCells, CoefficientField, ErrorLimit, FrameShape, PixelRegion, Position};
+use psf_types::{BilinearCells, CoefficientField, ErrorLimit, PixelRegion, Position};
 use rustc_hash::{FxBuildHasher, FxHashMap};
 
 use super::allowed_errors::CellError;
 use super::axis_cuts::parts;
 use super::checked_cells::{CheckedCells, Measure};
+use crate::view;
 
 /// Cells: rectangles in which the nodes' weights are bilinear. A region is divided into bands of
 /// rows, and each band is divided into cells at some columns. Neighbouring cells share corners if
@@ -136,38 +137,29 @@ impl RegionCells {
         let mut all = Self {
             nodes_of_fields: counts.iter().sum(),
             circle_error: Some(0.0),
+            layers: layers.len(),
             ..Self::default()
         };
+        // The rows and the nodes of a layer follow those of the layers before it.
         let mut nodes = 0;
-        for (&field, count) in layers.iter().zip(counts) {
-            all.add_layer(nodes, region, |all| add(all, field));
+        for (layer, (&field, count)) in layers.iter().zip(counts).enumerate() {
+            let (bands, cells, weights) = (all.bands.len(), all.cells.len(), all.weights.len());
+            add(&mut all, field);
+            let above = layer * region.shape().ny();
+            for band in &mut all.bands[bands..] {
+                band.rows = band.rows.start + above..band.rows.end + above;
+            }
+            for cell in &mut all.cells[cells..] {
+                let (low, high) = cell.sides[1];
+                cell.sides[1] = (low + above as f64, high + above as f64);
+            }
+            let weights = all.weights[weights..].iter_mut();
+            let own = weights.filter(|(node, _)| *node < all.nodes_of_fields);
+            own.for_each(|(node, _)| *node += nodes);
             nodes += count;
         }
         all.number_nodes();
         all
-    }
-
-    /// Adds the bands of the next layer, whose own nodes follow `nodes` others.
-    fn add_layer(&mut self, nodes: usize, region: PixelRegion, add: impl FnOnce(&mut Self)) {
-        let (bands, cells, weights) = (self.bands.len(), self.cells.len(), self.weights.len());
-        let nodes_of_fields = self.nodes_of_fields;
-        add(self);
-        let above = self.layers * region.shape().ny();
-        self.layers += 1;
-        if above == 0 {
-            return;
-        }
-        for band in &mut self.bands[bands..] {
-            band.rows = band.rows.start + above..band.rows.end + above;
-        }
-        for cell in &mut self.cells[cells..] {
-            let (low, high) = cell.sides[1];
-            cell.sides[1] = (low + above as f64, high + above as f64);
-        }
-        let own = self.weights[weights..]
-            .iter_mut()
-            .filter(|(node, _)| *node < nodes_of_fields);
-        own.for_each(|(node, _)| *node += nodes);
     }
 
     /// The cells of `count` rows of each layer of a region, which include the first and the last row.
@@ -245,12 +237,12 @@ impl RegionCells {
         let mut left: Vec<_> = iter::once(0..region.shape().nx()).collect();
         let (mut stretches, mut lines) = (Vec::new(), Vec::new());
         while let Some(columns) = left.pop() {
-            let shape = FrameShape::new(columns.len(), rows.len()).expect("a part has pixels");
-            let (x, y) = (
+            let part = view::region(
                 region.x0() + columns.start as i64,
                 region.y0() + rows.start as i64,
+                (columns.len(), rows.len()),
             );
-            match field.bilinear_cells(PixelRegion::new(x, y, shape), limits.known) {
+            match field.bilinear_cells(part, limits.known) {
                 BilinearCells::Bands(ys) => {
                     let edges = edges(&ys, region.y0(), &rows);
                     for (rows, _) in between(&edges, rows) {
@@ -265,7 +257,6 @@ impl RegionCells {
                     return;
                 }
                 BilinearCells::Unknown { scale, .. } if columns.len() == region.shape().nx() => {
-                    let part = PixelRegion::new(x, y, shape);
                     let cells = CheckedCells::new(field, part, (scale, limits.measure));
                     let limit = limits.measure.limit.times(cells.error);
                     self.error = self.error.max(limit.l2);
@@ -331,10 +322,7 @@ impl RegionCells {
                 }
                 first += xs.len();
             }
-            self.bands.push(Band {
-                rows,
-                cells: start..self.cells.len(),
-            });
+            self.end_band(rows, start);
         }
     }
 
@@ -420,10 +408,7 @@ impl RegionCells {
                     });
                 }
             }
-            self.bands.push(Band {
-                rows,
-                cells: start..self.cells.len(),
-            });
+            self.end_band(rows, start);
         }
     }
 
@@ -501,10 +486,13 @@ impl RegionCells {
                 corners: corners.map(|([a, b], [c, d])| [a, b, c, d]),
             }
         }));
-        self.bands.push(Band {
-            rows,
-            cells: start..self.cells.len(),
-        });
+        self.end_band(rows, start);
+    }
+
+    /// Makes the cells from `start` on a band.
+    fn end_band(&mut self, rows: Range<usize>, start: usize) {
+        let cells = start..self.cells.len();
+        self.bands.push(Band { rows, cells });
     }
 
     /// Returns the runs of a row and stores their weights.
@@ -687,7 +675,7 @@ mod tests {
 
     #[test]
     fn a_thin_cell_takes_no_pixels_from_others() {
-        let region = PixelRegion::new(-32, -32, FrameShape::new(33, 33).unwrap());
+        let region = view::region(-32, -32, (33, 33));
         for (low, high) in [(-0.300_000_000_000_000_04, -0.3), (-1e-17, 0.0)] {
             let cells = RegionCells::new(&Thin(low, high), region, ErrorLimit::ZERO);
             let rows: usize = cells.bands.iter().map(|band| band.rows.len()).sum();

@@ -19,7 +19,8 @@ use super::checked_cells::{Measure, evaluate_each};
 #[derive(Debug)]
 pub(crate) struct SmoothTable {
     table: FieldTable,
-    limit: CellError,
+    /// The limit of errors with which the table was made.
+    pub(crate) limit: CellError,
 }
 
 /// The number of patches along each axis that are checked at least.
@@ -75,16 +76,6 @@ impl SmoothTable {
             limit: measure.limit,
         }
     }
-
-    /// The limit of errors with which the table was made.
-    pub(crate) fn limit(&self) -> CellError {
-        self.limit
-    }
-
-    /// Writes the coefficients of the polynomial at a position. Returns false if there is none.
-    fn write(&self, position: Position, values: &mut [f64]) -> bool {
-        self.table.write(position, values)
-    }
 }
 
 /// A field with its table, if there is one that is good enough.
@@ -101,7 +92,7 @@ impl CoefficientField for Tabulated<'_> {
 
     fn evaluate_into(&self, position: Position, coefficients: &mut [f64]) -> Result<(), FieldError> {
         match self.table {
-            Some(table) if table.write(position, coefficients) => Ok(()),
+            Some(table) if table.table.write(position, coefficients) => Ok(()),
             _ => self.field.evaluate_into(position, coefficients),
         }
     }
@@ -113,7 +104,7 @@ impl CoefficientField for Tabulated<'_> {
         let mut found = vec![0.0; self.component_count()];
         let mut others = Vec::new();
         for (i, (&position, mut row)) in positions.iter().zip(values.outer_iter_mut()).enumerate() {
-            if table.write(position, &mut found) {
+            if table.table.write(position, &mut found) {
                 row.assign(&ArrayView1::from(&found));
             } else {
                 others.push(i);

@@ -12,7 +12,7 @@ use super::geometry::Geometry;
 use super::local_modes::LocalModes;
 use super::options::PlanOptions;
 use super::psf_space::PsfSpace;
-use crate::view::{Reach, View};
+use crate::view::{Reach, View, region};
 use crate::{ConvError, ConvReal};
 
 /// Tiles along both axes and their transforms.
@@ -26,6 +26,8 @@ pub(crate) struct Tiling {
 
 /// The number of blocks whose modes are counted to predict the cost of a tiling.
 const SAMPLES: usize = 4;
+/// The number of rows of cells of such a block that are looked at.
+const SAMPLED_ROWS: usize = 5;
 /// The fraction of the tolerance with which modes are counted. It makes up for the error of cells,
 /// and for the PSFs that are not looked at.
 const COUNTED: f64 = 0.7;
@@ -198,12 +200,7 @@ fn cuts(model: &PsfModel, geometry: &Geometry) -> Option<[Vec<usize>; 2]> {
         _ => None,
     };
     // All cells of a large tree take long to list, so a single pixel tells first that it has no lines.
-    let pixel = FrameShape::new(1, 1).expect("a pixel");
-    lines(PixelRegion::new(
-        geometry.weighted.x0(),
-        geometry.weighted.y0(),
-        pixel,
-    ))?;
+    lines(region(geometry.weighted.x0(), geometry.weighted.y0(), (1, 1)))?;
     let [x, y] = lines(geometry.weighted)?;
     let cuts = |lines: Vec<f64>, first: i64, length: usize| {
         let pixels = lines.iter().map(|line| line.ceil() - first as f64);
@@ -243,10 +240,10 @@ impl Tiling {
     /// The region of a block, in pixel coordinates of the frame.
     pub(crate) fn region(&self, geometry: &Geometry, column: usize, row: usize) -> PixelRegion {
         let (x, y) = (&self.columns[column], &self.rows[row]);
-        PixelRegion::new(
+        region(
             geometry.weighted.x0() + x.start() as i64,
             geometry.weighted.y0() + y.start() as i64,
-            FrameShape::new(x.length(), y.length()).expect("stretches are not empty"),
+            (x.length(), y.length()),
         )
     }
 
@@ -272,8 +269,8 @@ impl Tiling {
                 let row = (2 * i + 1) * up / (2 * samples);
                 let column = ((3 * i + 1) % samples * 2 + 1) * across / (2 * samples);
                 let region = self.region(geometry, column.min(across - 1), row.min(up - 1));
-                let modes =
-                    LocalModes::of_exact_cells(space, &space.sampled_cells(region), COUNTED * tolerance);
+                let cells = space.sampled_cells(region, SAMPLED_ROWS);
+                let modes = LocalModes::of_exact_cells(space, &cells, COUNTED * tolerance);
                 (modes.rank() + 1, space.expected_cells(region, tolerance))
             })
             .unzip();

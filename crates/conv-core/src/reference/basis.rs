@@ -10,8 +10,7 @@ use rustfft::num_traits::Zero;
 use super::ConvolutionMethod;
 use super::fft2::RealFft2;
 use crate::image_memory::check_shape;
-use crate::overlap;
-use crate::view::{Reach, View};
+use crate::view::{self, Reach, View};
 use crate::working_range::{Rescaling, take_back};
 use crate::{ConvError, ConvReal};
 
@@ -293,7 +292,7 @@ fn for_tiles<T: ConvReal>(
             return Ok(());
         }
         let part = |x: usize, y: usize, nx, ny| {
-            overlap::region(region.x0() + x as i64, region.y0() + y as i64, (nx, ny))
+            view::region(region.x0() + x as i64, region.y0() + y as i64, (nx, ny))
         };
         let mut values = Array3::zeros((count, rows, columns));
         if let Err(error) = evaluate(part(x, y, columns, rows), &mut values) {

@@ -265,11 +265,11 @@ impl<T: ConvReal> ConvolutionMethod<T> for Direct {
                     }
                 }
             }
-            let piece = Piece {
-                first_column: x0 as i64 - left as i64 - view.frame.x0(),
-                first_row: y0 as i64 - below as i64 - view.frame.y0(),
-                values,
-            };
+            let first = (
+                x0 as i64 - left as i64 - view.frame.x0(),
+                y0 as i64 - below as i64 - view.frame.y0(),
+            );
+            let piece = Piece { first, values };
             Ok(if lit.is_empty() { Vec::new() } else { vec![piece] })
         })?;
         Image::new(result.mapv(T::nearest)).map_err(ConvError::Result)

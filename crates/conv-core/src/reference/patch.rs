@@ -6,8 +6,8 @@ use rustfft::num_traits::Zero;
 
 use super::ConvolutionMethod;
 use super::fft2::RealFft2;
-use crate::overlap::{Piece, add_in_order, region, shared};
-use crate::view::{Reach, View};
+use crate::overlap::{Piece, add_in_order, shared};
+use crate::view::{Reach, View, region};
 use crate::working_range::{Rescaling, take_back};
 use crate::{ConvError, ConvReal};
 
@@ -126,24 +126,21 @@ impl<T: ConvReal> Work<'_, T> {
         let Some([(_, columns), (_, rows)]) = shared(from, whole) else {
             return Ok(None);
         };
-        let first = in_plane(columns.start as i64, rows.start as i64);
+        let corner = in_plane(columns.start as i64, rows.start as i64);
         let light = self.light.slice(s![rows, columns]);
         if light.iter().all(Zero::is_zero) {
             return Ok(None);
         }
         let psf = self.model.psf_at(self.centre(patch))?;
         let [mut spectrum, mut kernel] = [self.fft.zeros(), self.fft.zeros()];
-        self.fft.forward(light, first, &mut spectrum);
+        self.fft.forward(light, corner, &mut spectrum);
         self.fft.kernel(psf.values(), self.reach, &mut kernel);
         spectrum *= &kernel;
         let shape = (to.shape().ny(), to.shape().nx());
-        Ok(Some(Piece {
-            first_column: to.x0() - self.view.frame.x0(),
-            first_row: to.y0() - self.view.frame.y0(),
-            values: self
-                .fft
-                .inverse(&mut spectrum, in_plane(to.x0(), to.y0()), shape)?,
-        }))
+        let corner = in_plane(to.x0(), to.y0());
+        let values = self.fft.inverse(&mut spectrum, corner, shape)?;
+        let first = (to.x0() - self.view.frame.x0(), to.y0() - self.view.frame.y0());
+        Ok(Some(Piece { first, values }))
     }
 
     /// The field position of the centre of a patch.

@@ -2,7 +2,7 @@
 
 use psf_types::PixelRegion;
 
-use crate::overlap::region;
+use crate::view::region;
 
 /// Row and column of a block of the field. The row is first, so that blocks are sorted by rows.
 pub(crate) type BlockKey = (i64, i64);

@@ -183,9 +183,5 @@ pub fn grid_with_pixel_response(grid: StampGrid, reach: usize) -> Result<StampGr
         return Ok(grid);
     }
     let margin = (grid.oversampling() / 2.0).ceil() as usize + reach;
-    Ok(StampGrid::new(grid.nx() + 2 * margin, grid.ny() + 2 * margin)?
-        .with_centre(grid.centre_x() + margin as f64, grid.centre_y() + margin as f64)?
-        .with_oversampling(grid.oversampling())?
-        .with_interpolation(grid.interpolation())
-        .with_pixel_response_included(true))
+    Ok(grid.with_margins([margin; 2])?.with_pixel_response_included(true))
 }

@@ -44,8 +44,7 @@ impl<T: ConvReal> DrawGroup<'_, T> {
         let rows = rows.start.max(first)..rows.end.min(first + height);
         let length = |range: &Range<i64>| (range.end - range.start).max(0) as usize;
         let mut tile = Piece {
-            first_column: columns.start,
-            first_row: rows.start,
+            first: (columns.start, rows.start),
             values: Array2::zeros((length(&rows), length(&columns))),
         };
         vectorized!(
@@ -73,7 +72,7 @@ impl<T: ConvReal> DrawGroup<'_, T> {
         let Group { stars, weights } = group;
         let longest = stars.iter().map(|star| star.rows.end - star.rows.start).max();
         let (height, width) = tile.values.dim();
-        let rows = tile.first_row..tile.first_row + height as i64;
+        let rows = tile.first.1..tile.first.1 + height as i64;
         let values = tile.values.as_slice_mut().expect("new arrays are row-major");
         let row_of_kernels = self.block.modes.kernel_count() * self.layout.kernel;
         let mut sums = Aligned::zeros(self.layout.kernel + S::LANES);
@@ -87,7 +86,7 @@ impl<T: ConvReal> DrawGroup<'_, T> {
                     continue;
                 }
                 let kept = star.first_row + j as usize * self.axes[0].oversampling;
-                let column = (star.columns.start - tile.first_column) as usize;
+                let column = (star.columns.start - tile.first.0) as usize;
                 let length = (star.columns.end - star.columns.start) as usize;
                 let first = (row - rows.start) as usize * width + column;
                 StarRow {

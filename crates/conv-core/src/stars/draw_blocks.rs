@@ -294,7 +294,7 @@ impl<T: ConvReal> BlockDrawer<'_, T> {
                 let (tile, of_tile) = tile?;
                 match &mut sum {
                     Some(sum) => {
-                        let at = (tile.first_column - first.0, tile.first_row - first.1);
+                        let at = (tile.first.0 - first.0, tile.first.1 - first.1);
                         for (v, row) in tile.values.outer_iter().zip(at.1..) {
                             let row = sum.index_axis_mut(Axis(0), row as usize);
                             let mut part = row.slice_move(s![at.0 as usize..at.0 as usize + v.len()]);

@@ -7,9 +7,10 @@ use psf_types::{Anchor, PixelRegion, PointSource, Position, Progress, PsfModel, 
 use rayon::prelude::*;
 
 use super::phases::Star;
-use crate::overlap::{Piece, add_in_order, region};
+use crate::overlap::{Piece, add_in_order};
 use crate::sources::check_stamps;
 use crate::stamp_interpolator::{Kernel, MOST_TAPS, StampInterpolator, Taps, edge_reach_of, grid_reaching};
+use crate::view::region;
 use crate::{ConvError, ConvReal};
 
 /// The number of sources that one task draws.
@@ -260,11 +261,8 @@ impl<'a> StarPainter<'a> {
                 .map(|source| {
                     let (lit, values) = self.paint(source)?;
                     let values = values.mapv(S::nearest);
-                    Ok(Piece {
-                        first_column: lit.x0() - region.x0(),
-                        first_row: lit.y0() - region.y0(),
-                        values,
-                    })
+                    let first = (lit.x0() - region.x0(), lit.y0() - region.y0());
+                    Ok(Piece { first, values })
                 })
                 .collect()
         })

@@ -8,12 +8,12 @@ use psf_types::{Anchor, PixelRegion, PointSource};
 use super::draw_blocks::{BlockDrawer, DrawBlocks, Phased, StarsToDraw};
 use super::painter::{StarPainter, StarStamps};
 use super::phases::PhasedAxis;
-use crate::image_memory::{check_shape, with_rows_in_memory};
 use crate::sources::SourcePsfs;
 use crate::{ConvError, ConvReal};
 
-/// Draws stars from local bases, and those beyond the tolerance from all components.
-#[derive(Debug)]
+/// Draws stars from local bases, and those beyond the tolerance from all components. A clone has the same
+/// local bases.
+#[derive(Debug, Clone)]
 pub(crate) struct StarDrawer<T> {
     stamps: Arc<StarStamps>,
     /// `None` if all stars are drawn from all components.
@@ -36,14 +36,6 @@ impl<T: ConvReal> StarDrawer<T> {
         })
     }
 
-    /// A drawer with the same local bases, for PSFs that share them.
-    pub(crate) fn with_same_bases(&self) -> Self {
-        Self {
-            stamps: Arc::clone(&self.stamps),
-            phased: self.phased.clone(),
-        }
-    }
-
     /// A drawer with local bases of its own, for other models with these stamps.
     pub(crate) fn with_own_bases(&self, psfs: &SourcePsfs) -> Self {
         let own = |phased: &Arc<Phased<T>>| Arc::new(phased.with_own_blocks(psfs.options()));
@@ -62,19 +54,8 @@ impl<T: ConvReal> StarDrawer<T> {
         }
     }
 
-    /// Adds stars to a part of an image.
+    /// Adds stars to a part of an image, whose rows are contiguous in memory.
     pub(crate) fn draw_into(
-        &self,
-        psfs: &SourcePsfs,
-        catalogue: StarsToDraw<'_>,
-        region: PixelRegion,
-        image: ArrayViewMut2<'_, T>,
-    ) -> Result<(), ConvError> {
-        check_shape(region.shape(), image.dim())?;
-        with_rows_in_memory(image, |image| self.draw_catalogue(psfs, catalogue, region, image))
-    }
-
-    fn draw_catalogue(
         &self,
         psfs: &SourcePsfs,
         catalogue: StarsToDraw<'_>,

@@ -67,21 +67,6 @@ pub(crate) const ROLES: [&str; 12] = [
     "x", "y", "ra", "dec", "flux", "mag", "re", "n", "q", "angle", "g1", "g2",
 ];
 
-const ALL: [Role; ROLES.len()] = [
-    Role::X,
-    Role::Y,
-    Role::Ra,
-    Role::Dec,
-    Role::Flux,
-    Role::Mag,
-    Role::Re,
-    Role::N,
-    Role::Q,
-    Role::Angle,
-    Role::G1,
-    Role::G2,
-];
-
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Role {
     X,
@@ -130,7 +115,11 @@ impl Picked {
 
     /// The index of the column of each role.
     pub(crate) fn places(&self) -> [Option<usize>; ROLES.len()] {
-        ALL.map(|role| self.place(role))
+        let mut places = [None; ROLES.len()];
+        for (place, (role, _)) in self.columns.iter().enumerate() {
+            places[*role as usize] = Some(place);
+        }
+        places
     }
 
     pub(crate) fn iter(&self) -> impl Iterator<Item = (Role, &str)> {

@@ -249,22 +249,14 @@ fn sources_of(rows: Rows<'_>, options: &CatalogOptions) -> Result<Catalog, IoErr
     // The rows of the stars and of the galaxies.
     let (mut of_stars, mut of_galaxies) = (Vec::new(), Vec::new());
     for row in 0..rows.numbers.rows {
-        let (stars, galaxies) = (catalog.stars.len(), catalog.galaxies.len());
-        match rows
-            .check_colour(row)
-            .and_then(|()| rows.check_velocity(row))
-            .and_then(|()| rows.add_source(row, &mut catalog))
-        {
+        match rows.add_source(row, &mut catalog) {
             Ok(()) => {}
             Err(_) if options.skip_invalid => catalog.invalid_rows += 1,
             Err(error) => return Err(error),
         }
-        if catalog.stars.len() > stars {
-            of_stars.push(row);
-        }
-        if catalog.galaxies.len() > galaxies {
-            of_galaxies.push(row);
-        }
+        // The row has added at most one source.
+        of_stars.resize(catalog.stars.len(), row);
+        of_galaxies.resize(catalog.galaxies.len(), row);
     }
     let order = || of_stars.iter().chain(&of_galaxies);
     catalog.colours = rows.colours.as_ref().map(|colours| match colours {

@@ -77,6 +77,8 @@ impl<'a> Rows<'a> {
     /// Adds the source of a row to the catalogue. A source that the projection does not reach is
     /// only counted.
     pub(super) fn add_source(&self, row: usize, catalog: &mut Catalog) -> Result<(), IoError> {
+        self.check_colour(row)?;
+        self.check_velocity(row)?;
         let position = self.position(row)?;
         let flux = self.flux(row)?;
         let invalid = |source| self.invalid(row, source);
@@ -93,36 +95,27 @@ impl<'a> Rows<'a> {
     }
 
     /// Returns an error for a source without a spectrum.
-    pub(super) fn check_colour(&self, row: usize) -> Result<(), IoError> {
-        let problem = match &self.colours {
+    fn check_colour(&self, row: usize) -> Result<(), IoError> {
+        let (column, problem) = match &self.colours {
             Some(SourceColours::Names(names)) if names[row].is_empty() => {
-                "the name of the spectrum is missing"
+                (SED, "the name of the spectrum is missing")
             }
             // A black body outside this range has no light at any wavelength of a telescope.
             Some(SourceColours::Temperatures(all)) if !(100.0..=1e9).contains(&all[row]) => {
-                "the temperature must be from 100 to 1e9 kelvin"
+                (TEFF, "the temperature must be from 100 to 1e9 kelvin")
             }
             _ => return Ok(()),
         };
-        let column = match self.colours {
-            Some(SourceColours::Names(_)) => SED,
-            _ => TEFF,
-        };
-        let (row, column) = (self.numbers.place(row), column.to_owned());
-        let error = IoError::new(self.path, IoErrorKind::Data, problem).at(Place::Value { row, column });
-        Err(error.with_setting("invalid_skipped"))
+        Err(self.refused(row, column, problem))
     }
 
     /// Returns an error for a source whose velocity is missing.
-    pub(super) fn check_velocity(&self, row: usize) -> Result<(), IoError> {
+    fn check_velocity(&self, row: usize) -> Result<(), IoError> {
         for (column, values) in VELOCITIES.iter().zip(self.velocities.iter().flatten()) {
             if !values[row].is_finite() {
-                let problem =
+                const MISSING: &str =
                     "the velocity must be a finite number of pixels per second, 0 for a source at rest";
-                let (row, column) = (self.numbers.place(row), (*column).to_owned());
-                let error =
-                    IoError::new(self.path, IoErrorKind::Data, problem).at(Place::Value { row, column });
-                return Err(error.with_setting("invalid_skipped"));
+                return Err(self.refused(row, column, MISSING));
             }
         }
         Ok(())
@@ -139,7 +132,7 @@ impl<'a> Rows<'a> {
         };
         if flux == 0.0 {
             const ZERO: &str = "the flux of the source is 0: remove the row, or skip invalid rows";
-            return Err(self.refused(row, role, ZERO));
+            return Err(self.refused(row, self.column(role), ZERO));
         }
         Ok(flux)
     }
@@ -177,7 +170,7 @@ impl<'a> Rows<'a> {
         if re.is_nan() {
             const MISSING: &str =
                 "the half-light radius is missing or NaN: write 0 for a star, or skip invalid rows";
-            return Err(self.refused(row, Role::Re, MISSING));
+            return Err(self.refused(row, self.column(Role::Re), MISSING));
         }
         let q = value(Role::Q).unwrap_or(1.0);
         // A circle needs no angle.
@@ -195,6 +188,11 @@ impl<'a> Rows<'a> {
         self.places[role as usize].map(|column| self.numbers.values[column][row])
     }
 
+    /// The name of the column of a role.
+    fn column(&self, role: Role) -> &str {
+        self.columns.name(role).map_or("", String::as_str)
+    }
+
     fn finite(&self, row: usize, role: Role) -> Result<f64, IoError> {
         let value = self.value(row, role).expect("the column is read");
         if value.is_finite() {
@@ -205,14 +203,17 @@ impl<'a> Rows<'a> {
         } else {
             value.to_string()
         };
-        let column = self.columns.name(role).map_or("", String::as_str);
-        Err(bad_value(self.path, self.numbers.place(row), column, &got))
+        Err(bad_value(
+            self.path,
+            self.numbers.place(row),
+            self.column(role),
+            &got,
+        ))
     }
 
     /// The error for a value that no source may have, but which stands in catalogues.
-    fn refused(&self, row: usize, role: Role, problem: &str) -> IoError {
-        let column = self.columns.name(role).cloned().unwrap_or_default();
-        let row = self.numbers.place(row);
+    fn refused(&self, row: usize, column: &str, problem: &str) -> IoError {
+        let (row, column) = (self.numbers.place(row), column.to_owned());
         IoError::new(self.path, IoErrorKind::Data, problem)
             .at(Place::Value { row, column })
             .with_setting("invalid_skipped")

@@ -238,11 +238,11 @@ impl Hdu {
 
     pub(crate) fn keyword_error(&self, keyword: &str, expected: &str) -> IoError {
         let got = self.header.get(keyword).map_or_else(String::new, Card::shown);
-        self.wrong_value(keyword, expected, &got)
+        self.wrong_value(keyword, expected, got)
     }
 
     /// The error for a keyword with a wrong value.
-    pub(crate) fn wrong_value(&self, keyword: &str, expected: &str, got: &str) -> IoError {
+    pub(crate) fn wrong_value(&self, keyword: &str, expected: &str, got: impl std::fmt::Display) -> IoError {
         self.header_error(keyword, format!("must be {expected}, got {got}"))
     }
 

@@ -173,16 +173,27 @@ impl HeaderCards {
         for (axis, by) in [(1, x0), (2, y0)].into_iter().filter(|&(_, by)| by != 0.0) {
             shifted.change(&format!("LTV{axis}"), |value| value - by);
             for version in world_versions() {
-                let keyword = format!("CRPIX{axis}{version}");
-                let has = |name: &str| shifted.get(&format!("{name}{axis}{version}")).is_some();
-                if shifted.get(&keyword).is_some() {
-                    shifted.change(&keyword, |value| value - by);
-                } else if has("CRVAL") || has("CTYPE") {
-                    shifted.push(Card::new(&keyword, -by, "reference pixel").expect("a valid card"));
-                }
+                shifted.move_reference(&format!("{axis}{version}"), |pixel| pixel - by);
             }
         }
         shifted
+    }
+
+    /// Returns whether there are world coordinates along an axis, such as `1` or `1A`.
+    fn has_world(&self, axis: &str) -> bool {
+        let has = |stem: &str| self.get(&format!("{stem}{axis}")).is_some();
+        has("CRVAL") || has("CTYPE")
+    }
+
+    /// Applies `moved` to the reference pixel along an axis of world coordinates. If it has no CRPIX, the
+    /// default 0 of FITS is moved and added as a card.
+    fn move_reference(&mut self, axis: &str, moved: impl Fn(f64) -> f64) {
+        let keyword = format!("CRPIX{axis}");
+        if self.get(&keyword).is_some() {
+            self.change(&keyword, moved);
+        } else if self.has_world(axis) {
+            self.push(Card::new(&keyword, moved(0.0), "reference pixel").expect("a valid card"));
+        }
     }
 
     /// Applies `changed` to the number in each card with this keyword, and keeps the comment of the
@@ -334,28 +345,20 @@ impl HeaderCards {
             binned.change(&format!("LTV{axis}"), pixel);
             binned.change(&format!("LTM{axis}_{axis}"), |v| v / s);
             for version in world_versions() {
-                let keyword = |stem: &str| format!("{stem}{axis}{version}");
-                let has = |name: &str| binned.get(&keyword(name)).is_some();
-                let in_world = has("CRVAL") || has("CTYPE");
-                let missing_pixel = in_world && !has("CRPIX");
-                let elements: Vec<String> = (1..=9)
+                let along = format!("{axis}{version}");
+                let steps: Vec<String> = (1..=9)
                     .flat_map(|i| matrix_keywords("CD", i, axis))
+                    .chain([format!("CDELT{axis}")])
                     .map(|keyword| format!("{keyword}{version}"))
                     .collect();
-                let matrix = elements.iter().any(|keyword| binned.get(keyword).is_some());
-                let missing_step = in_world && !has("CDELT") && !matrix;
-                binned.change(&keyword("CRPIX"), pixel);
-                binned.change(&keyword("CDELT"), |v| v * s);
-                for keyword in &elements {
+                let has_step = steps.iter().any(|keyword| binned.get(keyword).is_some());
+                binned.move_reference(&along, pixel);
+                for keyword in &steps {
                     binned.change(keyword, |v| v * s);
                 }
-                if missing_pixel {
-                    binned.push(
-                        Card::new(&keyword("CRPIX"), pixel(0.0), "reference pixel").expect("a valid card"),
-                    );
-                }
-                if missing_step {
-                    binned.push(Card::new(&keyword("CDELT"), s, "step").expect("a valid card"));
+                if !has_step && binned.has_world(&along) {
+                    let step = Card::new(&format!("CDELT{along}"), s, "step");
+                    binned.push(step.expect("a valid card"));
                 }
             }
         }

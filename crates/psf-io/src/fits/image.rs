@@ -30,6 +30,7 @@ use std::ops::Range;
 use std::path::Path;
 
 use ndarray::{Array1, Array2, Array3, ArrayViewMut2};
+use psf_types::maths::unravel;
 use psf_types::{FrameShape, Image, Real};
 
 use crate::error::{IoError, IoErrorKind, Place, beyond_single, invalid};
@@ -497,7 +498,7 @@ impl Pixels {
                 let problem = format!(
                     "the value is {value}. Among the pixels read, {count} pixel(s) are NaN, infinite or BLANK: replace them by numbers"
                 );
-                let (hdu, index) = (self.hdu, self.index(flat));
+                let (hdu, index) = (self.hdu, unravel(flat, &self.shape));
                 IoError::new(self.fits.path(), IoErrorKind::Data, problem).at(Place::Pixel { hdu, index })
             }
             // A value that is infinite in single precision may be finite in the file.
@@ -529,17 +530,6 @@ impl Pixels {
             }
         }
         Ok(found)
-    }
-
-    /// Converts `flat`, the number of a pixel in the order of the HDU (0-based), to its index along
-    /// each axis.
-    fn index(&self, mut flat: usize) -> Vec<usize> {
-        let mut index = vec![0; self.shape.len()];
-        for (place, &n) in index.iter_mut().zip(&self.shape).rev() {
-            *place = flat % n;
-            flat /= n;
-        }
-        index
     }
 }
 

@@ -16,52 +16,33 @@ use crate::output::temporary::{Temporary, entries};
 /// If a header has no END in this many blocks (20 MB), the END counts as missing.
 const HEADER_BLOCK_LIMIT: usize = 7000;
 
-/// The records of a header, collected block by block.
-struct HeaderRecords<'a> {
-    path: &'a Path,
+/// A block of a file.
+type Block = [u8; BLOCK as usize];
+
+/// Reads a header up to the block with its END, and makes its HDU. `next` reads a block.
+fn read_header(
+    source: &FitsSource,
     hdu: usize,
-    records: Vec<Record>,
-    blocks: usize,
-}
-
-impl<'a> HeaderRecords<'a> {
-    fn new(path: &'a Path, hdu: usize) -> Self {
-        Self {
-            path,
-            hdu,
-            records: Vec::new(),
-            blocks: 0,
-        }
-    }
-
-    /// Adds the next block. Returns true if the header ends in it.
-    fn push(&mut self, block: &[u8; BLOCK as usize]) -> Result<bool, IoError> {
-        self.blocks += 1;
+    mut next: impl FnMut(&mut Block) -> Result<(), IoError>,
+) -> Result<Hdu, IoError> {
+    let mut records: Vec<Record> = Vec::new();
+    let mut block = [0; BLOCK as usize];
+    for _ in 0..HEADER_BLOCK_LIMIT {
+        next(&mut block)?;
         for record in block.chunks_exact(RECORD) {
             if record.starts_with(b"END     ") {
-                return Ok(true);
+                let mut hdu = Hdu::new(source, hdu, HeaderCards::from_records(records))?;
+                tiles::count_as_image(&mut hdu)?;
+                return Ok(hdu);
             }
-            self.records.push(record.try_into().expect("80 bytes"));
+            records.push(record.try_into().expect("80 bytes"));
         }
-        if self.blocks < HEADER_BLOCK_LIMIT {
-            return Ok(false);
-        }
-        let place = Place::Keyword {
-            hdu: self.hdu,
-            keyword: "END".to_owned(),
-        };
-        let problem = format!(
-            "the keyword is missing in the first {HEADER_BLOCK_LIMIT} blocks of 2880 bytes: longer headers are not read"
-        );
-        Err(IoError::new(self.path, IoErrorKind::Header, problem).at(place))
     }
-
-    /// Makes the HDU of this header.
-    fn into_hdu(self, source: &FitsSource) -> Result<Hdu, IoError> {
-        let mut hdu = Hdu::new(source, self.hdu, HeaderCards::from_records(self.records))?;
-        tiles::count_as_image(&mut hdu)?;
-        Ok(hdu)
-    }
+    let keyword = "END".to_owned();
+    let problem = format!(
+        "the keyword is missing in the first {HEADER_BLOCK_LIMIT} blocks of 2880 bytes: longer headers are not read"
+    );
+    Err(IoError::new(source.path(), IoErrorKind::Header, problem).at(Place::Keyword { hdu, keyword }))
 }
 
 /// Reads the headers of a file one after the other.
@@ -103,36 +84,24 @@ impl<'a> Scanner<'a> {
 
     /// Reads the header at the current offset and moves the offset to the end of the HDU's data.
     pub(crate) fn read_hdu(&mut self, index: usize) -> Result<Hdu, IoError> {
-        let mut hdu = self.read_header(index)?.into_hdu(self.source)?;
+        let failed = unreadable(self.source.path());
+        self.file.seek(SeekFrom::Start(self.offset)).map_err(failed)?;
+        let mut hdu = read_header(self.source, index, |block| {
+            self.offset = self.checked_end(index, BLOCK)?;
+            self.file.read_exact(block).map_err(failed)
+        })?;
         hdu.data_start = self.offset;
-        let needed = self.offset.saturating_add(hdu.padded_length()?);
-        if needed > self.length {
-            return Err(truncated(self.source.path(), index, needed, self.length));
-        }
-        self.offset = needed;
+        self.offset = self.checked_end(index, hdu.padded_length()?)?;
         Ok(hdu)
     }
 
-    fn read_header(&mut self, index: usize) -> Result<HeaderRecords<'a>, IoError> {
-        let failed = unreadable(self.source.path());
-        self.file.seek(SeekFrom::Start(self.offset)).map_err(failed)?;
-        let mut header = HeaderRecords::new(self.source.path(), index);
-        let mut block = [0; BLOCK as usize];
-        loop {
-            if self.offset + BLOCK > self.length {
-                return Err(truncated(
-                    self.source.path(),
-                    index,
-                    self.offset + BLOCK,
-                    self.length,
-                ));
-            }
-            self.file.read_exact(&mut block).map_err(failed)?;
-            self.offset += BLOCK;
-            if header.push(&block)? {
-                return Ok(header);
-            }
+    /// The offset after the next `count` bytes, which the file must have.
+    fn checked_end(&self, index: usize, count: u64) -> Result<u64, IoError> {
+        let end = self.offset.saturating_add(count);
+        if end > self.length {
+            return Err(truncated(self.source.path(), index, end, self.length));
         }
+        Ok(end)
     }
 }
 
@@ -186,28 +155,31 @@ pub(crate) fn unpack(path: &Path) -> Result<Temporary, IoError> {
     let mut buffer = vec![0; BUFFER];
     let mut index = 0;
     loop {
-        let mut header = HeaderRecords::new(path, index);
-        let mut block = [0; BLOCK as usize];
-        loop {
-            let start = unpacker.done;
-            let length = unpacker.read_up_to(&mut block)?;
-            let hdu_starts = header.blocks == 0 && index > 0;
-            if hdu_starts && !block[..length].starts_with(b"XTENSION") {
-                // No other HDU follows. The rest is not copied, but it is read all the same,
-                // because gzip checks its checksum at the end.
-                unpacker.drain(&mut buffer)?;
-                out.flush().map_err(failed)?;
-                return Ok(copy);
-            }
-            if length < block.len() {
-                return Err(truncated(path, index, start + BLOCK, unpacker.done));
-            }
-            out.write_all(&block).map_err(failed)?;
-            if header.push(&block)? {
-                break;
-            }
+        let mut first = [0; BLOCK as usize];
+        let length = unpacker.read_up_to(&mut first)?;
+        if index > 0 && !first[..length].starts_with(b"XTENSION") {
+            // No other HDU follows. The rest is not copied, but it is read all the same,
+            // because gzip checks its checksum at the end.
+            unpacker.drain(&mut buffer)?;
+            out.flush().map_err(failed)?;
+            return Ok(copy);
         }
-        let length = header.into_hdu(&source)?.padded_length()?;
+        let mut first = Some((first, length));
+        let hdu = read_header(&source, index, |block| {
+            let length = match first.take() {
+                None => unpacker.read_up_to(block)?,
+                Some((first, length)) => {
+                    *block = first;
+                    length
+                }
+            };
+            if length < block.len() {
+                let needed = unpacker.done - length as u64 + BLOCK;
+                return Err(truncated(path, index, needed, unpacker.done));
+            }
+            out.write_all(block).map_err(failed)
+        })?;
+        let length = hdu.padded_length()?;
         let end = unpacker.done.saturating_add(length);
         unpacker.check(end)?;
         let mut left = length;

@@ -208,7 +208,7 @@ impl<'a> LibraryCards<'a> {
         };
         match card.value().and_then(V::from_value).and_then(convert) {
             Some(value) => Ok(Some(value)),
-            None => Err(self.bad(keyword, expected, card)),
+            None => Err(self.hdu.wrong_value(keyword, expected, card.shown())),
         }
     }
 
@@ -220,7 +220,7 @@ impl<'a> LibraryCards<'a> {
     /// The finite number in a card. A missing keyword is an error.
     pub(crate) fn required_number(&self, keyword: &str, expected: &str) -> Result<f64, IoError> {
         self.number(keyword, expected)?
-            .ok_or_else(|| self.missing(keyword, expected))
+            .ok_or_else(|| self.hdu.missing_keyword(keyword, expected))
     }
 
     /// The whole number in a card, at least `least`, if the keyword exists. It may be written with
@@ -246,7 +246,7 @@ impl<'a> LibraryCards<'a> {
         expected: &str,
     ) -> Result<usize, IoError> {
         self.count(keyword, least, expected)?
-            .ok_or_else(|| self.missing(keyword, expected))
+            .ok_or_else(|| self.hdu.missing_keyword(keyword, expected))
     }
 
     /// The string in a card, if the keyword exists.
@@ -256,19 +256,6 @@ impl<'a> LibraryCards<'a> {
 
     pub(crate) fn has(&self, keyword: &str) -> bool {
         self.cards.contains_key(keyword)
-    }
-
-    pub(crate) fn missing(&self, keyword: &str, expected: &str) -> IoError {
-        self.hdu.missing_keyword(keyword, expected)
-    }
-
-    /// The error for a card with a wrong value.
-    pub(crate) fn bad(&self, keyword: &str, expected: &str, card: &Card) -> IoError {
-        self.hdu.wrong_value(keyword, expected, &card.shown())
-    }
-
-    pub(crate) fn bad_value(&self, keyword: &str, expected: &str, got: impl ToString) -> IoError {
-        self.hdu.wrong_value(keyword, expected, &got.to_string())
     }
 
     /// The error for a number of planes that differs from the number in the cards.

@@ -41,6 +41,7 @@ use crate::fits::hdu::{Hdu, HduKind};
 use crate::fits::image::{read_stack, squeezed};
 use crate::fits::structure::FitsStructure;
 use crate::psf::gridded::{LibraryCards, centred_grid, check_flux, cube_shape};
+use crate::units::angle_in_deg;
 
 /// A field-varying PSF of ScopeSim: a few layers, and a map that states where each layer applies. A
 /// node is a pixel or row of the map.
@@ -169,7 +170,9 @@ pub fn read_scopesim(path: impl AsRef<Path>, options: &ScopesimOptions) -> Resul
         Some(number) => {
             let hdu = structure.hdus.get(number).ok_or_else(|| {
                 let count = structure.hdus.len();
-                primary.bad_value("ECAT", MAP, format!("{number}, but there are {count} HDUs"))
+                primary
+                    .hdu
+                    .wrong_value("ECAT", MAP, format!("{number}, but there are {count} HDUs"))
             })?;
             LayerMap::read(&structure, hdu, layer_count)?
         }
@@ -382,13 +385,13 @@ fn wavelength(cards: &LibraryCards<'_>) -> Result<f64, IoError> {
     if let Some(unit) = cards.text("WAVEUNIT", UNIT)?
         && !["um", "micron", "microns", "micrometer", ""].contains(&unit.to_ascii_lowercase().as_str())
     {
-        return Err(cards.bad_value("WAVEUNIT", UNIT, unit));
+        return Err(cards.hdu.wrong_value("WAVEUNIT", UNIT, unit));
     }
     let wavelength = cards.required_number("WAVE0", EXPECTED)?;
     if wavelength > 0.0 {
         return Ok(wavelength);
     }
-    Err(cards.bad_value("WAVE0", EXPECTED, wavelength))
+    Err(cards.hdu.wrong_value("WAVE0", EXPECTED, wavelength))
 }
 
 /// Size of a PSF pixel in arcseconds. The pixel must be square.
@@ -396,13 +399,13 @@ fn pixel_arcsec(cards: &LibraryCards<'_>) -> Result<f64, IoError> {
     const EXPECTED: &str = "the size of a PSF pixel, a number other than 0";
     let size = cards.required_number("CDELT1", EXPECTED)?.abs() * arcsec_in_unit(cards, "CUNIT1")?;
     if !(size > 0.0 && size.is_finite()) {
-        return Err(cards.bad_value("CDELT1", EXPECTED, size));
+        return Err(cards.hdu.wrong_value("CDELT1", EXPECTED, size));
     }
     if let Some(other) = cards.number("CDELT2", EXPECTED)? {
         let unit = if cards.has("CUNIT2") { "CUNIT2" } else { "CUNIT1" };
         let other_size = other.abs() * arcsec_in_unit(cards, unit)?;
         if (other_size - size).abs() > SQUARE * size {
-            return Err(cards.bad_value(
+            return Err(cards.hdu.wrong_value(
                 "CDELT2",
                 "as large as CDELT1, because PSF pixels must be square",
                 other,
@@ -506,7 +509,7 @@ impl MapAxis {
             if let Some(value) = cards.number(&keyword, ROTATED)?
                 && value != 0.0
             {
-                return Err(cards.bad_value(&keyword, ROTATED, value));
+                return Err(cards.hdu.wrong_value(&keyword, ROTATED, value));
             }
         }
         let unit = arcsec_in_unit(cards, &format!("CUNIT{axis}"))?;
@@ -519,7 +522,7 @@ impl MapAxis {
         };
         let step_arcsec = cards.required_number(&keyword, STEP)? * factor * unit;
         if step_arcsec == 0.0 || !step_arcsec.is_finite() {
-            return Err(cards.bad_value(&keyword, STEP, step_arcsec));
+            return Err(cards.hdu.wrong_value(&keyword, STEP, step_arcsec));
         }
         let value = cards.number(&format!("CRVAL{axis}"), VALUE)?.unwrap_or(0.0) * unit;
         Ok(Self {
@@ -542,15 +545,9 @@ impl MapAxis {
 /// Returns how many arcseconds the unit named by a card has. Without the card the unit is a degree.
 fn arcsec_in_unit(cards: &LibraryCards<'_>, keyword: &str) -> Result<f64, IoError> {
     const EXPECTED: &str = "an angular unit: deg, arcmin, arcsec, mas or rad";
-    let Some(text) = cards.text(keyword, EXPECTED)? else {
-        return Ok(3600.0);
-    };
-    match text.to_ascii_lowercase().as_str() {
-        "deg" | "degree" | "" => Ok(3600.0),
-        "arcmin" => Ok(60.0),
-        "arcsec" => Ok(1.0),
-        "mas" => Ok(1e-3),
-        "rad" => Ok(1_f64.to_degrees() * 3600.0),
-        _ => Err(cards.bad_value(keyword, EXPECTED, text)),
-    }
+    let text = cards.text(keyword, EXPECTED)?.filter(|unit| !unit.is_empty());
+    text.map_or(Ok(3600.0), |text| match angle_in_deg(&text) {
+        Some(degrees) => Ok(3600.0 * degrees),
+        None => Err(cards.hdu.wrong_value(keyword, EXPECTED, text)),
+    })
 }

@@ -159,7 +159,7 @@ fn of_planes(hdu: &Hdu, planes: usize) -> Result<Option<Vec<f64>>, IoError> {
         if metres > 0.0 {
             Ok(metres * 1e6)
         } else {
-            Err(cards.bad_value(&keyword(plane), EXPECTED, metres))
+            Err(cards.hdu.wrong_value(&keyword(plane), EXPECTED, metres))
         }
     };
     (0..planes).map(wavelength_um).collect::<Result<_, _>>().map(Some)

@@ -112,15 +112,15 @@ pub fn read_stdpsf_hdu(
     let chosen = layout
         .choose(detector)
         .map_err(|problem| IoError::new(path, IoErrorKind::Setting, problem).with_setting("detector"))?;
-    let block = layout.block(chosen, columns, rows);
-    let x = read_lines(cards, "IPSFX", columns, block.columns.clone())?;
-    let y = read_lines(cards, "JPSFY", rows, block.rows.clone())?;
+    let part = layout.part(chosen, columns, rows);
+    let x = read_lines(cards, "IPSFX", columns, part.columns.clone())?;
+    let y = read_lines(cards, "JPSFY", rows, part.rows.clone())?;
 
     let mut positions = Vec::new();
     let mut numbers = Vec::new();
-    for (row, y) in block.rows.clone().zip(&y) {
-        for (column, x) in block.columns.clone().zip(&x) {
-            let position = Position::new(x - 1.0 - block.x0, y - 1.0 - block.y0);
+    for (row, y) in part.rows.clone().zip(&y) {
+        for (column, x) in part.columns.clone().zip(&x) {
+            let position = Position::new(x - 1.0 - part.x0, y - 1.0 - part.y0);
             positions.push(position.map_err(invalid(path))?);
             numbers.push(row * columns + column);
         }
@@ -166,7 +166,7 @@ struct Layout {
 
 /// The part of the grid that belongs to one detector.
 #[derive(Debug, Clone, PartialEq)]
-struct Block {
+struct DetectorPart {
     columns: Range<usize>,
     rows: Range<usize>,
     /// The x of the detector's first pixel, in the pixel coordinates of the file (0-based).
@@ -245,11 +245,11 @@ impl Layout {
     }
 
     /// The part of a grid of `columns` and `rows` that belongs to a detector.
-    fn block(self, index: usize, columns: usize, rows: usize) -> Block {
+    fn part(self, index: usize, columns: usize, rows: usize) -> DetectorPart {
         let place = self.places.get(index).copied().unwrap_or(0);
         let (i, j) = (place % self.across.0, place / self.across.0);
         let (width, height) = (columns / self.across.0, rows / self.across.1);
-        Block {
+        DetectorPart {
             columns: i * width..(i + 1) * width,
             rows: j * height..(j + 1) * height,
             x0: (i * self.size) as f64,
@@ -277,7 +277,7 @@ fn read_lines(
         single(cards, stem, count)?
     };
     if let Some((_, keyword)) = lines.iter().find(|(value, _)| *value == UNUSED) {
-        return Err(cards.bad_value(
+        return Err(cards.hdu.wrong_value(
             keyword,
             "a position in pixels, because NXPSFS and NYPSFS count it as used (9999 marks unused positions)",
             UNUSED,
@@ -313,10 +313,10 @@ fn listed(cards: &LibraryCards<'_>, stem: &str, count: usize) -> Result<Vec<(f64
         let keyword = list_keyword(stem, list);
         let text = cards
             .text(&keyword, LIST_EXPECTED)?
-            .ok_or_else(|| cards.missing(&keyword, LIST_EXPECTED))?;
+            .ok_or_else(|| cards.hdu.missing_keyword(&keyword, LIST_EXPECTED))?;
         for word in text.split_whitespace() {
             let value: Option<f64> = word.parse().ok().filter(|v: &f64| v.is_finite());
-            let value = value.ok_or_else(|| cards.bad_value(&keyword, LIST_EXPECTED, text.clone()))?;
+            let value = value.ok_or_else(|| cards.hdu.wrong_value(&keyword, LIST_EXPECTED, text.clone()))?;
             lines.push((value, keyword.clone()));
         }
         list += 1;
@@ -425,21 +425,20 @@ mod tests {
 
     #[test]
     fn detectors_have_their_documented_places() {
-        let block = |columns, rows, detector: usize| {
-            Layout::of_grid(columns, rows).block(detector - 1, columns, rows)
-        };
+        let part =
+            |columns, rows, detector: usize| Layout::of_grid(columns, rows).part(detector - 1, columns, rows);
         // The planetary camera is at the upper right of WFPC2.
-        let pc = block(6, 6, 1);
+        let pc = part(6, 6, 1);
         assert_eq!((pc.columns, pc.rows, pc.x0, pc.y0), (3..6, 3..6, 800.0, 800.0));
         // NIRCam B4 is the third of the four lower detectors.
-        let b4 = block(20, 10, 8);
+        let b4 = part(20, 10, 8);
         assert_eq!((b4.columns, b4.rows, b4.x0, b4.y0), (10..15, 0..5, 4096.0, 0.0));
-        let wfc1 = block(9, 10, 2);
+        let wfc1 = part(9, 10, 2);
         assert_eq!(
             (wfc1.columns, wfc1.rows, wfc1.x0, wfc1.y0),
             (0..9, 5..10, 0.0, 2048.0)
         );
-        assert_eq!(block(3, 3, 1).columns, 0..3);
+        assert_eq!(part(3, 3, 1).columns, 0..3);
     }
 
     #[test]

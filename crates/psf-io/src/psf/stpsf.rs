@@ -148,7 +148,7 @@ fn sample_planes(cards: &LibraryCards<'_>, positions: &[Position]) -> Result<Vec
     let is_sample = |&plane: &usize| on(b'x', positions[plane].x()) && on(b'y', positions[plane].y());
     let planes: Vec<usize> = (0..positions.len()).filter(is_sample).collect();
     if axes.len() != lines.len() || planes.is_empty() {
-        return Err(cards.bad_value(GRID_LINES, EXPECTED, axes));
+        return Err(cards.hdu.wrong_value(GRID_LINES, EXPECTED, axes));
     }
     Ok(planes)
 }
@@ -184,11 +184,15 @@ fn positions(cards: &LibraryCards<'_>, planes: usize) -> Result<Vec<Position>, I
         let text = card.value().and_then(String::from_value);
         let (y, x) = text
             .and_then(|text| pair(&text))
-            .ok_or_else(|| cards.bad(&keyword, POSITION_EXPECTED, card))?;
+            .ok_or_else(|| cards.hdu.wrong_value(&keyword, POSITION_EXPECTED, card.shown()))?;
         *place = Some(Position::new(x, y).map_err(invalid(cards.hdu.path()))?);
     }
     let position = |(number, position): (usize, Option<Position>)| {
-        position.ok_or_else(|| cards.missing(&format!("{POSITION}{number}"), POSITION_EXPECTED))
+        position.ok_or_else(|| {
+            cards
+                .hdu
+                .missing_keyword(&format!("{POSITION}{number}"), POSITION_EXPECTED)
+        })
     };
     found.into_iter().enumerate().map(position).collect()
 }
@@ -222,7 +226,7 @@ fn oversampling(cards: &LibraryCards<'_>, nx: usize) -> Result<usize, IoError> {
         .into_iter()
         .find(|&s| across.and_then(|n| n.checked_mul(s)) == Some(nx))
         .ok_or_else(|| {
-            cards.bad_value(
+            cards.hdu.wrong_value(
                 "DET_SAMP",
                 "equal to OVERSAMP (if they differ, one of them times FOVPIXEL must be the width of the stamps)",
                 stamps,
@@ -299,7 +303,7 @@ fn by_writer(cards: &LibraryCards<'_>) -> Result<Option<(PlaneOrder, String)>, I
     const ORDER: &str = "cards or sorted";
     if let Some(text) = cards.text(PLANE_ORDER, ORDER)? {
         let order = text.parse().ok().filter(|&order| order != PlaneOrder::Auto);
-        let order = order.ok_or_else(|| cards.bad_value(PLANE_ORDER, ORDER, text.clone()))?;
+        let order = order.ok_or_else(|| cards.hdu.wrong_value(PLANE_ORDER, ORDER, text.clone()))?;
         return Ok(Some((order, format!("{PLANE_ORDER} says so"))));
     }
     let version = cards.text("VERSION", "the version of the software, a string")?;

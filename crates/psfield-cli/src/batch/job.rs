@@ -11,6 +11,7 @@ use psfield::image_cards::JOB_KEYWORD;
 
 use crate::UsageError;
 use crate::batch::jobs_file::{JobsFile, Setting, Settings};
+use crate::context::GivenOptions;
 use crate::files::{FileType, FileUses, NamedFiles, Use};
 use crate::simulate::{JobMark, SimulateArgs};
 use crate::values::plain_text;
@@ -159,9 +160,10 @@ pub(crate) fn parsed(
         .try_get_matches_from_mut(&arguments)
         .map_err(|e| in_one_line(&e))?;
     let mut files = NamedFiles::of(command, &matches).map_err(|e| e.to_string())?;
+    let given = GivenOptions::of(command, &matches);
     let args = SimulateArgs::from_arg_matches_mut(&mut matches).map_err(|e| in_one_line(&e))?;
     files.outputs.extend(args.default_truth());
-    match args.misused() {
+    match args.misused(&given) {
         Some(what) => Err(what),
         None => Ok((args, files, arguments)),
     }
@@ -169,10 +171,6 @@ pub(crate) fn parsed(
 
 fn is_flag(arg: &clap::Arg) -> bool {
     matches!(arg.get_action(), ArgAction::SetTrue)
-}
-
-fn is_output(arg: &clap::Arg) -> bool {
-    FileType::of_argument(arg).is_some_and(|known| known.used == Use::Output)
 }
 
 fn option<'a>(command: &'a Command, name: &str) -> Option<&'a clap::Arg> {
@@ -236,7 +234,9 @@ fn digest(settings: &Settings, command: &Command) -> String {
     for (name, setting) in settings.iter() {
         let known = option(command, name);
         let off = known.is_some_and(is_flag) && setting.value() == "false";
-        if off || known.is_some_and(is_output) || WITHOUT_EFFECT_ON_RESULTS.contains(&name) {
+        let file_type = known.and_then(FileType::of_argument);
+        let is_output = file_type.is_some_and(|file| file.used == Use::Output);
+        if off || is_output || WITHOUT_EFFECT_ON_RESULTS.contains(&name) {
             continue;
         }
         // Images of earlier releases stay valid: this option had another name.

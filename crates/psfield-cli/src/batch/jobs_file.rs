@@ -3,7 +3,6 @@
 use std::collections::BTreeMap;
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
-use std::str::FromStr;
 
 use anyhow::Context as _;
 use toml::{Table, Value};
@@ -152,15 +151,18 @@ pub(crate) fn settings(table: Table, folder: &Path) -> Result<Settings, String> 
     for (name, value) in table {
         let value = match value {
             Value::Array(values) => {
-                let texts: Result<Vec<_>, _> = values.iter().map(|value| text(&name, value)).collect();
-                texts?
+                let texts = values.iter().map(|value| text(&name, value));
+                texts.collect::<Result<_, _>>()?
             }
             Value::Table(pairs) => {
-                let texts: Result<Vec<_>, _> = pairs
-                    .iter()
-                    .map(|(key, value)| Ok(format!("{key}={}", text(&name, value)?)))
-                    .collect::<Result<_, String>>();
-                vec![texts?.join(",")]
+                let pair = |(key, value)| Ok(format!("{key}={}", text(&name, value)?));
+                vec![
+                    pairs
+                        .iter()
+                        .map(pair)
+                        .collect::<Result<Vec<_>, String>>()?
+                        .join(","),
+                ]
             }
             single => vec![text(&name, &single)?],
         };
@@ -183,25 +185,13 @@ fn text(name: &str, value: &Value) -> Result<String, String> {
     }
 }
 
-/// A value of `--set`: `OPTION=VALUE`, or the name of a flag alone.
-#[derive(Debug, Clone)]
-pub(super) struct Assignment {
-    option: String,
-    value: String,
-}
-
-impl FromStr for Assignment {
-    type Err = String;
-    fn from_str(text: &str) -> Result<Self, String> {
-        let (option, value) = text.split_once('=').unwrap_or((text, "true"));
-        if option.trim().is_empty() || value.is_empty() {
-            return Err("an option and its value are needed, as in tolerance=1e-5".to_owned());
-        }
-        Ok(Self {
-            option: option.to_owned(),
-            value: value.to_owned(),
-        })
+/// Parses an option and its value for `--set`: `OPTION=VALUE`, or the name of a flag alone.
+pub(super) fn assignment(text: &str) -> Result<(String, String), String> {
+    let (option, value) = text.split_once('=').unwrap_or((text, "true"));
+    if option.trim().is_empty() || value.is_empty() {
+        return Err("an option and its value are needed, as in tolerance=1e-5".to_owned());
     }
+    Ok((option.to_owned(), value.to_owned()))
 }
 
 /// The value of an option.
@@ -226,8 +216,8 @@ pub(crate) struct Settings(BTreeMap<String, Setting>);
 
 impl Settings {
     /// Sets an option given on the command line.
-    pub(super) fn add(&mut self, of: Assignment) -> Result<(), UsageError> {
-        self.set(&of.option, vec![of.value], Path::new(""))
+    pub(super) fn add(&mut self, (option, value): (String, String)) -> Result<(), UsageError> {
+        self.set(&option, vec![value], Path::new(""))
             .map_err(|what| UsageError(format!("--set: {what}")))
     }
 

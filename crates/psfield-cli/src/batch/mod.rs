@@ -14,7 +14,7 @@ use psf_types::Progress;
 use serde::Serialize;
 
 use crate::batch::job::{Job, JobState};
-use crate::batch::jobs_file::{Assignment, JobsFile};
+use crate::batch::jobs_file::{JobsFile, assignment};
 use crate::context::{Context, message_of};
 use crate::simulate::{Report, Simulators};
 
@@ -50,8 +50,8 @@ pub(crate) struct BatchArgs {
     /// This overrides `[defaults]`. Relative paths refer to the working directory. A flag such as
     /// --one-based is set by --set one-based or --set one-based=true, and in a jobs file by the
     /// value true.
-    #[arg(long, value_name = "OPTION=VALUE")]
-    set: Vec<Assignment>,
+    #[arg(long, value_name = "OPTION=VALUE", value_parser = assignment)]
+    set: Vec<(String, String)>,
     /// Run all jobs, and replace outputs that exist
     #[arg(long)]
     overwrite: bool,
@@ -363,7 +363,7 @@ pub(crate) mod tests {
 
         let mut common = Settings::default();
         for text in ["psf=telescope.fits", "shape=1024,1024"] {
-            common.add(text.parse().unwrap()).unwrap();
+            common.add(assignment(text).unwrap()).unwrap();
         }
         let csv = JobsFile::from_csv(csv.as_bytes(), folder).unwrap();
         let jobs = Job::all(csv, &common, None).unwrap();
@@ -460,7 +460,7 @@ pub(crate) mod tests {
                 JobsFile::from_csv(text.as_bytes(), folder)
             };
             let mut common = Settings::default();
-            common.add("psf=telescope.fits".parse().unwrap()).unwrap();
+            common.add(assignment("psf=telescope.fits").unwrap()).unwrap();
             let checked = parsed.and_then(|file| {
                 let path = folder.join("jobs");
                 Job::all(JobsFile { path, ..file }, &common, None).map_err(|e| {

@@ -17,14 +17,14 @@ use psf_basis::RankSelection;
 use psf_sample::{SamplingMethod, UniformSampling};
 use psf_types::{Anchor, FrameShape, Image, Interpolation, PsfModelRecord, PsfSource as _, ToleranceOn};
 use psfield::{Device, FitOptions, Psf};
-use psfield_lab::bench::{self, BenchCase, BenchOptions, RealGroup};
+use psfield_lab::bench::{self, BenchCase, BenchOptions, BenchOutcome, RealGroup};
 use psfield_lab::plot::Figure;
 use serde::Serialize;
 
 use crate::UsageError;
-use crate::bench::report::Report;
-use crate::bench::settings::{BenchDeviceArgs, Settings};
+use crate::bench::settings::Settings;
 use crate::context::{Context, object, without_option};
+use crate::devices::device_parser;
 use crate::files::{JsonTo, OutputFile};
 use crate::sample::Preset;
 use crate::values::{Precision, number, tolerance};
@@ -209,14 +209,20 @@ pub(crate) struct BenchArgs {
     /// Replace the files of --json and --plot if they exist
     #[arg(long)]
     overwrite: bool,
-    // clap applies the heading of a group also to the options after it, so the group is last.
-    #[command(flatten)]
-    device: BenchDeviceArgs,
+    /// Device of lowrank and auto (gpu computes in f32; the other methods run on the CPU)
+    // It is never chosen automatically, because times are compared on a known device.
+    #[arg(long, default_value = "cpu", value_parser = device_parser(["cpu", "gpu"]), help_heading = DEVICE)]
+    device: Device,
+    /// GPU to use: a part of its name, or its backend [default: the first that psfield devices
+    /// lists]
+    #[arg(long, value_name = "NAME", help_heading = DEVICE, hide_short_help = true)]
+    gpu_adapter: Option<String>,
 }
 
 const CASES: &str = "Frames and PSFs";
 const METHODS: &str = "Methods";
 const MEASUREMENT: &str = "Measurement";
+const DEVICE: &str = "Device";
 
 /// The methods by name.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum, Serialize)]
@@ -247,8 +253,12 @@ const MAX_GRID: usize = 256;
 
 impl BenchArgs {
     pub(crate) fn run(self, context: &Context) -> anyhow::Result<()> {
-        if let Some(what) = self.device.misused(self.precision == Precision::F32) {
-            return Err(UsageError(what.to_owned()).into());
+        if self.device == Device::Cpu && self.gpu_adapter.is_some() {
+            return Err(UsageError("--gpu-adapter applies only to --device gpu".to_owned()).into());
+        }
+        if self.device == Device::Gpu && self.precision == Precision::F64 {
+            let text = "--device gpu computes in f32: leave --precision f64 out";
+            return Err(UsageError(text.to_owned()).into());
         }
         if self.model {
             return self.run_model(context);
@@ -283,12 +293,7 @@ impl BenchArgs {
         if self.psf.is_some() {
             settings.grids = Vec::new();
         }
-        let mut report = Report {
-            version: env!("CARGO_PKG_VERSION"),
-            options: self.options::<T>(&settings),
-            rows: Vec::new(),
-            skipped: Vec::new(),
-        };
+        let mut outcome = BenchOutcome::default();
         for record in self.records(&settings, context)? {
             let record = record?;
             let contenders = settings.contenders(record.basis().rank());
@@ -300,8 +305,10 @@ impl BenchArgs {
                 };
                 let bar = context.bar("measuring");
                 let case = BenchCase::new(record, scene);
-                let outcome = bench::run(&case, &contenders, &options, &bar);
-                report.add(outcome.map_err(without_option).with_context(|| self.origin())?);
+                let of_case = bench::run(&case, &contenders, &options, &bar);
+                let of_case = of_case.map_err(without_option).with_context(|| self.origin())?;
+                outcome.rows.extend(of_case.rows);
+                outcome.skipped.extend(of_case.skipped);
                 Ok(())
             };
             match &scene {
@@ -314,8 +321,14 @@ impl BenchArgs {
                 }
             }
         }
-        let plot = || report::plot(&report.cases());
-        self.publish(&report, Some(&plot), || report.text(), context)
+        let report = object! {
+            version: env!("CARGO_PKG_VERSION"),
+            options: self.options::<T>(&settings),
+            #[serde(flatten)]
+            outcome: &outcome,
+        };
+        let plot = || report::plot(&outcome.rows);
+        self.publish(&report, Some(&plot), || report::text(&outcome), context)
     }
 
     /// Writes the files of `--json` and `--plot`, and prints the report. The numbers are written first, so
@@ -349,8 +362,8 @@ impl BenchArgs {
             repeat: settings.repeat,
             pixels: settings.pixels,
             seed: settings.seed,
-            device: self.device.device,
-            gpu_adapter: self.device.gpu_adapter.clone(),
+            device: self.device,
+            gpu_adapter: self.gpu_adapter.clone(),
             ..BenchOptions::default()
         }
     }
@@ -426,8 +439,8 @@ impl BenchArgs {
             scene: self.scene.clone(),
             anchor: self.anchor,
             precision: T::NAME,
-            device: self.device.device.to_string(),
-            gpu_adapter: self.device.gpu_adapter.clone(),
+            device: self.device.to_string(),
+            gpu_adapter: self.gpu_adapter.clone(),
             threads: rayon::current_num_threads(),
         }
     }

@@ -3,62 +3,46 @@
 use std::fmt::Write;
 
 use psfield::device::GpuSeconds;
-use psfield_lab::bench::{BenchOutcome, BenchRow, Skipped};
+use psfield_lab::bench::{BenchOutcome, BenchRow};
 use psfield_lab::plot::{Axis, Chart, Curve, Figure, Mark, Marker};
-use serde::Serialize;
 
-/// The object that `--json` writes.
-#[derive(Debug, Serialize)]
-pub(super) struct Report<O> {
-    pub(super) version: &'static str,
-    pub(super) options: O,
-    pub(super) rows: Vec<BenchRow>,
-    pub(super) skipped: Vec<Skipped>,
+/// Returns the rows of each case (a size and a number of samples), with the single PSF first.
+fn cases(rows: &[BenchRow]) -> impl Iterator<Item = &[BenchRow]> {
+    rows.chunk_by(|_, next| next.method != "single")
 }
 
-impl<O> Report<O> {
-    pub(super) fn add(&mut self, outcome: BenchOutcome) {
-        self.rows.extend(outcome.rows);
-        self.skipped.extend(outcome.skipped);
-    }
-
-    /// Returns the rows of each case (a size and a number of samples), with the single PSF first.
-    pub(super) fn cases(&self) -> Vec<&[BenchRow]> {
-        self.rows.chunk_by(|_, next| next.method != "single").collect()
-    }
-
-    pub(super) fn text(&self) -> String {
-        let mut text = String::new();
-        for rows in self.cases() {
-            if !text.is_empty() {
-                text.push('\n');
-            }
-            let gpu = rows.iter().find_map(|row| row.gpu.as_deref());
-            // Writing to a string does not fail.
-            let _ = write!(text, "{}, {}", size_of(&rows[0]), settings_of(&rows[0]));
-            if let Some(gpu) = gpu {
-                let _ = write!(text, ", lowrank and auto on {gpu}");
-            }
-            let shown = if gpu.is_some() { COLUMNS.len() } else { ON_CPU };
-            let _ = writeln!(text, "\n{}", table(&COLUMNS[..shown], rows));
-            for row in rows {
-                text.push_str(&least_bytes(row));
-            }
-            for skipped in self
-                .skipped
-                .iter()
-                .filter(|s| s.size == rows[0].size && s.samples == rows[0].samples)
-            {
-                let setting = skipped.setting.as_deref().unwrap_or("-");
-                let _ = writeln!(
-                    text,
-                    "{:8} {setting:16} skipped: {}",
-                    skipped.method, skipped.reason
-                );
-            }
+/// The tables of all cases.
+pub(super) fn text(outcome: &BenchOutcome) -> String {
+    let mut text = String::new();
+    for rows in cases(&outcome.rows) {
+        if !text.is_empty() {
+            text.push('\n');
         }
-        text
+        let gpu = rows.iter().find_map(|row| row.gpu.as_deref());
+        // Writing to a string does not fail.
+        let _ = write!(text, "{}, {}", size_of(&rows[0]), settings_of(&rows[0]));
+        if let Some(gpu) = gpu {
+            let _ = write!(text, ", lowrank and auto on {gpu}");
+        }
+        let shown = if gpu.is_some() { COLUMNS.len() } else { ON_CPU };
+        let _ = writeln!(text, "\n{}", table(&COLUMNS[..shown], rows));
+        for row in rows {
+            text.push_str(&least_bytes(row));
+        }
+        for skipped in outcome
+            .skipped
+            .iter()
+            .filter(|s| s.size == rows[0].size && s.samples == rows[0].samples)
+        {
+            let setting = skipped.setting.as_deref().unwrap_or("-");
+            let _ = writeln!(
+                text,
+                "{:8} {setting:16} skipped: {}",
+                skipped.method, skipped.reason
+            );
+        }
     }
+    text
 }
 
 /// The frame size and the number of PSF samples of a case.
@@ -172,8 +156,8 @@ const UNIT: &str = "single";
 const LABELS: &str = "numbers: tolerance (lowrank, auto), patch side in pixels (patch), rank (basis)";
 
 /// Draws a chart for each case. The first row of a case is the single PSF.
-pub(super) fn plot(cases: &[&[BenchRow]]) -> Figure {
-    let charts: Vec<Chart> = cases.iter().map(|rows| chart(rows)).collect();
+pub(super) fn plot(rows: &[BenchRow]) -> Figure {
+    let charts: Vec<Chart> = cases(rows).map(chart).collect();
     // The title has 80 characters.
     Figure::new(&charts, 660.0)
 }

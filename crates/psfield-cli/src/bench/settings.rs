@@ -4,12 +4,10 @@ use std::num::NonZeroUsize;
 
 use clap::ValueEnum;
 use psf_types::ToleranceOn;
-use psfield::Device;
 use psfield_lab::bench::{BenchOptions, Contender};
 use serde::Serialize;
 
 use crate::bench::{BenchArgs, MethodName};
-use crate::devices::device_parser;
 
 /// The settings in force: the arguments, or else the values of `--quick`, or else the defaults.
 #[derive(Debug, Clone, Serialize)]
@@ -107,30 +105,5 @@ impl Settings {
             }
         }
         all
-    }
-}
-
-/// The device of the methods lowrank and auto. It is never chosen automatically, because times are
-/// compared on a known device.
-#[derive(Debug, Clone, clap::Args)]
-#[command(next_help_heading = "Device")]
-pub(super) struct BenchDeviceArgs {
-    /// Device of lowrank and auto (gpu computes in f32; the other methods run on the CPU)
-    #[arg(long, default_value = "cpu", value_parser = device_parser(["cpu", "gpu"]))]
-    pub(super) device: Device,
-    /// GPU to use: a part of its name, or its backend [default: the first that psfield devices
-    /// lists]
-    #[arg(long, value_name = "NAME", hide_short_help = true)]
-    pub(super) gpu_adapter: Option<String>,
-}
-
-impl BenchDeviceArgs {
-    /// Returns an error message if options do not fit together. `single` is true for precision f32.
-    pub(super) fn misused(&self, single: bool) -> Option<&'static str> {
-        match self.device {
-            Device::Cpu if self.gpu_adapter.is_some() => Some("--gpu-adapter applies only to --device gpu"),
-            Device::Gpu if !single => Some("--device gpu computes in f32: leave --precision f64 out"),
-            _ => None,
-        }
     }
 }

@@ -101,7 +101,7 @@ impl Output {
         let stamps = evaluate(model, positions?, on_pixels)?;
         let rows = MeasureOptions::default().cube(stamps.stamps(), Some(stamps.positions().as_slice()));
         let path = self.path("psf_measurements.csv");
-        psf_io::write_csv(path, &MEASUREMENT_COLUMNS, &rows, self.overwrite)?;
+        psf_io::write_csv(path, MEASUREMENT_COLUMNS, &rows, self.overwrite)?;
         self.figure("psf_field.svg", psf_field(stamps.stamps(), frame))?;
         let of = |value: fn(&Measurement) -> Option<f64>| Summary::of(rows.iter().filter_map(value));
         Ok([

@@ -29,12 +29,6 @@ pub(super) struct FrameArgs {
 }
 
 impl FrameArgs {
-    /// Returns the first given option that applies only to frames.
-    pub(super) fn given(&self) -> Option<&'static str> {
-        let sources = self.sources.is_some().then_some("--sources");
-        sources.or(self.coverage.is_some().then_some("--coverage"))
-    }
-
     pub(super) fn run(&self, path: &Path, asked: &SampleArgs, context: &Context) -> anyhow::Result<()> {
         let seed = asked.seed(false, "for a frame")?;
         let spinner = context.spinner("finding stars");
@@ -45,7 +39,7 @@ impl FrameArgs {
             .with_context(|| format!("in {}", path.display()))?;
         psf_io::write_together(|| -> anyhow::Result<()> {
             if let Some(path) = &self.sources {
-                psf_io::write_csv(path, &SOURCE_COLUMNS, &found.sources, asked.overwrite)?;
+                psf_io::write_csv(path, SOURCE_COLUMNS, &found.sources, asked.overwrite)?;
             }
             if let Some(path) = &self.coverage {
                 write_coverage(path, &found.coverage, asked.overwrite)?;

@@ -59,11 +59,8 @@ pub(crate) struct SampleArgs {
     /// (--registration) cannot be held out.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     hold_out: Option<u16>,
-    #[arg(
-        long,
-        value_name = "N",
-        help = format!("Seed that chooses the PSFs of --hold-out and --verify [default: {}]", defaults().seed)
-    )]
+    /// Seed that chooses the PSFs of --hold-out and --verify [default: {seed}]
+    #[arg(long, value_name = "N")]
     seed: Option<u64>,
     #[command(flatten)]
     telescope: TelescopeArgs,
@@ -79,20 +76,25 @@ impl SampleArgs {
     pub(crate) fn run(mut self, context: &Context) -> anyhow::Result<()> {
         match self.input.clone() {
             Some(path) if is_frame(&path, self.stars.extension.is_some())? => {
+                let mut given = context.given.of_group::<TelescopeArgs>();
                 if let (Some(threshold), None) = (self.telescope.threshold, self.stars.detection_threshold) {
                     context.note(&old_names::note(
                         "--threshold of a frame",
                         "--detection-threshold",
                     ));
                     self.stars.detection_threshold = Some(threshold);
-                    self.telescope.threshold = None;
+                    given.retain(|option| option != "--threshold");
                 }
-                refuse(self.telescope.given(), "a frame", "telescopes")?;
+                refuse(&given, "a frame", "telescopes")?;
                 self.frame.run(&path, &self, context)
             }
             _ => {
-                let given = self.frame.given().or(self.stars.given()).or(self.mask.given());
-                refuse(given, "a telescope", "frames")?;
+                let given = [
+                    context.given.of_group::<FrameArgs>(),
+                    context.given.of_group::<StarArgs>(),
+                    context.given.of_group::<MaskArgs>(),
+                ];
+                refuse(&given.concat(), "a telescope", "frames")?;
                 self.telescope.run(&self, context)
             }
         }
@@ -105,7 +107,7 @@ impl SampleArgs {
                 "--seed chooses the PSFs of --hold-out, which is not given, {what}"
             )));
         }
-        Ok(self.seed.unwrap_or(defaults().seed))
+        Ok(self.seed.unwrap_or(SamplingOptions::default().seed))
     }
 
     /// The file of --hold-out, next to the output. `None` without this option.
@@ -153,17 +155,12 @@ fn is_frame(path: &Path, chosen: bool) -> anyhow::Result<bool> {
     }
 }
 
-/// Refuses a given option that applies only to inputs of another kind (`kind`).
-fn refuse(given: Option<&str>, input: &str, kind: &str) -> Result<(), UsageError> {
-    match given {
+/// Refuses given options that apply only to inputs of another kind (`kind`).
+fn refuse(given: &[String], input: &str, kind: &str) -> Result<(), UsageError> {
+    match given.first() {
         None => Ok(()),
         Some(option) => Err(UsageError(format!(
             "{option} applies only to {kind}, but the input is {input}: leave this option out"
         ))),
     }
-}
-
-/// The defaults that the help texts state.
-fn defaults() -> SamplingOptions {
-    SamplingOptions::default()
 }

@@ -5,15 +5,15 @@ use std::path::Path;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use psf_optics::{OpticsError, Telescope};
 use psf_sample::{
-    AdaptiveSampling, Criterion, DifferenceMeasure, KrigingSampling, Refinement, SampleError, Sampling,
-    SamplingOptions, SamplingOutcome, Verification, hold_out,
+    Criterion, DifferenceMeasure, Refinement, SampleError, Sampling, SamplingOptions, SamplingOutcome,
+    Verification, hold_out,
 };
 use psf_types::{Position, PsfSamples, PsfSource, StateKind};
 
-use super::{SampleArgs, defaults};
+use super::SampleArgs;
 use crate::UsageError;
 use crate::context::{Context, object};
-use crate::values::{Pair, above_zero};
+use crate::values::{above_zero, pair};
 
 /// The parser of `--method`.
 fn method() -> impl TypedValueParser<Value = Refinement> {
@@ -46,52 +46,26 @@ pub(super) struct TelescopeArgs {
     /// Use a built-in telescope instead of a file
     #[arg(long, value_enum, conflicts_with = "input")]
     preset: Option<Preset>,
-    #[arg(
-        long,
-        value_parser = method(),
-        help = format!("Way to choose positions [default: {}, or mesh with --criterion or --start]", Refinement::default())
-    )]
+    /// Way to choose positions [default: {method}, or mesh with --criterion or --start]
+    #[arg(long, value_parser = method())]
     method: Option<Refinement>,
-    #[arg(
-        long,
-        value_name = "X",
-        value_parser = above_zero,
-        help = format!("Largest error of a predicted PSF, as a fraction of its norm [default: {}]", defaults().threshold)
-    )]
+    /// Largest error of a predicted PSF, as a fraction of its norm [default: {threshold}]
+    #[arg(long, value_name = "X", value_parser = above_zero)]
     pub(super) threshold: Option<f64>,
-    #[arg(
-        long,
-        value_parser = measure(),
-        hide_short_help = true,
-        help = format!("Norm in which PSFs are compared [default: {}]", defaults().measure)
-    )]
+    /// Norm in which PSFs are compared [default: {measure}]
+    #[arg(long, value_parser = measure(), hide_short_help = true)]
     measure: Option<DifferenceMeasure>,
-    #[arg(
-        long,
-        value_name = "N",
-        help = format!("PSFs drawn at random at the end, to verify the threshold (0: none) [default: {}]", KrigingSampling::DEFAULT_VERIFY)
-    )]
+    /// PSFs drawn at random at the end, to verify the threshold (0: none) [default: {verify}]
+    #[arg(long, value_name = "N")]
     verify: Option<u16>,
-    #[arg(
-        long,
-        value_parser = criterion(),
-        hide_short_help = true,
-        help = format!("For the method mesh: quantity that must not exceed --threshold [default: {}]", Criterion::default())
-    )]
+    /// For the method mesh: quantity that must not exceed --threshold [default: {criterion}]
+    #[arg(long, value_parser = criterion(), hide_short_help = true)]
     criterion: Option<Criterion>,
-    #[arg(
-        long,
-        value_name = "NX,NY",
-        allow_hyphen_values = true,
-        hide_short_help = true,
-        help = format!("For the method mesh: coarse grid from which refinement starts [default: {0},{0}]", AdaptiveSampling::DEFAULT_START)
-    )]
-    start: Option<Pair>,
-    #[arg(
-        long,
-        value_name = "N",
-        help = format!("Stop with an error if more PSFs must be drawn [default: {}]", defaults().max_draws)
-    )]
+    /// For the method mesh: coarse grid from which refinement starts [default: {start},{start}]
+    #[arg(long, value_name = "NX,NY", value_parser = pair, allow_hyphen_values = true, hide_short_help = true)]
+    start: Option<(usize, usize)>,
+    /// Stop with an error if more PSFs must be drawn [default: {max_draws}]
+    #[arg(long, value_name = "N")]
     max_draws: Option<usize>,
     /// If --threshold is not met, write the samples drawn so far, with a warning
     #[arg(long, hide_short_help = true)]
@@ -100,9 +74,10 @@ pub(super) struct TelescopeArgs {
     #[arg(
         long,
         value_name = "NX,NY",
+        value_parser = pair,
         conflicts_with_all = ["method", "criterion", "threshold", "verify", "start", "max_draws", "accept_cap"]
     )]
-    uniform: Option<Pair>,
+    uniform: Option<(usize, usize)>,
     /// Draw the PSF at these wavelengths, two or more (micrometres)
     ///
     /// Diffraction and seeing depend on the wavelength. The positions are chosen at the telescope's own
@@ -131,25 +106,6 @@ impl Preset {
 }
 
 impl TelescopeArgs {
-    /// Returns the first given option that applies only to telescopes.
-    pub(super) fn given(&self) -> Option<&'static str> {
-        [
-            ("--preset", self.preset.is_some()),
-            ("--method", self.method.is_some()),
-            ("--threshold", self.threshold.is_some()),
-            ("--measure", self.measure.is_some()),
-            ("--verify", self.verify.is_some()),
-            ("--criterion", self.criterion.is_some()),
-            ("--start", self.start.is_some()),
-            ("--max-draws", self.max_draws.is_some()),
-            ("--accept-cap", self.accept_cap),
-            ("--uniform", self.uniform.is_some()),
-            ("--wavelengths", !self.wavelengths.is_empty()),
-        ]
-        .into_iter()
-        .find_map(|(name, given)| given.then_some(name))
-    }
-
     pub(super) fn run(&self, asked: &SampleArgs, context: &Context) -> anyhow::Result<()> {
         let telescope = match (&asked.input, self.preset) {
             (Some(path), _) => {
@@ -259,17 +215,17 @@ impl TelescopeArgs {
     }
 
     fn options(&self, asked: &SampleArgs) -> Result<SamplingOptions, UsageError> {
-        let defaults = defaults();
+        let defaults = SamplingOptions::default();
         let mut options = SamplingOptions {
             refinement: self.method,
             criterion: self.criterion,
             measure: self.measure.unwrap_or(defaults.measure),
             threshold: self.threshold.unwrap_or(defaults.threshold),
-            start: self.start.map(|Pair(nx, ny)| (nx, ny)),
+            start: self.start,
             max_draws: self.max_draws.unwrap_or(defaults.max_draws),
             verify: self.verify.map(usize::from),
             seed: defaults.seed,
-            uniform: self.uniform.map(|Pair(nx, ny)| (nx, ny)),
+            uniform: self.uniform,
         };
         let verifies = options.uniform.is_none() && options.refinement() == Refinement::Kriging;
         options.seed = asked.seed(verifies, "and of the method kriging, which is not used")?;

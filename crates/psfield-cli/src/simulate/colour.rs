@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::Context as _;
+use clap::builder::{StringValueParser, TypedValueParser};
 use conv_core::ConvReal;
 use psf_io::{Card, CardValue};
 use psf_types::FrameShape;
@@ -14,7 +14,7 @@ use crate::context::Context;
 use crate::files::{BandpassName, FileUses, Layer, SpectrumName};
 use crate::simulate::SimulateArgs;
 use crate::simulate::prepared::warn_of_coarse_stamps;
-use crate::simulate::scene::{ReadScene, SceneArgs, with_nan_as};
+use crate::simulate::scene::{ReadScene, SceneArgs};
 
 /// The bandpass of the image, and the spectra of the light.
 #[derive(Debug, Clone, clap::Args)]
@@ -28,7 +28,7 @@ pub(super) struct ColourArgs {
     ///
     /// Each source then has the PSF of its own spectrum: the mean over its detected photons. Fluxes
     /// are those in the bandpass.
-    #[arg(long, value_name = "FILE[:UNIT]")]
+    #[arg(long, value_name = "FILE[:UNIT]", value_parser = StringValueParser::new().map(BandpassName))]
     pub(super) bandpass: Option<BandpassName>,
     /// Spectrum of SCENE.fits, and of catalogues without a column sed or teff
     ///
@@ -39,7 +39,7 @@ pub(super) struct ColourArgs {
     ///
     /// A catalogue may have a column sed with the name of each source's spectrum, or a column teff with
     /// the temperature of a black body (kelvin).
-    #[arg(long, value_name = "SPECTRUM", requires = "bandpass")]
+    #[arg(long, value_name = "SPECTRUM", requires = "bandpass", value_parser = StringValueParser::new().map(SpectrumName))]
     pub(super) sed: Option<SpectrumName>,
     /// Dispersion of the atmosphere: zenith=DEG,scale=ARCSEC and more
     ///
@@ -72,13 +72,6 @@ pub(super) struct ColourArgs {
 }
 
 impl SimulateArgs {
-    /// Returns an error message if the options of colours do not fit together with others.
-    pub(super) fn misused_colour(&self) -> Option<String> {
-        self.colour.bandpass.as_ref()?;
-        let lacks = !self.colour.layer.is_empty() && self.scene.scene.is_none();
-        lacks.then(|| "--layer needs a first image (SCENE.fits), whose spectrum is --sed".to_owned())
-    }
-
     /// The PSF of the scene's light: that of the file or, with a bandpass, those of the spectra.
     pub(super) fn psf_of<T: ConvReal>(
         &self,
@@ -94,7 +87,7 @@ impl SimulateArgs {
             warn_of_coarse_stamps("--dispersion", psf, context);
         }
         let _spinner = context.spinner("mixing wavelengths");
-        let mixed = light.psf_of(psf, &open_bandpass(bandpass)?, dispersion);
+        let mixed = light.psf_of(psf, &open_bandpass(&bandpass.0)?, dispersion);
         mixed.map_err(|error| self.explained(error))
     }
 }
@@ -120,26 +113,8 @@ impl SceneArgs {
         read: &mut ReadScene<T>,
     ) -> anyhow::Result<()> {
         for layer in &colour.layer {
-            let (name, file) = (&layer.spectrum, layer.image.display());
-            let mut reader = self.open(&layer.image)?;
-            if by_rows {
-                let Some(spectrum) = read.light.add_streamed(Some(name)) else {
-                    anyhow::bail!(
-                        "{file}: another image has the spectrum {name}, too: add them up before they are streamed"
-                    );
-                };
-                let (expected, found) = (read.files.shape, reader.shape());
-                if expected != found {
-                    anyhow::bail!("{file}: the image has {found} pixels, but the first image has {expected}");
-                }
-                read.rows.push((spectrum, reader));
-                continue;
-            }
-            let pixels = reader.read_rows(0..reader.shape().ny());
-            let pixels = pixels.map_err(|error| with_nan_as(error, &reader))?;
-            read.files.nan_pixels += reader.nan_pixels();
-            let added = read.light.add_image(Some(name), pixels);
-            added.with_context(|| file.to_string())?;
+            let reader = self.open(&layer.image)?;
+            read.add_image(reader, &layer.image, Some(&layer.spectrum), by_rows)?;
         }
         Ok(())
     }

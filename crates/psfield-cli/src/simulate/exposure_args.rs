@@ -48,7 +48,7 @@ pub(super) struct ExposureArgs {
 /// A detector and its output files.
 pub(super) struct Exposing {
     detector: Detector,
-    files: ExposureFiles,
+    pub(super) files: ExposureFiles,
     seed: u64,
 }
 
@@ -94,11 +94,6 @@ impl ExposureArgs {
 }
 
 impl Exposing {
-    /// Returns whether the noise-free image is written, too.
-    pub(super) fn writes_truth(&self) -> bool {
-        self.files.truth.is_some()
-    }
-
     /// The detector for one frame of a series, with the exposure time of the series.
     pub(super) fn for_frame(
         &self,

@@ -10,7 +10,7 @@ mod series;
 
 use std::path::PathBuf;
 
-use conv_core::{ConvReal, PlanOptions, PlanSummary};
+use conv_core::{ConvReal, PlanSummary};
 use psf_io::Card;
 use psf_types::{Anchor, ToleranceOn};
 use psfield::image_cards::{JOB_KEYWORD, PSF_FILE_KEYWORD};
@@ -18,7 +18,7 @@ use psfield::{ErrorKind, Method, PsfieldError, SimulateOptions};
 use psfield_lab::{available_memory_bytes, peak_memory_bytes};
 
 use crate::UsageError;
-use crate::context::{Context, message_of, signature, signature_of, with_option};
+use crate::context::{Context, GivenOptions, message_of, signature, signature_of, with_option};
 use crate::devices::DeviceArgs;
 use crate::files::OutputFile;
 use crate::psf_args::PsfArgs;
@@ -28,7 +28,7 @@ use crate::simulate::exposure_args::ExposureArgs;
 use crate::simulate::prepared::timed;
 use crate::simulate::report::Seconds;
 use crate::simulate::scene::{ReadFiles, SceneArgs};
-use crate::values::{Frame, Precision, bytes, stamp_size, text_of_bytes, tolerance};
+use crate::values::{Precision, bytes, stamp_size, tolerance};
 
 pub(crate) use crate::simulate::prepared::Simulators;
 pub(crate) use crate::simulate::report::{Report, verdict};
@@ -59,17 +59,12 @@ pub(crate) struct SimulateArgs {
     scene: SceneArgs,
     #[command(flatten)]
     colour: ColourArgs,
-    #[arg(
-        long,
-        value_name = "T",
-        value_parser = tolerance,
-        help_heading = ACCURACY,
-        help = tolerance_help(),
-        long_help = format!(
-            "{}\n\nAt least 0 and below 1. With 0, only rounding limits the accuracy. Applies only to the methods auto and lowrank.",
-            tolerance_help()
-        )
-    )]
+    /// Largest relative L2 error that the convolution adds to the PSF of any pixel or star [default:
+    /// {tolerance}]
+    ///
+    /// At least 0 and below 1. With 0, only rounding limits the accuracy. Applies only to the methods
+    /// auto and lowrank.
+    #[arg(long, value_name = "T", value_parser = tolerance, help_heading = ACCURACY)]
     tolerance: Option<f64>,
     #[arg(
         long,
@@ -152,18 +147,15 @@ pub(crate) struct SimulateArgs {
         hide_short_help = true
     )]
     stamp_size: Option<usize>,
-    #[arg(
-        long,
-        value_name = "SIZE",
-        value_parser = bytes,
-        help_heading = MEMORY,
-        hide_short_help = true,
-        help = memory_help(),
-        long_help = format!(
-            "{}\n\nThe default has room for two images of the frame and for the stamps of the PSF model, so it is the same on every machine. Each execution makes again the parts of a plan that exceed the limit, which is slow. The memory of scene and image comes in addition, and so does that of galaxies, which grows with the number of components and with the sizes of the galaxies. Applies only to the methods auto and lowrank.",
-            memory_help()
-        )
-    )]
+    /// Upper limit of the memory for the plan, the prepared PSF data (bytes, or with K, M or G) [default:
+    /// {memory}, and more for large frames and stamps]
+    ///
+    /// The default has room for two images of the frame and for the stamps of the PSF model, so it is the
+    /// same on every machine. Each execution makes again the parts of a plan that exceed the limit, which
+    /// is slow. The memory of scene and image comes in addition, and so does that of galaxies, which grows
+    /// with the number of components and with the sizes of the galaxies. Applies only to the methods auto
+    /// and lowrank.
+    #[arg(long, value_name = "SIZE", value_parser = bytes, help_heading = MEMORY, hide_short_help = true)]
     memory: Option<usize>,
     /// Read the scene and write the image in bands of rows
     ///
@@ -190,24 +182,10 @@ pub(crate) struct SimulateArgs {
 const ACCURACY: &str = "Accuracy and method";
 const MEMORY: &str = "Memory";
 
-fn tolerance_help() -> String {
-    format!(
-        "Largest relative L2 error that the convolution adds to the PSF of any pixel or star [default: {:e}]",
-        SimulateOptions::default().tolerance
-    )
-}
-
 fn tolerance_on_help() -> String {
     format!(
         "Errors of the PSF that --tolerance bounds [default: {}]",
         SimulateOptions::default().tolerance_on
-    )
-}
-
-fn memory_help() -> String {
-    format!(
-        "Upper limit of the memory for the plan, the prepared PSF data (bytes, or with K, M or G) [default: {}, and more for large frames and stamps]",
-        text_of_bytes(PlanOptions::DEFAULT_MEMORY_BYTES)
     )
 }
 
@@ -219,6 +197,9 @@ const IN_MEMORY: f64 = 0.7;
 
 impl SimulateArgs {
     pub(crate) fn run(self, context: &Context) -> anyhow::Result<()> {
+        if let Some(what) = self.misused(&context.given) {
+            return Err(UsageError(what).into());
+        }
         let report = self.simulate(&mut Simulators::default(), context)?;
         context.report(&report, || report.text())?;
         report.verdict()
@@ -228,9 +209,6 @@ impl SimulateArgs {
     ///
     /// The image is written even if its spot check fails. [`Report::verdict`] returns this failure.
     pub(crate) fn simulate(&self, simulators: &mut Simulators, context: &Context) -> anyhow::Result<Report> {
-        if let Some(what) = self.misused() {
-            return Err(UsageError(what).into());
-        }
         let simulated = match self.precision {
             Precision::F32 => self.simulate_in::<f32>(simulators, context),
             Precision::F64 => self.simulate_in::<f64>(simulators, context),
@@ -262,7 +240,7 @@ impl SimulateArgs {
     }
 
     /// Returns an error message if options do not fit together.
-    pub(crate) fn misused(&self) -> Option<String> {
+    pub(crate) fn misused(&self, given: &GivenOptions) -> Option<String> {
         let planned = self.method.has_plan();
         let first = if self.tolerance.is_some() && !planned {
             Some("--tolerance applies only to the methods auto and lowrank")
@@ -279,8 +257,10 @@ impl SimulateArgs {
         } else {
             self.device.misused(planned, self.precision == Precision::F32)
         };
-        let first = first.map(str::to_owned).or_else(|| self.misused_colour());
-        self.scene.missing().or(first)
+        let only_layers = !self.colour.layer.is_empty() && self.scene.scene.is_none();
+        let first = first
+            .or(only_layers.then_some("--layer needs a first image (SCENE.fits), whose spectrum is --sed"));
+        self.scene.missing(given).or(first.map(str::to_owned))
     }
 
     /// The settings of the simulator.
@@ -295,7 +275,7 @@ impl SimulateArgs {
             oversample: self.scene.finer(),
             scene_pixels: self.scene.pixels(),
             stamp_size: self.stamp_size,
-            frame: self.scene.frame.map(|Frame(frame)| frame),
+            frame: self.scene.frame,
             ..defaults
         })
     }
@@ -357,11 +337,11 @@ impl SimulateArgs {
     /// Notes the size of a frame that the user did not give, and warns of columns of the catalogue that
     /// change a source but are not read.
     fn note_of_scene(&self, read: &ReadFiles, context: &Context) {
-        if let (Some(path), [_, ..]) = (&self.scene.catalog, &read.left_out.columns[..]) {
+        if let (Some(path), [_, ..]) = (&self.scene.catalog, &read.ignored_columns[..]) {
             context.warn(&format!(
                 "{}: not read, though they may change the sources: the columns {}",
                 path.display(),
-                read.left_out.columns.join(", ")
+                read.ignored_columns.join(", ")
             ));
         }
         if self.scene.scene.is_none() && self.scene.shape.is_none() {
@@ -400,8 +380,8 @@ impl SimulateArgs {
             shape: [shape.nx(), shape.ny()],
             sources: read.sources.0,
             galaxies: read.sources.1,
-            invalid_rows: read.left_out.invalid_rows,
-            rows_off_projection: read.left_out.rows_off_projection,
+            invalid_rows: read.invalid_rows,
+            rows_off_projection: read.rows_off_projection,
             nan_pixels: outcome.nan_pixels,
             streamed: false,
             plan: plan.cloned(),
@@ -444,7 +424,7 @@ impl SimulateArgs {
             return false;
         };
         let shown = match self.scene.frame {
-            Some(Frame(frame)) => frame.shape().pixel_count() * self.scene.finer().pow(2),
+            Some(frame) => frame.shape().pixel_count() * self.scene.finer().pow(2),
             None => reader.shape().pixel_count(),
         };
         let images = 1 + self.colour.layer.len();

@@ -7,14 +7,14 @@ use conv_core::ConvReal;
 use psf_io::{
     Card, CardValue, Catalog, CatalogOptions, HduChoice, HeaderCards, ImageReader, IoError, SkyCoordinates,
 };
-use psf_types::FrameShape;
+use psf_types::{FrameShape, PixelRegion};
 use psfield::{SceneLight, ScenePixels, SimulateOptions, Simulator};
 
 use crate::UsageError;
-use crate::context::{with_nan_setting, with_option};
+use crate::context::{GivenOptions, with_nan_setting, with_option};
 use crate::simulate::colour::{ColourArgs, folder_of};
 use crate::table_args::TableArgs;
-use crate::values::{Frame, Pair, number};
+use crate::values::{number, pair, region};
 
 /// The scene: an image, a catalogue, or both.
 #[derive(Debug, Clone, clap::Args)]
@@ -42,11 +42,12 @@ pub(super) struct SceneArgs {
     #[arg(
         long,
         value_name = "NX,NY",
+        value_parser = pair,
         conflicts_with = "scene",
         allow_hyphen_values = true,
         help_heading = SCENE
     )]
-    pub(super) shape: Option<Pair>,
+    pub(super) shape: Option<(usize, usize)>,
     /// Scene pixels per pixel of the output image along each axis [default: 1]
     ///
     /// From 1 to 64. For scenes that are images. Stars and galaxies of a catalogue do not depend on
@@ -76,11 +77,12 @@ pub(super) struct SceneArgs {
     #[arg(
         long,
         value_name = "X0,Y0,NX,NY",
+        value_parser = region,
         allow_hyphen_values = true,
         help_heading = SCENE,
         hide_short_help = true
     )]
-    pub(super) frame: Option<Frame>,
+    pub(super) frame: Option<PixelRegion>,
     /// HDU of the scene (or of --wcs): its number (0: primary), NAME or NAME,VERSION [default: the
     /// primary image, else the only one]
     #[arg(long, value_name = "N|NAME", help_heading = SCENE)]
@@ -136,8 +138,12 @@ pub(super) struct ReadFiles {
     pub(super) shape: FrameShape,
     /// The header of the scene's image or of the file `--wcs`.
     pub(super) header: HeaderCards,
-    /// Rows and columns that were left out of the catalogue.
-    pub(super) left_out: LeftOut,
+    /// The number of invalid rows that were left out of the catalogue.
+    pub(super) invalid_rows: usize,
+    /// The number of rows of the catalogue at positions on the sky that the projection does not reach.
+    pub(super) rows_off_projection: usize,
+    /// The columns of the catalogue that change a source and were not read.
+    pub(super) ignored_columns: Vec<String>,
     /// NaN pixels of the images that `--nan-as` has replaced. 0 if the images are read by rows.
     pub(super) nan_pixels: usize,
     /// The numbers of stars and galaxies.
@@ -149,7 +155,9 @@ impl<T: ConvReal> ReadScene<T> {
         let files = ReadFiles {
             shape,
             header,
-            left_out: LeftOut::default(),
+            invalid_rows: 0,
+            rows_off_projection: 0,
+            ignored_columns: Vec::new(),
             nan_pixels: 0,
             sources: (0, 0),
         };
@@ -159,26 +167,36 @@ impl<T: ConvReal> ReadScene<T> {
             files,
         }
     }
-}
 
-/// Rows and columns that were left out of a catalogue.
-#[derive(Debug, Clone, Default)]
-pub(super) struct LeftOut {
-    /// The number of invalid rows.
-    pub(super) invalid_rows: usize,
-    /// The number of rows at positions on the sky that the projection does not reach.
-    pub(super) rows_off_projection: usize,
-    /// The columns that change a source and were not read.
-    pub(super) columns: Vec<String>,
-}
-
-impl LeftOut {
-    fn of(catalog: &Catalog) -> Self {
-        Self {
-            invalid_rows: catalog.invalid_rows(),
-            rows_off_projection: catalog.rows_off_projection(),
-            columns: catalog.ignored_columns().to_vec(),
+    /// Adds an image of the scene's light, which may have a spectrum. If `by_rows`, its pixels are read
+    /// later.
+    pub(super) fn add_image(
+        &mut self,
+        mut reader: ImageReader,
+        path: &Path,
+        spectrum: Option<&str>,
+        by_rows: bool,
+    ) -> anyhow::Result<()> {
+        let file = path.display();
+        if by_rows {
+            let Some(layer) = self.light.add_streamed(spectrum) else {
+                let name = spectrum.unwrap_or_default();
+                anyhow::bail!(
+                    "{file}: another image has the spectrum {name}, too: add them up before they are streamed"
+                );
+            };
+            let (expected, found) = (self.files.shape, reader.shape());
+            if expected != found {
+                anyhow::bail!("{file}: the image has {found} pixels, but the first image has {expected}");
+            }
+            self.rows.push((layer, reader));
+            return Ok(());
         }
+        let pixels = reader.read_rows(0..reader.shape().ny());
+        let pixels = pixels.map_err(|error| with_nan_as(error, &reader))?;
+        self.files.nan_pixels += reader.nan_pixels();
+        let added = self.light.add_image(spectrum, pixels);
+        added.with_context(|| file.to_string())
     }
 }
 
@@ -192,7 +210,7 @@ pub(super) fn with_nan_as(error: IoError, reader: &ImageReader) -> IoError {
 
 impl SceneArgs {
     /// Returns an error message if the options do not fit together.
-    pub(super) fn missing(&self) -> Option<String> {
+    pub(super) fn missing(&self, given: &GivenOptions) -> Option<String> {
         if self.extension.is_some() && self.scene.is_none() && self.wcs.is_none() {
             return Some("--extension needs a scene (SCENE.fits) or --wcs".to_owned());
         }
@@ -208,9 +226,9 @@ impl SceneArgs {
                  (SCENE.fits --catalog STARS.csv)"
                     .to_owned(),
             ),
-            (Some(_), None, _) => self
-                .columns
-                .given()
+            (Some(_), None, _) => given
+                .of_group::<CatalogArgs>()
+                .first()
                 .map(|option| format!("{option} needs a catalogue (--catalog)")),
             _ => None,
         }
@@ -244,7 +262,7 @@ impl SceneArgs {
             const NEEDED: &str = "--bandpass needs the spectrum of SCENE.fits: --sed SPECTRUM (or a cube with cards SED1, SED2, ...)";
             return Err(UsageError(NEEDED.to_owned()).into());
         }
-        let default = colour.sed.as_deref();
+        let default = colour.sed.as_ref().map(|sed| sed.0.as_str());
         let mut read = match cube {
             Some(cube) => cube,
             None => self.read_image(default, by_rows, field)?,
@@ -253,7 +271,9 @@ impl SceneArgs {
         let catalog = self.read_catalog(&read.files.header, |options| {
             more(options.with_colours(in_colour))
         })?;
-        read.files.left_out = LeftOut::of(&catalog);
+        read.files.invalid_rows = catalog.invalid_rows();
+        read.files.rows_off_projection = catalog.rows_off_projection();
+        read.files.ignored_columns = catalog.ignored_columns().to_vec();
         read.files.sources = (catalog.stars().len(), catalog.galaxies().len());
         if !in_colour {
             read.light.set_catalog(catalog);
@@ -289,18 +309,10 @@ impl SceneArgs {
                 header,
             ));
         };
-        let mut reader = self.open(path)?;
+        let reader = self.open(path)?;
         let (shape, header) = (reader.shape(), reader.header().clone());
         let mut read = ReadScene::new(SceneLight::new(), shape, header);
-        if by_rows {
-            let layer = read.light.add_streamed(spectrum);
-            read.rows.push((layer.expect("the first image"), reader));
-            return Ok(read);
-        }
-        let pixels = reader.read_rows(0..shape.ny());
-        let pixels = pixels.map_err(|error| with_nan_as(error, &reader))?;
-        read.files.nan_pixels = reader.nan_pixels();
-        read.light.add_image(spectrum, pixels)?;
+        read.add_image(reader, path, spectrum, by_rows)?;
         Ok(read)
     }
 
@@ -311,8 +323,8 @@ impl SceneArgs {
 
     /// The shape of a scene without an image, in its own pixels.
     fn dark_shape<T: ConvReal>(&self, field: Option<FrameShape>) -> anyhow::Result<FrameShape> {
-        let field = field.map(|field| Pair(field.nx(), field.ny()));
-        let Some(Pair(nx, ny)) = self.shape.or(field) else {
+        let field = field.map(|field| (field.nx(), field.ny()));
+        let Some((nx, ny)) = self.shape.or(field) else {
             const NEEDED: &str = "a catalogue without an image needs the size of the scene: --shape NX,NY (the PSF file \
                                   does not state a field)";
             return Err(UsageError(NEEDED.to_owned()).into());
@@ -400,15 +412,6 @@ impl CatalogArgs {
             Some(zero_point) => options.with_zero_point(zero_point)?,
             None => options,
         })
-    }
-
-    /// Returns the name of the first option that was given.
-    pub(crate) fn given(&self) -> Option<&'static str> {
-        let table = self.table.given();
-        let zero_point = self.zero_point.is_some().then_some("--zero-point");
-        table
-            .or(zero_point)
-            .or(self.skip_invalid.then_some("--skip-invalid"))
     }
 }
 

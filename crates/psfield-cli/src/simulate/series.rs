@@ -109,17 +109,17 @@ struct PointingTable {
     path: Option<PathBuf>,
 }
 
-/// The files that are written with each frame.
-#[derive(Clone, Copy)]
-struct BesideFrames {
-    truth: bool,
-    sources: bool,
-}
-
-/// Options of `simulate` that a series sets itself.
-const OF_SERIES: [&str; 2] = ["output", "truth"];
-/// Options of `simulate` that a series does not support.
-const UNSUPPORTED: [&str; 2] = ["quality", "stream"];
+/// Options of `simulate` that a series refuses, and why.
+const REFUSED: [(&str, &str); 5] = [
+    ("output", "cannot be set: the series names its files itself"),
+    ("truth", "cannot be set: the series names its files itself"),
+    (
+        "overwrite",
+        "applies to the whole series: psfield series --overwrite",
+    ),
+    ("quality", "cannot be used in a series: use psfield simulate"),
+    ("stream", "cannot be used in a series: use psfield simulate"),
+];
 
 impl SeriesArgs {
     pub(crate) fn run(self, context: &Context) -> anyhow::Result<()> {
@@ -151,24 +151,8 @@ impl SeriesArgs {
     fn options(&self, file: &SeriesFile, folder: &Path) -> Result<(SimulateArgs, Vec<PathBuf>), String> {
         let in_table = |what: String| format!("[simulate]: {what}");
         let mut options: Settings = settings(file.simulate.clone(), folder).map_err(in_table)?;
-        for name in OF_SERIES {
-            if options.has(name) {
-                return Err(in_table(format!(
-                    "{name} cannot be set: the series names its files itself"
-                )));
-            }
-        }
-        if options.has("overwrite") {
-            return Err(in_table(
-                "overwrite applies to the whole series: psfield series --overwrite".to_owned(),
-            ));
-        }
-        for name in UNSUPPORTED {
-            if options.has(name) {
-                return Err(in_table(format!(
-                    "{name} cannot be used in a series: use psfield simulate"
-                )));
-            }
+        if let Some((name, why)) = REFUSED.iter().find(|(name, _)| options.has(name)) {
+            return Err(in_table(format!("{name} {why}")));
         }
         let first = self.frame(0).display().to_string();
         options
@@ -183,29 +167,21 @@ impl SeriesArgs {
 
     /// Checks, before any work, that no output replaces an input, and that no output exists unless
     /// --overwrite is given.
-    fn check_outputs(
+    fn check_outputs<'a>(
         &self,
-        inputs: &[PathBuf],
-        exposures: usize,
-        beside_frames: BesideFrames,
+        inputs: impl Iterator<Item = &'a Path>,
+        outputs: &HashSet<PathBuf>,
     ) -> anyhow::Result<()> {
         let mut uses = FileUses::default();
         for input in inputs {
             uses.read(input, "an input of the series");
         }
-        let outputs = (0..exposures).flat_map(|number| {
-            let frame = self.frame(number);
-            let truth = beside_frames.truth.then(|| beside(&frame, "truth"));
-            let sources = beside_frames.sources.then(|| self.sources(number));
-            [Some(frame), truth, sources].into_iter().flatten()
-        });
         // Only outputs that exist can be inputs. So the others, which may be many, need no look.
-        let names: HashSet<PathBuf> = outputs.collect();
         let folder = || format!("{}: the folder cannot be read", self.out.display());
         let entries = std::fs::read_dir(&*self.out).with_context(folder)?;
         let found: std::io::Result<Vec<PathBuf>> = entries.map(|entry| Ok(entry?.path())).collect();
         let mut found = found.with_context(folder)?;
-        found.retain(|path| names.contains(path));
+        found.retain(|path| outputs.contains(path));
         found.sort();
         for output in &found {
             uses.write(output, "another output").map_err(UsageError)?;
@@ -254,18 +230,19 @@ impl SeriesArgs {
         options.warn_of_empty_catalog(read.files.sources, context);
         let spectra = read.light.spectra();
         let of_spectra = spectra.iter().filter_map(|name| spectrum_file(name));
-        let inputs: Vec<PathBuf> = inputs
-            .iter()
-            .cloned()
-            .chain(of_spectra.map(PathBuf::from))
-            .collect();
+        let inputs = inputs.iter().map(PathBuf::as_path);
         std::fs::create_dir_all(&*self.out)
             .with_context(|| format!("{}: the folder cannot be made", self.out.display()))?;
-        let beside_frames = BesideFrames {
-            truth: exposing.as_ref().is_some_and(Exposing::writes_truth),
-            sources: with_sources,
-        };
-        self.check_outputs(&inputs, count, beside_frames)?;
+        let with_truth = exposing
+            .as_ref()
+            .is_some_and(|exposing| exposing.files.truth.is_some());
+        let outputs = (0..count).flat_map(|number| {
+            let frame = self.frame(number);
+            let truth = with_truth.then(|| beside(&frame, "truth"));
+            let sources = with_sources.then(|| self.sources(number));
+            [Some(frame), truth, sources].into_iter().flatten()
+        });
+        self.check_outputs(inputs.chain(of_spectra.map(Path::new)), &outputs.collect())?;
         let psf = options.psf_of(&psf, &read.light, context)?;
         let shape = (read.files.shape.ny(), read.files.shape.nx());
         let made = SeriesFrames::new(&psf, shape, options.options(), series, read.light);
@@ -327,16 +304,10 @@ impl SeriesArgs {
         };
         let [dx, dy] = exposure.shift_px;
         let mut cards = exposure_time_cards(start, times)?.to_vec();
-        cards.push(psf_io::Card::new(
-            "SHIFTX",
-            dx,
-            "[pixel] mean shift by the pointing",
-        )?);
-        cards.push(psf_io::Card::new(
-            "SHIFTY",
-            dy,
-            "[pixel] mean shift by the pointing",
-        )?);
+        for (keyword, shift) in [("SHIFTX", dx), ("SHIFTY", dy)] {
+            let card = psf_io::Card::new(keyword, shift, "[pixel] mean shift by the pointing");
+            cards.push(card?);
+        }
         let of_frame = SimulateArgs {
             output: OutputFile::from(frame.into_os_string()),
             overwrite: self.overwrite,

@@ -126,8 +126,10 @@ impl ValidateArgs {
             }
             _ => match Psf::open(reference).map_err(without_option)?.samples() {
                 Some((samples, _)) => {
-                    let given = self.window.map(|_| "--window");
-                    if let Some(option) = given.or(self.mask.given()).or(self.stars.given()) {
+                    let mut given = context.given.of_group::<MaskArgs>();
+                    given.extend(context.given.of_group::<StarArgs>());
+                    let window = self.window.map(|_| "--window".to_owned());
+                    if let Some(option) = window.as_ref().or(given.first()) {
                         let text =
                             format!("{option} applies only to frames: PSFs are compared on all their pixels");
                         return Err(UsageError(text).into());

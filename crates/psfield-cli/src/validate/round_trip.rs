@@ -113,7 +113,7 @@ fn write(trip: &RoundTrip, header: &HeaderCards, summary: &str, folder: &ReportF
     let cards = signature();
     let overwrite = folder.overwrite;
     write_samples(&at("samples.fits"), &trip.stars.samples, overwrite)?;
-    psf_io::write_csv(at("sources.csv"), &SOURCE_COLUMNS, &trip.stars.sources, overwrite)?;
+    psf_io::write_csv(at("sources.csv"), SOURCE_COLUMNS, &trip.stars.sources, overwrite)?;
     write_coverage(&at("coverage.fits"), &trip.stars.coverage, overwrite)?;
     psf_io::write_model(
         at("model.fits"),

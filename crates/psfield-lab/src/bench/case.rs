@@ -63,8 +63,8 @@ const WAVE: f64 = 7.0;
 /// [`DataError`] if two samples at different positions move to one position.
 pub fn stretched(record: &PsfModelRecord, frame: FrameShape) -> Result<PsfModelRecord, DataError> {
     let [x, y] = Position::bounds(record.coefficients().positions().as_slice());
-    let (x, y) = (Stretch::new(x, frame.nx()), Stretch::new(y, frame.ny()));
-    placed(record, frame, |p| [x.apply(p.x()), y.apply(p.y())])
+    let (x, y) = (stretch(x, frame.nx()), stretch(y, frame.ny()));
+    placed(record, frame, |p| [x(p.x()), y(p.y())])
 }
 
 /// Moves the samples of a model to other positions on a frame.
@@ -82,12 +82,9 @@ pub(super) fn placed(
     let positions = positions.collect::<Result<_, _>>()?;
     let positions = SamplePositions::with_states(positions, Some(frame), states)?;
     let values = record.coefficients().values().to_owned();
-    PsfModelRecord::new(
+    record.with_parts(
         record.basis().clone(),
         SampleCoefficients::new(values, positions)?,
-        record.interpolation(),
-        record.outside(),
-        record.normalisation(),
     )
 }
 
@@ -108,27 +105,14 @@ pub(crate) fn random_position(frame: FrameShape, rng: &mut ChaCha8Rng) -> Result
 }
 
 /// Maps the extent of the samples along an axis to the extent of the frame.
-struct Stretch {
-    low: f64,
-    extent: f64,
-    last: f64,
-}
-
-impl Stretch {
-    fn new((low, high): (f64, f64), pixels: usize) -> Self {
-        Self {
-            low,
-            extent: high - low,
-            last: (pixels - 1) as f64,
-        }
-    }
-
-    fn apply(&self, coordinate: f64) -> f64 {
-        if self.extent > 0.0 {
+fn stretch((low, high): (f64, f64), pixels: usize) -> impl Fn(f64) -> f64 {
+    let last = (pixels - 1) as f64;
+    move |coordinate| {
+        if high > low {
             // Rounding must not move the last sample off the frame.
-            ((coordinate - self.low) / self.extent * self.last).min(self.last)
+            ((coordinate - low) / (high - low) * last).min(last)
         } else {
-            self.last / 2.0
+            last / 2.0
         }
     }
 }

@@ -136,7 +136,7 @@ impl Contender {
 /// A contender that is planned and ready to run.
 #[derive(Debug)]
 pub(super) struct PlannedContender<T: ConvReal> {
-    simulator: Simulator<T>,
+    pub(super) simulator: Simulator<T>,
     /// The results. The run times and the error are 0 or None until they are measured.
     pub(super) row: BenchRow,
 }
@@ -191,11 +191,6 @@ impl<T: ConvReal> PlannedContender<T> {
             gpu_seconds: None,
         };
         Ok(Self { simulator, row })
-    }
-
-    /// Makes the image of a scene ([`timed_run`]).
-    pub(super) fn run(&self, scene: &Scene<'_, T>, image: &mut Array2<T>) -> Result<RunTime, PsfieldError> {
-        timed_run(&self.simulator, scene, image)
     }
 }
 

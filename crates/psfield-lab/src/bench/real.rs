@@ -3,6 +3,8 @@
 
 use std::time::Instant;
 
+use metrics::Summary;
+use ndarray::Array2;
 use psf_types::{FrameShape, NoProgress, Progress, PsfModelRecord};
 use psfield::{Psf, PsfieldError};
 use rand::SeedableRng;
@@ -13,7 +15,7 @@ use crate::bench::real_case::{RealCase, RealGroup, RealPsf};
 use crate::bench::real_colours::black_bodies;
 use crate::bench::real_scenes::{CaseSimulator, Scenes, mirrored, of_frame};
 use crate::bench::real_series::{SeriesCase, psf_of_times};
-use crate::bench::run::{median, relative_l2, runs_per_turn};
+use crate::bench::run::{relative_l2, runs_per_turn};
 use crate::bench::{BenchOptions, Contender};
 use crate::memory::PeakMemory;
 
@@ -138,8 +140,27 @@ struct Timed<'a> {
     later: Vec<f64>,
 }
 
-fn is_series(group: RealGroup) -> bool {
-    matches!(group, RealGroup::Series | RealGroup::StarSeries)
+impl<'a> Timed<'a> {
+    /// Runs a simulator for the first time.
+    fn new(
+        simulator: CaseSimulator,
+        fields: &'a [Psf],
+        scenes: &Scenes,
+        image: &mut Array2<f32>,
+    ) -> Result<Self, PsfieldError> {
+        Ok(Self {
+            first: scenes.seconds(&simulator, fields, image)?,
+            simulator,
+            fields,
+            later: Vec::new(),
+        })
+    }
+
+    /// The seconds of the later runs, or of the first run if it is the only one.
+    fn summary(&self) -> Result<Summary, PsfieldError> {
+        let only = self.later.is_empty().then_some(self.first);
+        Ok(Summary::of(self.later.iter().copied().chain(only))?)
+    }
 }
 
 /// Makes the simulator of a case and its plan. Series make their plans in each run.
@@ -149,7 +170,7 @@ fn planned(
     scenes: &Scenes,
     (frame, options): (FrameShape, &BenchOptions),
 ) -> Result<CaseSimulator, PsfieldError> {
-    if is_series(case.group) {
+    if matches!(case.group, RealGroup::Series | RealGroup::StarSeries) {
         let scene = (&scenes.get(0)?, (frame.ny(), frame.nx()));
         let series = SeriesCase::new(psf, scene, AUTO.settings(options), case.amount as usize)?;
         return Ok(CaseSimulator::Series(Box::new(series)));
@@ -202,11 +223,11 @@ fn measured(
 
     let memory = PeakMemory::start();
     let (psf, simulator, mut seconds_model, mut seconds_plan) = made()?;
-    let first = scenes.seconds(&simulator, fields, &mut image)?;
+    let mut whole = Timed::new(simulator, fields, &scenes, &mut image)?;
     let peak_memory_bytes = memory.bytes();
 
     let pixels = scenes.pixels(options);
-    let exact = exact(&simulator, &scenes, fields, &pixels)?;
+    let exact = exact(&whole.simulator, &scenes, fields, &pixels)?;
     let relative_l2 = relative_l2(&image, &pixels, &exact);
 
     for _ in 1..options.repeat {
@@ -214,51 +235,39 @@ fn measured(
         seconds_model = seconds_model.min(of_model);
         seconds_plan = seconds_plan.min(of_plan);
     }
-    let timed = |simulator, fields, first| Timed {
-        simulator,
-        fields,
-        first,
-        later: Vec::new(),
-    };
-    let at_rest = match &simulator {
-        CaseSimulator::Series(series) => Some(series.at_rest()?),
-        CaseSimulator::Images(_) => None,
-    };
-    let mut all = vec![timed(simulator, fields, first)];
-    if let Some(series) = at_rest {
-        let series = CaseSimulator::Series(Box::new(series));
-        let first = scenes.seconds(&series, &[], &mut image)?;
-        all.push(timed(series, &[], first));
+    let (mut single, mut simpler) = (None, None);
+    let mut timed = |simulator| Timed::new(simulator, &[], &scenes, &mut image).map(Some);
+    if let CaseSimulator::Series(series) = &whole.simulator {
+        simpler = timed(CaseSimulator::Series(Box::new(series.at_rest()?)))?;
     } else if scenes.get(0)?.has_image() {
-        let psf = match case.group {
-            RealGroup::Colours => psf.at_state(0.0)?,
-            _ => psf,
+        let in_colour = case.group == RealGroup::Colours;
+        let psf = if in_colour { psf.at_state(0.0)? } else { psf };
+        let made = |contender: Contender| -> Result<_, PsfieldError> {
+            let simulator = contender.simulator(record, &psf, frame, options)?;
+            Ok(CaseSimulator::Images(Box::new(simulator)))
         };
-        let mut others = vec![Contender::Single];
-        if case.group == RealGroup::Colours {
-            others.push(AUTO);
-        }
-        for other in others {
-            let simulator = Box::new(other.simulator(record, &psf, frame, options)?);
-            let simulator = CaseSimulator::Images(simulator);
-            let first = scenes.seconds(&simulator, &[], &mut image)?;
-            all.push(timed(simulator, &[], first));
+        single = timed(made(Contender::Single)?)?;
+        if in_colour {
+            simpler = timed(made(AUTO)?)?;
         }
     }
     for _ in 0..options.repeat.max(1) {
-        for timed in all.iter_mut().filter(|timed| timed.first <= LONG_SECONDS) {
+        let all = [Some(&mut whole), single.as_mut(), simpler.as_mut()];
+        for timed in all
+            .into_iter()
+            .flatten()
+            .filter(|timed| timed.first <= LONG_SECONDS)
+        {
             for _ in 0..runs_per_turn(timed.first) {
                 let seconds = scenes.seconds(&timed.simulator, timed.fields, &mut image)?;
                 timed.later.push(seconds);
             }
         }
     }
-    for timed in &mut all {
-        if timed.later.is_empty() {
-            timed.later.push(timed.first);
-        }
-        timed.later.sort_by(f64::total_cmp);
-    }
+    let seconds = whole.summary()?;
+    let fastest = |timed: Option<Timed<'_>>| -> Result<_, PsfieldError> {
+        timed.map(|timed| Ok(timed.summary()?.min())).transpose()
+    };
     Ok(RealRow {
         group: case.group,
         psf: case.psf.to_string(),
@@ -267,16 +276,11 @@ fn measured(
         unit: case.group.unit(),
         seconds_model,
         seconds_plan,
-        seconds_first: first,
-        seconds: all[0].later[0],
-        seconds_median: median(&all[0].later),
-        seconds_single: all
-            .get(1)
-            .filter(|_| !is_series(case.group))
-            .map(|single| single.later[0]),
-        seconds_simpler: all
-            .get(if is_series(case.group) { 1 } else { 2 })
-            .map(|one| one.later[0]),
+        seconds_first: whole.first,
+        seconds: seconds.min(),
+        seconds_median: seconds.median(),
+        seconds_single: fastest(single)?,
+        seconds_simpler: fastest(simpler)?,
         relative_l2,
         peak_memory_bytes,
     })

@@ -71,49 +71,40 @@ pub(super) struct Scenes {
 impl Scenes {
     pub(super) fn new(case: &RealCase, frame: FrameShape, seed: u64) -> Result<Self, PsfieldError> {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
-        let mut scenes = Self {
-            frame,
-            count: 1,
-            layers: 1,
-            image: None,
-            stars: Vec::new(),
-            galaxies: Vec::new(),
+        let amount = case.amount as usize;
+        let (count, layers) = match case.group {
+            RealGroup::Frames | RealGroup::Fields => (amount, 1),
+            RealGroup::Colours => (1, amount),
+            _ => (1, 1),
         };
-        let sources = 0..case.amount as usize;
-        match case.group {
-            RealGroup::Pixels | RealGroup::Series => {
-                scenes.image = Some(lit_scene(frame, seed)?.into_pixels());
-            }
-            RealGroup::Light => {
-                let mut image = lit_scene(frame, seed)?.into_pixels();
+        let (stars, galaxies) = match case.group {
+            RealGroup::Stars => (amount, 0),
+            RealGroup::StarSeries => (STARS_OF_SERIES, 0),
+            RealGroup::Galaxies => (0, amount),
+            _ => (0, 0),
+        };
+        let image = if stars + galaxies == 0 {
+            let rows = FrameShape::new(frame.nx(), frame.ny() + count + layers - 2)?;
+            let mut image = lit_scene(rows, seed)?.into_pixels();
+            if case.group == RealGroup::Light {
                 let lit = case.amount / 100.0;
                 image.mapv_inplace(|v| if rng.random_bool(lit) { v } else { 0.0 });
-                scenes.image = Some(image);
             }
-            RealGroup::Stars => {
-                scenes.stars = sources.map(|_| star(frame, &mut rng)).collect::<Result<_, _>>()?;
-            }
-            RealGroup::StarSeries => {
-                let stars = (0..STARS_OF_SERIES).map(|_| star(frame, &mut rng));
-                scenes.stars = stars.collect::<Result<_, _>>()?;
-            }
-            RealGroup::Galaxies => {
-                scenes.galaxies = sources
-                    .map(|_| galaxy(frame, &mut rng))
-                    .collect::<Result<_, _>>()?;
-            }
-            RealGroup::Frames | RealGroup::Fields => {
-                scenes.count = sources.len();
-                let rows = FrameShape::new(frame.nx(), frame.ny() + scenes.count - 1)?;
-                scenes.image = Some(lit_scene(rows, seed)?.into_pixels());
-            }
-            RealGroup::Colours => {
-                scenes.layers = sources.len();
-                let rows = FrameShape::new(frame.nx(), frame.ny() + scenes.layers - 1)?;
-                scenes.image = Some(lit_scene(rows, seed)?.into_pixels());
-            }
-        }
-        Ok(scenes)
+            Some(image)
+        } else {
+            None
+        };
+        let stars = (0..stars).map(|_| star(frame, &mut rng));
+        let stars = stars.collect::<Result<_, _>>()?;
+        let galaxies = (0..galaxies).map(|_| galaxy(frame, &mut rng));
+        Ok(Self {
+            frame,
+            count,
+            layers,
+            image,
+            stars,
+            galaxies: galaxies.collect::<Result<_, _>>()?,
+        })
     }
 
     /// Scene `k`.

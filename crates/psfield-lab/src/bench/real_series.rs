@@ -40,6 +40,7 @@ pub(super) fn psf_of_times(exposures: usize) -> Result<PsfModelRecord, PsfieldEr
 }
 
 /// The images of a series.
+#[derive(Clone)]
 pub(super) struct SeriesCase {
     psf: Psf,
     shape: (usize, usize),
@@ -80,20 +81,15 @@ impl SeriesCase {
 
     /// This series without drift, through the PSF of the first time: one plan and as many executions.
     pub(super) fn at_rest(&self) -> Result<Self, PsfieldError> {
-        let mut series = self.series.clone();
-        series.pointing.drift_px_per_s = [0.0; 2];
-        Ok(Self {
-            psf: self.psf.at_state(0.0)?,
-            series,
-            options: self.options.clone(),
-            light: self.light.clone(),
-            ..*self
-        })
+        let mut at_rest = self.clone();
+        at_rest.psf = self.psf.at_state(0.0)?;
+        at_rest.series.pointing.drift_px_per_s = [0.0; 2];
+        Ok(at_rest)
     }
 
     fn frames(&self) -> Result<SeriesFrames<f32>, PsfieldError> {
-        let (options, series) = (self.options.clone(), self.series.clone());
-        SeriesFrames::new(&self.psf, self.shape, options, series, self.light.clone())
+        let of = self.clone();
+        SeriesFrames::new(&of.psf, of.shape, of.options, of.series, of.light)
     }
 
     /// Makes all images, the last in the array `image`. Returns the seconds of all plans and images.

@@ -1,7 +1,8 @@
 //! Runs all contenders in turn and measures them.
 
 use conv_core::{ConvReal, Direct};
-use ndarray::Array2;
+use metrics::{Comparison, Summary};
+use ndarray::{Array1, Array2, ArrayView1};
 use psf_types::{Anchor, Image, NoProgress, Progress, PsfModel, ToleranceOn};
 use psfield::device::{GpuSeconds, open_gpu};
 use psfield::evaluate::check_frame_on_field;
@@ -11,7 +12,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde::Serialize;
 
-use crate::bench::contender::PlannedContender;
+use crate::bench::contender::{PlannedContender, timed_run};
 use crate::bench::{BenchCase, Contender};
 use crate::memory::PeakMemory;
 
@@ -218,7 +219,7 @@ pub fn run<T: ConvReal>(
     for contender in chosen {
         let memory = PeakMemory::start();
         let mut contender = PlannedContender::new(contender, case, &psf, options)?;
-        let warm = contender.run(&scene, &mut image)?;
+        let warm = timed_run(&contender.simulator, &scene, &mut image)?;
         contender.row.relative_l2 = relative_l2(&image, &pixels, &exact);
         contender.row.peak_memory_bytes = memory.bytes();
         planned.push((contender, runs_per_turn(warm.seconds), Vec::new()));
@@ -227,7 +228,7 @@ pub fn run<T: ConvReal>(
     for _ in 0..repeat {
         for (contender, runs_per_turn, runs) in &mut planned {
             for _ in 0..*runs_per_turn {
-                runs.push(contender.run(&scene, &mut image)?);
+                runs.push(timed_run(&contender.simulator, &scene, &mut image)?);
             }
             progress.advance(1);
         }
@@ -238,7 +239,7 @@ pub fn run<T: ConvReal>(
         let unit = single.map_or(runs[0].seconds, |single| single.seconds);
         outcome.rows.push(BenchRow {
             seconds: runs[0].seconds,
-            seconds_median: median(&runs.iter().map(|run| run.seconds).collect::<Vec<_>>()),
+            seconds_median: Summary::of(runs.iter().map(|run| run.seconds))?.median(),
             ratio_to_single: runs[0].seconds / unit,
             gpu_seconds: runs[0].gpu,
             ..contender.row
@@ -254,12 +255,9 @@ pub(super) fn relative_l2<T: ConvReal>(
     pixels: &[(usize, usize)],
     exact: &[f64],
 ) -> Option<f64> {
-    let (mut error, mut norm) = (0.0, 0.0);
-    for (&(x, y), exact) in pixels.iter().zip(exact) {
-        error += (image[[y, x]].as_f64() - exact).powi(2);
-        norm += exact * exact;
-    }
-    (norm > 0.0).then(|| (error / norm).sqrt())
+    let found: Array1<T> = pixels.iter().map(|&(x, y)| image[[y, x]]).collect();
+    let comparison = Comparison::of(found.view(), ArrayView1::from(exact)).ok()?;
+    comparison.relative_l2().ok()
 }
 
 /// Returns the reason why a contender cannot take part, if there is one.
@@ -283,16 +281,6 @@ fn reason_to_skip<T: ConvReal>(
     })
 }
 
-/// The median of ascending values.
-pub(super) fn median(sorted: &[f64]) -> f64 {
-    let half = sorted.len() / 2;
-    if sorted.len().is_multiple_of(2) {
-        f64::midpoint(sorted[half - 1], sorted[half])
-    } else {
-        sorted[half]
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -304,12 +292,5 @@ mod tests {
         assert_eq!(error(&[(1, 0)], &[2.5]), Some(0.2));
         assert_eq!(error(&[(1, 0), (0, 1)], &[2.0, 3.0]), Some(0.0));
         assert_eq!(error(&[(1, 1)], &[0.0]), None);
-    }
-
-    #[test]
-    fn medians() {
-        assert_eq!(median(&[1.0, 2.0, 9.0]), 2.0);
-        assert_eq!(median(&[1.0, 2.0, 4.0, 9.0]), 3.0);
-        assert_eq!(median(&[5.0]), 5.0);
     }
 }

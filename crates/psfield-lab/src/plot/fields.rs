@@ -6,15 +6,11 @@ use psf_types::{FrameShape, Position};
 use super::{Axis, Chart, Curve, Marker, Scale};
 use crate::preview::Picture;
 
-/// The axes of a frame. `room` is the space around the frame, as a fraction of its sides.
-fn axes(nx: usize, ny: usize, room: f64) -> [Axis; 2] {
-    let axis = |name, n: f64| Axis::linear(name).within(-room * n - 0.5, (1.0 + room) * n - 0.5);
-    [axis("x (pixels)", nx as f64), axis("y (pixels)", ny as f64)]
-}
-
 impl Chart {
+    /// A chart of a frame. `room` is the space around the frame, as a fraction of its sides.
     fn of_field(title: &str, (nx, ny): (usize, usize), room: f64, curves: Vec<Curve>) -> Self {
-        let [x, y] = axes(nx, ny, room);
+        let axis = |name, n: f64| Axis::linear(name).within(-room * n - 0.5, (1.0 + room) * n - 0.5);
+        let (x, y) = (axis("x (pixels)", nx as f64), axis("y (pixels)", ny as f64));
         Self {
             aspect: (ny as f64 / nx.max(1) as f64).clamp(0.3, 2.0),
             ..Self::new(title, x, y, curves)

@@ -5,7 +5,7 @@ use ndarray::ArrayView2;
 use psf_types::Position;
 use serde::Serialize;
 
-table_row! {
+psf_types::table_row! {
     /// An object, measured in the same way in the same window of its simulated and of its true
     /// image. The fields of a failed measurement are None. `note` gives the reason if a Gaussian
     /// fit or the comparison of the two windows failed.

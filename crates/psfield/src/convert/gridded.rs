@@ -1,10 +1,10 @@
 //! Converts a PSF to a gridded library.
 
 use conv_core::{edge_reach, resample_samples};
-use ndarray::{Array2, Zip};
+use ndarray::Array2;
 use psf_types::{Interpolation, Position, PsfSamples, StampGrid, StampInterpolation};
 
-use super::samples::{SamplesAt, to_samples, with_centre_in_the_middle};
+use super::samples::{SamplesAt, relative_error, to_samples, with_centre_in_the_middle};
 use crate::error::{ErrorKind, PsfieldError};
 use crate::psf::Psf;
 
@@ -131,12 +131,7 @@ fn midway_error(psf: &Psf, nodes: &PsfSamples) -> Result<f64, PsfieldError> {
             }
             let middle = Position::new(f64::midpoint(x[0], x[1]), f64::midpoint(y[0], y[1]))?;
             let truth = model.psf_at(middle)?;
-            let (mut rest, mut whole) = (0.0, 0.0);
-            Zip::from(&mean).and(truth.values()).for_each(|a, b| {
-                rest += (a - b) * (a - b);
-                whole += b * b;
-            });
-            largest = largest.max((rest / whole).sqrt());
+            largest = largest.max(relative_error(mean.view(), truth.values()));
         }
     }
     Ok(largest)

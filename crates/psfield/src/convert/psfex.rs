@@ -8,7 +8,7 @@ use psf_types::{
     Interpolation, Normalisation, OutsidePolicy, Position, PsfModelRecord, PsfSamples, StampInterpolation,
 };
 
-use super::samples::{SamplesAt, to_samples, with_centre_in_the_middle};
+use super::samples::{SamplesAt, relative_error, to_samples, with_centre_in_the_middle};
 use crate::error::{ErrorKind, PsfieldError};
 use crate::evaluate::{EvaluateOptions, evaluate};
 use crate::fit::model_of;
@@ -143,13 +143,9 @@ fn polynomial_samples(record: &PsfModelRecord, degree: usize) -> Result<PsfSampl
         .iter()
         .flat_map(|&y| columns.iter().map(move |&x| Position::new(x, y)))
         .collect();
-    let bare = PsfModelRecord::new(
-        record.basis().clone(),
-        record.coefficients().clone(),
-        record.interpolation(),
-        OutsidePolicy::Extend,
-        Normalisation::Keep,
-    )?;
+    let bare = record
+        .clone()
+        .with_policies(OutsidePolicy::Extend, Normalisation::Keep);
     evaluate(&model_of(bare)?, positions?, EvaluateOptions::default())
 }
 
@@ -218,9 +214,7 @@ fn max_error(model: &PsfexModel, samples: &PsfSamples) -> Result<f64, PsfieldErr
         .zip(samples.stamps().outer_iter())
     {
         let found = model.psf_at(position)?;
-        let squares = |values: &mut dyn Iterator<Item = f64>| values.map(|v| v * v).sum::<f64>();
-        let rest = squares(&mut found.values().iter().zip(&truth).map(|(a, b)| a - b));
-        largest = largest.max((rest / squares(&mut truth.iter().copied())).sqrt());
+        largest = largest.max(relative_error(found.values(), truth));
     }
     Ok(largest)
 }

@@ -1,7 +1,7 @@
 //! Converts a PSF to samples, and pads stamps so that their centre is in the middle.
 
-use ndarray::{Array3, s};
-use psf_types::{Normalisation, Position, PsfSamples, StampGrid};
+use ndarray::{Array3, ArrayView2, Zip, s};
+use psf_types::{Normalisation, Position, PsfSamples};
 
 use crate::error::{ErrorKind, PsfieldError};
 use crate::evaluate::EvaluateOptions;
@@ -82,6 +82,16 @@ fn evenly((low, high): (f64, f64), count: usize) -> Vec<f64> {
     }
 }
 
+/// The relative L2 error of a stamp.
+pub(super) fn relative_error(stamp: ArrayView2<'_, f64>, truth: ArrayView2<'_, f64>) -> f64 {
+    let (mut rest, mut whole) = (0.0, 0.0);
+    Zip::from(stamp).and(truth).for_each(|a, b| {
+        rest += (a - b) * (a - b);
+        whole += b * b;
+    });
+    (rest / whole).sqrt()
+}
+
 /// Pads stamps with zeros to an odd size, so that the centre is the middle pixel. The two
 /// conventions for the centre, `n / 2` and `(n - 1) / 2`, then mean the same pixel.
 ///
@@ -100,10 +110,7 @@ pub(super) fn with_centre_in_the_middle(
     };
     let reach = |centre: usize, n: usize| centre.max(n - 1 - centre);
     let (rx, ry) = (reach(cx, grid.nx()), reach(cy, grid.ny()));
-    let wide = StampGrid::new(2 * rx + 1, 2 * ry + 1)?
-        .with_oversampling(grid.oversampling())?
-        .with_pixel_response_included(grid.pixel_response_included())
-        .with_interpolation(grid.interpolation());
+    let wide = grid.with_size(2 * rx + 1, 2 * ry + 1)?;
     if wide == grid {
         return Ok(samples);
     }
@@ -118,7 +125,7 @@ pub(super) fn with_centre_in_the_middle(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use psf_types::SamplePositions;
+    use psf_types::{SamplePositions, StampGrid};
 
     fn samples(grid: StampGrid) -> PsfSamples {
         let positions = SamplePositions::new(vec![Position::of_pixel(0, 0)], None).unwrap();

@@ -66,10 +66,7 @@ fn methods_for(positions: &SamplePositions) -> Vec<Interpolation> {
         Interpolation::Nearest,
     ];
     let states = positions.state_count();
-    let on_grid = (0..states).all(|state| match positions.states() {
-        Some(_) => RegularGrid::detect(&positions.of_state(state)).is_ok(),
-        None => RegularGrid::detect(positions).is_ok(),
-    });
+    let on_grid = (0..states).all(|state| RegularGrid::detect(&positions.of_state(state)).is_ok());
     if on_grid {
         methods.extend([Interpolation::Bilinear, Interpolation::Bicubic]);
     }

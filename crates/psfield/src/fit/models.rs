@@ -2,9 +2,7 @@
 
 use std::sync::Arc;
 
-use psf_types::{
-    CoefficientField, Interpolation, OutsidePolicy, PsfModel, PsfModelRecord, SampleCoefficients,
-};
+use psf_types::{CoefficientField, PsfModel, PsfModelRecord, SampleCoefficients};
 
 use crate::error::PsfieldError;
 
@@ -15,7 +13,7 @@ use crate::error::PsfieldError;
 /// [`PsfieldError`] when the interpolation does not suit the positions, or when the record has
 /// several states.
 pub fn model_of(record: PsfModelRecord) -> Result<PsfModel, PsfieldError> {
-    let field = field_of(record.coefficients(), record.interpolation(), record.outside())?;
+    let field = field_of(&record, record.coefficients())?;
     Ok(record.into_model(field)?)
 }
 
@@ -46,18 +44,14 @@ pub(crate) fn models_on(
 
 /// The coefficient field of a state. 0 if the PSF depends on the position only.
 fn state_field(record: &PsfModelRecord, state: usize) -> Result<Arc<dyn CoefficientField>, PsfieldError> {
-    let coefficients = record.coefficients();
-    let (interpolation, outside) = (record.interpolation(), record.outside());
-    match coefficients.positions().states() {
-        None => field_of(coefficients, interpolation, outside),
-        Some(_) => field_of(&coefficients.of_state(state), interpolation, outside),
-    }
+    field_of(record, &record.coefficients().of_state(state))
 }
 
+/// Interpolates coefficients as the record says.
 fn field_of(
+    record: &PsfModelRecord,
     coefficients: &SampleCoefficients,
-    interpolation: Interpolation,
-    outside: OutsidePolicy,
 ) -> Result<Arc<dyn CoefficientField>, PsfieldError> {
-    Ok(coeff_field::interpolation(interpolation)?.interpolate(coefficients, outside)?)
+    let method = coeff_field::interpolation(record.interpolation())?;
+    Ok(method.interpolate(coefficients, record.outside())?)
 }

@@ -236,11 +236,6 @@ impl LeaveOneOutReport {
             errors,
         }
     }
-
-    pub(super) fn in_folds(self, folds: usize) -> Self {
-        let folds = Some(folds);
-        Self { folds, ..self }
-    }
 }
 
 #[cfg(test)]

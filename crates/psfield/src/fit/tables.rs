@@ -58,7 +58,10 @@ impl Fit {
             None => LeaveOneOutReport::default(),
             Some((values, folds)) => {
                 let left_out = LeaveOneOut::of_predictions(self.record.coefficients(), values)?;
-                LeaveOneOutReport::new(left_out.outcomes(), &self.norms, &self.errors).in_folds(folds)
+                LeaveOneOutReport {
+                    folds: Some(folds),
+                    ..LeaveOneOutReport::new(left_out.outcomes(), &self.norms, &self.errors)
+                }
             }
         };
         let record = tabulated(&self.record, own)?;

@@ -40,14 +40,10 @@ pub fn record_of_psfex(model: &PsfexModel) -> Result<PsfModelRecord, PsfieldErro
     }
     let samples = PsfSamples::new(stamps, SamplePositions::new(nodes, None)?, model.grid())?;
     let degree = model.degree();
-    let nodes = full_basis(samples, Interpolation::Polynomial { degree })?;
-    Ok(PsfModelRecord::new(
-        nodes.basis().clone(),
-        nodes.coefficients().clone(),
-        nodes.interpolation(),
-        OutsidePolicy::Extend,
-        Normalisation::Unit,
-    )?)
+    let record = full_basis(samples, Interpolation::Polynomial { degree })?;
+    Ok(record
+        .with_policies(OutsidePolicy::Extend, Normalisation::Unit)
+        .with_circle_error(None))
 }
 
 /// Turns a field-varying PSF of ScopeSim into a basis of its layers. Each node of the file's map
@@ -71,13 +67,9 @@ pub(super) fn record_of_scopesim(psf: &ScopesimPsf) -> Result<PsfModelRecord, Ps
             SamplePositions::in_every_state(at, field, StateKind::Wavelength, several)?
         }
     };
-    Ok(PsfModelRecord::new(
-        layers.basis().clone(),
-        SampleCoefficients::new(of_nodes, nodes)?,
-        Interpolation::Nearest,
-        OutsidePolicy::Nearest,
-        Normalisation::Unit,
-    )?)
+    let coefficients = SampleCoefficients::new(of_nodes, nodes)?;
+    let record = layers.with_parts(layers.basis().clone(), coefficients)?;
+    Ok(record.with_policies(OutsidePolicy::Nearest, Normalisation::Unit))
 }
 
 /// Fits a basis with all components to samples. The samples are not scaled.

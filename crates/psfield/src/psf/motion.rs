@@ -1,12 +1,12 @@
 //! PSFs of exposures during which the light moves over the frame.
 
 use ndarray::{Array2, ArrayView2};
+use psf_types::StampGrid;
 use psf_types::maths::gauss_legendre;
-use psf_types::{SamplePositions, StampGrid};
 use rustfft::num_complex::Complex64;
 
 use super::Psf;
-use super::resample::{StampChange, native_picks};
+use super::resample::native_picks;
 use crate::error::{ErrorKind, PsfieldError};
 use crate::stamp_plane::{Line, StampPlane, margin_of, widened};
 
@@ -228,12 +228,17 @@ impl Psf {
         if motion.is_none() {
             return Ok(self.clone());
         }
-        let moving = Moving::new(self.grid(), motion.reach())?;
-        let factor = moving.factor(motion, [0.0, 0.0]);
-        self.changed(&Moved {
-            moving: &moving,
-            factor,
-        })
+        self.moved_in(&Moving::new(self.grid(), motion.reach())?, motion)
+    }
+
+    /// Moves the light. The motion must fit into the room.
+    pub(super) fn moved_in(&self, room: &Moving, motion: &Motion) -> Result<Self, PsfieldError> {
+        let (plane, factor) = (&room.plane, room.factor(motion, [0.0, 0.0]));
+        let moved = |stamp: ArrayView2<'_, f64>| {
+            let [moved, _] = plane.inverse(plane.forward(&[stamp], room.margin) * &factor);
+            moved
+        };
+        self.changed(room.target, moved)
     }
 }
 
@@ -285,27 +290,5 @@ impl Moving {
         let lines: Vec<_> = motion.lines.iter().map(scaled).collect();
         let jitter = self.plane.gaussian_factor(motion.jitter_px * s);
         self.plane.shift_factor(&lines) * jitter.mapv(Complex64::from)
-    }
-}
-
-/// Moves stamps.
-pub(super) struct Moved<'a> {
-    pub(super) moving: &'a Moving,
-    pub(super) factor: Array2<Complex64>,
-}
-
-impl StampChange for Moved<'_> {
-    fn target(&self) -> StampGrid {
-        self.moving.target
-    }
-
-    fn stamp(&self, stamp: ArrayView2<'_, f64>, _: StampGrid) -> Array2<f64> {
-        let Moving { plane, margin, .. } = self.moving;
-        let [moved, _] = plane.inverse(plane.forward(&[stamp], *margin) * &self.factor);
-        moved
-    }
-
-    fn positions(&self, positions: &SamplePositions) -> Result<SamplePositions, PsfieldError> {
-        Ok(positions.clone())
     }
 }

@@ -236,7 +236,6 @@ mod tests {
     use psf_types::{SampleStates, StateKind};
 
     use super::*;
-    use crate::psf::motion::Moved;
 
     /// Rounding of transforms, relative to the peak.
     const ROUNDING: f64 = 1e-12;
@@ -294,12 +293,7 @@ mod tests {
                 for motion in motions {
                     let found = moving.psf(motion, weights.as_ref()).unwrap().unwrap();
                     let room = Moving::new(psf.grid(), moving.reach).unwrap();
-                    let factor = room.factor(motion, [0.0, 0.0]);
-                    let moved = Moved {
-                        moving: &room,
-                        factor,
-                    };
-                    let expected = mixed.changed(&moved).unwrap().native(None).unwrap();
+                    let expected = mixed.moved_in(&room, motion).unwrap().native(None).unwrap();
                     for (x, y) in AT {
                         let at = Position::new(x + 1.0, y + 2.0).unwrap();
                         let [found, expected] =

@@ -5,8 +5,7 @@ use std::path::Path;
 use psf_basis::{Centring, PixelNoise, RankSelection};
 use psf_io::{FileKind, HduChoice, PlaneOrder, ScopesimOptions, StampCubeOptions};
 use psf_types::{
-    Interpolation, Normalisation, OutsidePolicy, Position, PsfBasis, PsfModelRecord, PsfSamples,
-    SamplePositions, StateKind,
+    Interpolation, Normalisation, OutsidePolicy, Position, PsfBasis, PsfSamples, SamplePositions, StateKind,
 };
 use serde::{Deserialize, Serialize};
 
@@ -284,19 +283,9 @@ impl Psf {
                     );
                     return Err(PsfieldError::of_setting(setting, message));
                 }
-                let chosen = PsfModelRecord::new(
-                    record.basis().clone(),
-                    record.coefficients().clone(),
-                    record.interpolation(),
-                    choices.outside.unwrap_or(record.outside()),
-                    choices.normalisation.unwrap_or(record.normalisation()),
-                )?;
-                let table_of = record.table_of().map(str::to_owned);
-                Origin::Record(
-                    chosen
-                        .with_circle_error(record.circle_error())
-                        .with_table_of(table_of),
-                )
+                let outside = choices.outside.unwrap_or(record.outside());
+                let normalisation = choices.normalisation.unwrap_or(record.normalisation());
+                Origin::Record(record.with_policies(outside, normalisation))
             }
             model @ Origin::Model(..) => model,
         };

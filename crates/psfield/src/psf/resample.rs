@@ -26,7 +26,7 @@ impl Psf {
         if target == self.grid() {
             return Ok(self.clone());
         }
-        self.changed(&Resampling::at_same_places(target))
+        self.resampled(target)
     }
 
     /// Returns whether [`native`](Self::native) only picks pixels of the stamps, without
@@ -71,8 +71,7 @@ impl Psf {
         if self.grid().pixel_response_included() {
             return Ok(self.clone());
         }
-        let target = grid_with_pixel_response(self.grid(), self.edge_reach())?;
-        self.changed(&Resampling::at_same_places(target))
+        self.resampled(grid_with_pixel_response(self.grid(), self.edge_reach())?)
     }
 
     /// Returns this PSF for scenes whose pixels are `finer` times smaller than the frame's. Its
@@ -108,12 +107,21 @@ impl Psf {
         let sampled = target
             .with_oversampling(s)?
             .with_centre(target.centre_x() - between, target.centre_y() - between)?;
-        self.changed(&Resampling {
-            sampled,
-            target,
-            finer,
-            offset_of_field,
+        // Converts values per pixel of the frame to values per pixel of the scene.
+        let stamp = |stamp: ArrayView2<'_, f64>| {
+            StampInterpolator::new(stamp, own).resample((0.0, 0.0), sampled) / (s * s)
+        };
+        self.changed_at(target, stamp, |positions| {
+            finer_positions(positions, finer, offset_of_field)
         })
+    }
+
+    /// Returns this PSF with its stamps resampled to other pixels of the same frame.
+    fn resampled(&self, target: StampGrid) -> Result<Self, PsfieldError> {
+        let own = self.grid();
+        let stamp =
+            |stamp: ArrayView2<'_, f64>| StampInterpolator::new(stamp, own).resample((0.0, 0.0), target);
+        self.changed(target, stamp)
     }
 
     /// Returns this PSF without the response of a pixel of the scene, for scenes whose values are
@@ -122,14 +130,9 @@ impl Psf {
     pub(crate) fn without_scene_pixel(&self) -> Result<Self, PsfieldError> {
         let own = self.grid();
         let margin = ScenePixelFilter::margin_for(self.some_psfs());
-        let at = margin as f64;
-        let target = StampGrid::new(own.nx() + 2 * margin, own.ny() + 2 * margin)?
-            .with_centre(own.centre_x() + at, own.centre_y() + at)?
-            .with_oversampling(own.oversampling())?
-            .with_interpolation(own.interpolation())
-            .with_pixel_response_included(own.pixel_response_included());
         let filter = ScenePixelFilter::new(own.dim(), margin);
-        self.changed(&SceneFilter { filter, target })
+        let target = own.with_margins([margin; 2])?;
+        self.changed(target, |stamp| filter.apply(stamp))
     }
 
     /// PSFs at samples or nodes that are evenly spread over the list of them.
@@ -175,20 +178,41 @@ impl Psf {
         self.derived(record, self.named_source())
     }
 
-    /// Returns this PSF with every stamp changed.
+    /// Returns this PSF with every stamp changed by the linear operation `stamp`, whose results have the
+    /// grid `target`, in the same frame.
+    pub(super) fn changed(
+        &self,
+        target: StampGrid,
+        stamp: impl Fn(ArrayView2<'_, f64>) -> Array2<f64> + Sync,
+    ) -> Result<Self, PsfieldError> {
+        self.changed_at(target, stamp, |positions| Ok(positions.clone()))
+    }
+
+    /// As [`changed`](Self::changed), with `positions` that converts positions to the frame of the new stamps.
     ///
     /// For a model, only the mean and the components are changed. The change and interpolation are
     /// linear, so each PSF of the new model equals the changed PSF of the old model, before the
     /// scaling to unit flux. The scaling is done last, on the new stamps.
-    pub(super) fn changed(&self, change: &dyn StampChange) -> Result<Self, PsfieldError> {
-        let target = change.target();
+    fn changed_at(
+        &self,
+        target: StampGrid,
+        stamp: impl Fn(ArrayView2<'_, f64>) -> Array2<f64> + Sync,
+        positions: impl FnOnce(&SamplePositions) -> Result<SamplePositions, PsfieldError>,
+    ) -> Result<Self, PsfieldError> {
+        let changed = |stamps: ArrayView3<'_, f64>| {
+            let mut changed = Array3::zeros((stamps.dim().0, target.ny(), target.nx()));
+            let pairs: Vec<_> = changed.outer_iter_mut().zip(stamps.outer_iter()).collect();
+            pairs
+                .into_par_iter()
+                .for_each(|(mut to, from)| to.assign(&stamp(from)));
+            changed
+        };
         match &self.0.origin {
             Origin::Samples(samples, options) => {
                 check_stack(samples.len(), samples.grid())?;
                 check_stack(samples.len(), target)?;
-                let stamps = change.stamps(samples.stamps(), samples.grid());
-                let positions = change.positions(samples.positions())?;
-                let samples = PsfSamples::new(stamps, positions, target)?;
+                let positions = positions(samples.positions())?;
+                let samples = PsfSamples::new(changed(samples.stamps()), positions, target)?;
                 Ok(Self::with_source(
                     Origin::Samples(samples, *options),
                     self.named_source(),
@@ -199,12 +223,12 @@ impl Psf {
                 let (basis, nodes) = (record.basis(), record.coefficients());
                 check_stack(basis.rank() + 1, target)?;
                 let made = psf_basis::orthonormal(
-                    basis.mean().map(|mean| change.stamp(mean, basis.grid())),
-                    change.stamps(basis.components(), basis.grid()),
+                    basis.mean().map(&stamp),
+                    changed(basis.components()),
                     nodes.values(),
                     target,
                 )?;
-                let positions = change.positions(nodes.positions())?;
+                let positions = positions(nodes.positions())?;
                 Ok(self.with_record(on_basis(record, made, positions)?))
             }
         }
@@ -218,49 +242,6 @@ pub(super) fn on_basis(
     positions: SamplePositions,
 ) -> Result<PsfModelRecord, PsfieldError> {
     Ok(record.with_parts(basis, SampleCoefficients::new(values, positions)?)?)
-}
-
-/// A linear operation on stamps.
-pub(super) trait StampChange: Sync {
-    /// The pixel grid of the new stamps.
-    fn target(&self) -> StampGrid;
-
-    /// The new stamp.
-    fn stamp(&self, stamp: ArrayView2<'_, f64>, grid: StampGrid) -> Array2<f64>;
-
-    /// Converts positions to the frame of the new stamps.
-    fn positions(&self, positions: &SamplePositions) -> Result<SamplePositions, PsfieldError>;
-
-    /// The new stamps.
-    fn stamps(&self, stamps: ArrayView3<'_, f64>, grid: StampGrid) -> Array3<f64> {
-        let (ny, nx) = self.target().dim();
-        let mut changed = Array3::zeros((stamps.dim().0, ny, nx));
-        let pairs: Vec<_> = changed.outer_iter_mut().zip(stamps.outer_iter()).collect();
-        pairs
-            .into_par_iter()
-            .for_each(|(mut to, stamp)| to.assign(&self.stamp(stamp, grid)));
-        changed
-    }
-}
-
-/// Removes the response of the scene's pixel.
-struct SceneFilter {
-    filter: ScenePixelFilter,
-    target: StampGrid,
-}
-
-impl StampChange for SceneFilter {
-    fn target(&self) -> StampGrid {
-        self.target
-    }
-
-    fn stamp(&self, stamp: ArrayView2<'_, f64>, _: StampGrid) -> Array2<f64> {
-        self.filter.apply(stamp)
-    }
-
-    fn positions(&self, positions: &SamplePositions) -> Result<SamplePositions, PsfieldError> {
-        Ok(positions.clone())
-    }
 }
 
 /// Returns whether the native pixels of stamps are some of their own pixels.
@@ -291,51 +272,6 @@ pub(crate) fn native_grid_of(
     } else {
         native_grid(scaled(grid_with_pixel_response(grid, reach)?)?, 0)?
     })
-}
-
-/// Resamples stamps to other pixels. For a finer scene, also converts positions from the frame (the
-/// old frame) to the scene (the new frame). Otherwise the old and the new frame are equal.
-struct Resampling {
-    /// The grid at whose pixels the PSF is sampled. Its oversampling counts pixels per pixel of the
-    /// old frame.
-    sampled: StampGrid,
-    /// The pixel grid of the new stamps. Its oversampling counts pixels per pixel of the new frame.
-    /// For a finer scene, its centre is on a pixel.
-    target: StampGrid,
-    /// Number of the new frame's pixels along each side of a pixel of the old one.
-    finer: usize,
-    /// The coordinate in the new frame at which the PSF of pixel 0 of the old frame applies.
-    offset_of_field: f64,
-}
-
-impl Resampling {
-    fn at_same_places(target: StampGrid) -> Self {
-        Self {
-            sampled: target,
-            target,
-            finer: 1,
-            offset_of_field: 0.0,
-        }
-    }
-}
-
-impl StampChange for Resampling {
-    fn target(&self) -> StampGrid {
-        self.target
-    }
-
-    fn stamp(&self, stamp: ArrayView2<'_, f64>, grid: StampGrid) -> Array2<f64> {
-        let s = self.finer as f64;
-        // Converts values per pixel of the old frame to values per pixel of the new frame.
-        StampInterpolator::new(stamp, grid).resample((0.0, 0.0), self.sampled) / (s * s)
-    }
-
-    fn positions(&self, positions: &SamplePositions) -> Result<SamplePositions, PsfieldError> {
-        if self.finer == 1 {
-            return Ok(positions.clone());
-        }
-        finer_positions(positions, self.finer, self.offset_of_field)
-    }
 }
 
 /// Converts positions to pixels of the scene. This does not change the interpolated coefficients,

@@ -123,16 +123,16 @@ impl Psf {
     pub(crate) fn several_states(&self) -> PsfieldError {
         let states = self.states().expect("a PSF with several models has states");
         let kind = states.kind();
-        let message = self.in_file(&format!(
-            "this PSF depends on the {kind}: choose one, {}",
-            range_of(states)
-        ));
-        let setting = match kind {
-            StateKind::Wavelength => Some("wavelength_um"),
-            StateKind::Time => Some("time_s"),
-            StateKind::Frame => Some("frame_number"),
-            _ => None,
+        let (setting, or) = match kind {
+            StateKind::Wavelength => (Some("wavelength_um"), ", or give a bandpass"),
+            StateKind::Time => (Some("time_s"), ""),
+            StateKind::Frame => (Some("frame_number"), ""),
+            _ => (None, ""),
         };
+        let range = range_of(states);
+        let message = self.in_file(&format!(
+            "this PSF depends on the {kind}: choose one, {range}{or}"
+        ));
         PsfieldError::new(ErrorKind::Setting, message).with_setting(setting)
     }
 

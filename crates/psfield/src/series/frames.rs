@@ -12,8 +12,7 @@ use psf_types::{Image, Position, Progress, StateKind};
 use super::Series;
 use super::states::{mixed, mixed_kind, represented, weights};
 use crate::error::{ErrorKind, PsfieldError};
-use crate::psf::Psf;
-use crate::psf::{Motion, MovingNative};
+use crate::psf::{Motion, MovingNative, Psf};
 use crate::scene::Scene;
 use crate::scene_light::{LayerSources, SceneLight, Source, sources_of};
 use crate::simulate_options::{Method, SimulateOptions};
@@ -199,15 +198,10 @@ impl<T: ConvReal> SeriesFrames<T> {
                 made.series.light_curves.mean_factor(row, times)?;
             }
         }
-        let SimulateOptions {
-            oversample,
-            stamp_size,
-            method,
-            ..
-        } = made.setup.options();
+        let options = &made.setup.options;
         let kind = mixed_kind(&made.psf);
         let changes = kind.is_some() || !motions.iter().all(Motion::is_none);
-        let is_native = (*oversample, *stamp_size) == (1, None) && method.has_plan();
+        let is_native = (options.oversample, options.stamp_size) == (1, None) && options.method.has_plan();
         let one_layer = kind.is_some() || made.psf.states().is_none();
         if changes && made.has_image() && is_native && one_layer {
             made.native = MovingNative::new(&made.psf, &motions)?;
@@ -293,10 +287,8 @@ impl<T: ConvReal> SeriesFrames<T> {
             Some((before, of_before)) if same(&of_before) => before,
             Some((before, _)) => Arc::new(before.with_parts(parts.clone(), images, progress)?),
             None => {
-                let options = self.setup.options();
-                let method = options.method.without_plan(options.anchor)?;
-                let setup = Setup::new(parts[0].psf(), self.shape, options.clone())?;
-                Arc::new(Simulator::new(setup, parts.clone(), images, method))
+                let options = self.setup.options.clone();
+                Arc::new(Simulator::of_parts(parts.clone(), images, self.shape, options)?)
             }
         };
         self.simulator = Some((Arc::clone(&simulator), parts));
@@ -309,50 +301,40 @@ impl<T: ConvReal> SeriesFrames<T> {
         let weights = weights(&self.psf, &self.series.exposures, number)?;
         let before = self.last[kind].take();
         let before = before.filter(|last| last.motion.equals(&motion));
-        if let Some(last) = before {
-            let in_group = last.group.contains(&number);
-            self.last[kind] = Some(if in_group && last.weights == weights {
-                last
-            } else {
-                let native = self.native_psf(kind, &motion, weights.as_ref())?;
-                self.mixture((kind, number), (weights, native), in_group, last)?
-            });
+        let in_group = before.as_ref().is_some_and(|last| last.group.contains(&number));
+        if in_group && before.as_ref().is_some_and(|last| last.weights == weights) {
+            self.last[kind] = before;
             return Ok(());
         }
-        let native = self.native_psf(kind, &motion, weights.as_ref())?;
-        let images_alone = native.is_some() && self.light.catalog().rows().is_empty();
-        // Images alone need no other stamps than the native ones.
-        let moved = if images_alone {
-            self.psf.clone()
+        // The PSF for images of the exposure, if native stamps are all that it needs.
+        let native = match &self.native {
+            Some(moving) if kind == AT_REST => moving.psf(&motion, weights.as_ref())?,
+            _ => None,
+        };
+        let last = if let Some(last) = before {
+            last
         } else {
-            self.psf.moved(&motion)?
+            let images_alone = native.is_some() && self.light.catalog().rows().is_empty();
+            // Images alone need no other stamps than the native ones.
+            let moved = if images_alone {
+                self.psf.clone()
+            } else {
+                self.psf.moved(&motion)?
+            };
+            let all_states = Arc::new(Part::new(moved.clone()));
+            LastPart {
+                motion,
+                on_pixels: None,
+                weights: None,
+                group: 0..0,
+                part: Arc::clone(&all_states),
+                all_states,
+                moved,
+                images: None,
+            }
         };
-        let all_states = Arc::new(Part::new(moved.clone()));
-        let made = LastPart {
-            motion,
-            on_pixels: None,
-            weights: None,
-            group: 0..0,
-            part: Arc::clone(&all_states),
-            all_states,
-            moved,
-            images: None,
-        };
-        self.last[kind] = Some(self.mixture((kind, number), (weights, native), false, made)?);
+        self.last[kind] = Some(self.mixture((kind, number), (weights, native), in_group, last)?);
         Ok(())
-    }
-
-    /// The PSF for images of an exposure, if native stamps are all that it needs.
-    fn native_psf(
-        &self,
-        kind: usize,
-        motion: &Motion,
-        weights: Option<&Array2<f64>>,
-    ) -> Result<Option<Psf>, PsfieldError> {
-        match &self.native {
-            Some(moving) if kind == AT_REST => moving.psf(motion, weights),
-            _ => Ok(None),
-        }
     }
 
     /// The PSF of a mixture of the states, and its native PSF, if there is one. If it is `in_group`, it uses
@@ -387,7 +369,7 @@ impl<T: ConvReal> SeriesFrames<T> {
         if !in_group {
             last.group = self.group(kind, number, &last.motion)?;
         }
-        let plans_sources = has_sources && self.setup.options().method.has_plan();
+        let plans_sources = has_sources && self.setup.options.method.has_plan();
         last.part = Arc::new(match &weights {
             Some(_) if plans_sources && in_group => last.part.for_other(psf, None, &self.setup)?,
             Some(_) if plans_sources => {
@@ -442,7 +424,7 @@ impl<T: ConvReal> SeriesFrames<T> {
         let moved = if let Some(kept) = kept {
             kept
         } else {
-            let pixels = by.map(|shift| (shift * self.setup.options().oversample as f64) as i64);
+            let pixels = by.map(|shift| (shift * self.setup.options.oversample as f64) as i64);
             let moved = |image: &Image<T>| Image::new(translated(image.pixels(), pixels));
             let moved = self
                 .images

@@ -7,8 +7,7 @@ use psf_types::{SampleStates, StateKind};
 
 use super::exposures::{Exposures, check_covered, cut_at};
 use crate::error::{ErrorKind, PsfieldError};
-use crate::psf::Psf;
-use crate::psf::QUADRATURE;
+use crate::psf::{Psf, QUADRATURE};
 
 /// The exposures of a group whose PSFs its local bases represent. Stars of the others are tested, too.
 const REPRESENTED: usize = 4;

@@ -113,14 +113,8 @@ impl SimulatorBuilder {
         if self.options.method == Method::Own {
             return Err(Method::refused(Method::Own));
         }
-        let method = self.options.method.without_plan(self.options.anchor)?;
-        let setup = Setup::new(&self.psf, self.shape, self.options)?;
-        Ok(Simulator::new(
-            setup,
-            vec![Arc::new(Part::new(self.psf))],
-            None,
-            method,
-        ))
+        let parts = vec![Arc::new(Part::new(self.psf))];
+        Simulator::of_parts(parts, None, self.shape, self.options)
     }
 
     /// Returns a simulator that convolves images by a method that the caller implements. The method also
@@ -144,10 +138,22 @@ impl SimulatorBuilder {
 }
 
 impl<T: ConvReal> Simulator<T> {
-    /// A simulator for the PSFs of these parts. `images` is the PSF on the pixels of the scenes' images, if it
-    /// is made in another way. `method` is None for a method with a plan.
+    /// A simulator for the PSFs of these parts, by a method that is not the caller's own. `images` is the PSF
+    /// on the pixels of the scenes' images, if it is made in another way.
+    pub(crate) fn of_parts(
+        parts: Vec<Arc<Part<T>>>,
+        images: Option<Psf>,
+        shape: (usize, usize),
+        options: SimulateOptions,
+    ) -> Result<Self, PsfieldError> {
+        let method = options.method.without_plan(options.anchor)?;
+        let setup = Setup::new(&parts[0].psf, shape, options)?;
+        Ok(Self::new(setup, parts, images, method))
+    }
+
+    /// A simulator by any method. `method` is None for a method with a plan.
     #[inline(never)]
-    pub(crate) fn new(
+    pub(super) fn new(
         setup: Setup,
         parts: Vec<Arc<Part<T>>>,
         images: Option<Psf>,

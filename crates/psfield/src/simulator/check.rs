@@ -3,8 +3,7 @@
 use std::ops::Range;
 
 use conv_core::{
-    ConvError, ConvReal, Direct, ExtendedSources, GalaxyErrors, RowStream, ScenePixelFilter, SourcePlan,
-    StarPainter,
+    ConvError, ConvReal, Direct, GalaxyErrors, RowStream, ScenePixelFilter, SourcePlan, StarPainter,
 };
 use ndarray::{Array2, ArrayView2, ArrayViewMut2, s};
 use psf_types::{Anchor, Image, PointSource, Position, Progress};
@@ -13,7 +12,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use super::Simulator;
-use super::sources::Extended;
+use super::sources::with_extended;
 use crate::error::{ErrorKind, PsfieldError};
 use crate::scene::{Layer, Scene};
 use crate::simulate_options::{Method, ScenePixels};
@@ -241,8 +240,9 @@ impl<T: ConvReal> Simulator<T> {
     ) -> Result<(), PsfieldError> {
         let (of_frame, plan, frame) = (self.of_frame(pixels), self.sources(number)?, self.frame());
         let stars = self.painter(plan)?.at_pixels(layer.stars(), &of_frame)?;
-        let galaxies = Extended::of(layer)?
-            .with(|sources| plan.extended_at_pixels(sources, frame, &of_frame, progress))?;
+        let galaxies = with_extended(layer, |sources| {
+            plan.extended_at_pixels(sources, frame, &of_frame, progress)
+        })?;
         for ((sum, star), galaxy) in sums.iter_mut().zip(stars).zip(galaxies) {
             *sum += star + galaxy;
         }
@@ -337,7 +337,12 @@ impl<T: ConvReal> Simulator<T> {
                     Ok(norm) => {
                         // Numbers of equal size that are added in one pixel may all be rounded in one
                         // direction.
-                        let added = 0.25 * self.additions(place.count) as f64 * T::epsilon().as_f64();
+                        // The most numbers that are added one by one.
+                        let additions = match self.options().anchor {
+                            Anchor::Output => place.count,
+                            _ => place.count.min(GROUP),
+                        };
+                        let added = 0.25 * additions as f64 * T::epsilon().as_f64();
                         let error = (tolerance + rounding + added) * norm * place.light;
                         for (pixel, is_on_stamp) in lit {
                             if is_on_stamp {
@@ -357,17 +362,9 @@ impl<T: ConvReal> Simulator<T> {
         }
         let of_pixels = (frame, of_frame.as_slice());
         let take = |pixel: usize, errors: GalaxyErrors| allowed[pixel].add_galaxy(errors);
-        let errors =
-            |sources: ExtendedSources<'_>| plan.errors_of_extended(sources, of_pixels, rounding, take);
-        Ok(Extended::of(layer)?.with(errors)?)
-    }
-
-    /// The most numbers that are added one by one for so many stars in one pixel.
-    fn additions(&self, stars: usize) -> usize {
-        match self.options().anchor {
-            Anchor::Output => stars,
-            _ => stars.min(GROUP),
-        }
+        with_extended(layer, |sources| {
+            plan.errors_of_extended(sources, of_pixels, rounding, take)
+        })
     }
 
     /// Converts pixels of the image to pixels of the frame.

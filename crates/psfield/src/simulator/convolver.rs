@@ -7,11 +7,8 @@ use conv_core::{ConvReal, Engine, Plan};
 use psf_types::{PixelRegion, Progress, PsfModel};
 
 use super::Simulator;
-use super::flux::check_flux;
-use super::setup::Setup;
 use crate::device::{CpuReason, Placement, place};
 use crate::error::PsfieldError;
-use crate::psf::Psf;
 use crate::psf::get_or_make;
 use crate::simulate_options::{Device, SimulateOptions};
 
@@ -52,29 +49,18 @@ impl<T: ConvReal> Convolver<T> {
     }
 }
 
-/// The models of all states of a PSF on the pixels of the scenes' images, or those of `images`, which was
-/// made in another way. Also returns the seconds that this took.
-pub(super) fn image_models_of(
-    psf: &Psf,
-    images: Option<&Psf>,
-    setup: &Setup,
-) -> Result<(Vec<PsfModel>, f64), PsfieldError> {
-    let clock = Instant::now();
-    let on_pixels = match images {
-        Some(images) => images.clone(),
-        None => setup.on_scene_pixels(psf)?,
-    };
-    let models = on_pixels.models()?.to_vec();
-    Ok((models, clock.elapsed().as_secs_f64()))
-}
-
 impl<T: ConvReal> Simulator<T> {
     /// The models on the scene's pixels, one for each layer that may have an image, and the seconds that
     /// their fit took.
     pub(super) fn image_models(&self) -> Result<&(Vec<PsfModel>, f64), PsfieldError> {
-        let shared = &self.shared;
-        get_or_make(&shared.image_models, || {
-            image_models_of(self.psf(), shared.images.as_ref(), &self.setup)
+        get_or_make(&self.shared.image_models, || {
+            let clock = Instant::now();
+            let on_pixels = match &self.shared.images {
+                Some(images) => images.clone(),
+                None => self.setup.on_scene_pixels(self.psf())?,
+            };
+            let models = on_pixels.models()?.to_vec();
+            Ok((models, clock.elapsed().as_secs_f64()))
         })
     }
 
@@ -120,20 +106,41 @@ impl<T: ConvReal> Simulator<T> {
         let (all, _) = self.image_models()?;
         let clock = Instant::now();
         let models: Vec<PsfModel> = layers.iter().map(|&layer| all[layer].clone()).collect();
-        let Some(options) = self.setup.plan_options::<T>(&models[0])? else {
+        let Some(options) = self.setup.plan_options::<T>(self.psf(), &models)? else {
             return Ok(Convolver {
                 engine: None,
                 placement: self.placement_of_sources(),
                 seconds: clock.elapsed().as_secs_f64(),
             });
         };
-        for model in &models {
-            check_flux(self.psf(), model, &options)?;
-        }
         let geometry = &self.setup.geometry;
         let (frame, region) = (geometry.fine(geometry.frame)?, geometry.fine(geometry.region)?);
         let plan = Plan::of_layers(&models, geometry.shape, frame, region, options, progress)?;
         Convolver::of_plan(plan, self.options(), clock)
+    }
+
+    /// As [`convolver`](Self::convolver), with the tiles of a convolver for another PSF. None if the stamps
+    /// have another shape or centre, or for layers that do not exist.
+    pub(super) fn convolver_on_tiles_of(
+        &self,
+        before: &Convolver<T>,
+        layers: &[usize],
+        progress: &dyn Progress,
+    ) -> Result<Option<Convolver<T>>, PsfieldError> {
+        let (all, _) = self.image_models()?;
+        let clock = Instant::now();
+        let models: Option<Vec<PsfModel>> = layers.iter().map(|&layer| all.get(layer).cloned()).collect();
+        let (Some(engine), Some(models)) = (&before.engine, models) else {
+            return Ok(None);
+        };
+        let Some(options) = self.setup.plan_options::<T>(self.psf(), &models)? else {
+            return Ok(None);
+        };
+        let plan = engine
+            .plan()
+            .for_other_fields(&models, options.memory_bytes(), progress)?;
+        plan.map(|plan| Convolver::of_plan(plan, self.options(), clock))
+            .transpose()
     }
 
     /// The part of the scene whose light reaches the computed region, in pixels of the scene.

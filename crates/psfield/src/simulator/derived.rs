@@ -1,20 +1,18 @@
 //! Simulators that share tiles with another one: for other regions, or for another PSF.
 
-use std::sync::{Arc, Mutex, OnceLock};
+use std::sync::{Arc, Mutex};
 use std::time::Instant;
 
 use conv_core::ConvReal;
-use psf_types::{PixelRegion, Progress, PsfModel};
+use psf_types::{PixelRegion, Progress};
 
-use super::convolver::{Convolver, OfLayers, image_models_of};
-use super::flux::check_flux;
+use super::Simulator;
+use super::convolver::Convolver;
 use super::geometry::Geometry;
 use super::part::Part;
 use super::setup::{REGION, Setup};
-use super::{Shared, Simulator};
 use crate::error::PsfieldError;
 use crate::psf::Psf;
-use crate::psf::get_or_make;
 use crate::simulate_options::{Method, SimulateOptions};
 
 impl<T: ConvReal> Simulator<T> {
@@ -77,52 +75,13 @@ impl<T: ConvReal> Simulator<T> {
         if options.method == Method::Own {
             return Err(PsfieldError::needs_plan("the PSF can be replaced"));
         }
-        let psf = parts[0].psf();
-        let setup = Setup::new(psf, (shape.ny(), shape.nx()), options.clone())?;
-        let (image_models, mut convolvers) = (OnceLock::new(), Vec::new());
-        for before in self.kept_convolvers() {
-            let (models, _) = get_or_make(&image_models, || image_models_of(psf, images.as_ref(), &setup))?;
-            convolvers.extend(planned_as(before, (psf, models), &setup, progress)?);
+        let mut other = Self::of_parts(parts, images, (shape.ny(), shape.nx()), options.clone())?;
+        let mut convolvers = Vec::new();
+        for (layers, before) in self.kept_convolvers() {
+            let convolver = other.convolver_on_tiles_of(&before, &layers, progress)?;
+            convolvers.extend(convolver.map(|convolver| (layers, Arc::new(convolver))));
         }
-        let method = options.method.without_plan(options.anchor)?;
-        Ok(Self {
-            shared: Arc::new(Shared {
-                parts,
-                images,
-                method,
-                image_models,
-                sampling_errors: OnceLock::new(),
-            }),
-            setup,
-            convolvers: Mutex::new(convolvers),
-        })
+        other.convolvers = Mutex::new(convolvers);
+        Ok(other)
     }
-}
-
-/// Plans the convolution of images with the tiles of another plan. None if the stamps have another shape or
-/// centre, or for layers that do not exist.
-fn planned_as<T: ConvReal>(
-    (layers, before): OfLayers<T>,
-    (psf, all): (&Psf, &[PsfModel]),
-    setup: &Setup,
-    progress: &dyn Progress,
-) -> Result<Option<OfLayers<T>>, PsfieldError> {
-    let clock = Instant::now();
-    let models: Option<Vec<PsfModel>> = layers.iter().map(|&layer| all.get(layer).cloned()).collect();
-    let (Some(engine), Some(models)) = (&before.engine, models) else {
-        return Ok(None);
-    };
-    let Some(options) = setup.plan_options::<T>(&models[0])? else {
-        return Ok(None);
-    };
-    for model in &models {
-        check_flux(psf, model, &options)?;
-    }
-    let plan = engine
-        .plan()
-        .for_other_fields(&models, options.memory_bytes(), progress)?;
-    let convolver = plan.map(|plan| Convolver::of_plan(plan, &setup.options, clock));
-    Ok(convolver
-        .transpose()?
-        .map(|convolver| (layers, Arc::new(convolver))))
 }

@@ -10,30 +10,9 @@ use crate::psf::Psf;
 /// their absolute values.
 const NO_FLUX: f64 = 1e-13;
 
-/// Refuses PSFs without flux if the tolerance is relative to their flux. `model` is a model of `psf`.
-pub(super) fn check_flux(psf: &Psf, model: &PsfModel, options: &PlanOptions) -> Result<(), PsfieldError> {
-    let weights = model.some_coefficients();
-    if options.tolerance_on() != ToleranceOn::Aperture || weights.nrows() == 0 {
-        return Ok(());
-    }
-    let first = usize::from(model.is_mean_centred());
-    let sums: Vec<[f64; 2]> = model
-        .stamps()
-        .outer_iter()
-        .map(|stamp| {
-            stamp
-                .iter()
-                .fold([0.0, 0.0], |[sum, size], v| [sum + v, size + v.abs()])
-        })
-        .collect();
-    let has_flux = weights.outer_iter().any(|weights| {
-        let mut of_psf = if first == 1 { sums[0] } else { [0.0; 2] };
-        for (w, [sum, size]) in weights.iter().zip(&sums[first..]) {
-            of_psf = [of_psf[0] + w * sum, of_psf[1] + w.abs() * size];
-        }
-        of_psf[0].abs() > NO_FLUX * of_psf[1]
-    });
-    if has_flux {
+/// Refuses PSFs without flux if the tolerance is relative to their flux. `models` are models of `psf`.
+pub(super) fn check_flux(psf: &Psf, models: &[PsfModel], options: &PlanOptions) -> Result<(), PsfieldError> {
+    if options.tolerance_on() != ToleranceOn::Aperture || models.iter().all(has_flux) {
         return Ok(());
     }
     let file = psf
@@ -44,4 +23,28 @@ pub(super) fn check_flux(psf: &Psf, model: &PsfModel, options: &PlanOptions) -> 
          L2 error alone (l2)"
     );
     Err(PsfieldError::new(ErrorKind::Setting, message).with_setting("tolerance_on"))
+}
+
+/// Returns whether one of some PSFs of the model has flux, or the model knows no PSFs.
+fn has_flux(model: &PsfModel) -> bool {
+    let weights = model.some_coefficients();
+    let first = usize::from(model.is_mean_centred());
+    let sums: Vec<[f64; 2]> = model
+        .stamps()
+        .outer_iter()
+        .map(|stamp| {
+            stamp
+                .iter()
+                .fold([0.0, 0.0], |[sum, size], v| [sum + v, size + v.abs()])
+        })
+        .collect();
+    let mut each = weights.outer_iter();
+    weights.nrows() == 0
+        || each.any(|weights| {
+            let mut of_psf = if first == 1 { sums[0] } else { [0.0; 2] };
+            for (w, [sum, size]) in weights.iter().zip(&sums[first..]) {
+                of_psf = [of_psf[0] + w * sum, of_psf[1] + w.abs() * size];
+            }
+            of_psf[0].abs() > NO_FLUX * of_psf[1]
+        })
 }

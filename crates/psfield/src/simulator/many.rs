@@ -45,7 +45,7 @@ impl<T: ConvReal> Simulator<T> {
         assert_eq!(scenes.len(), images.len(), "an image for each scene");
         for (scene, image) in scenes.iter().zip(&images) {
             self.check_scene(scene)?;
-            self.check_image(image)?;
+            self.check_image(image.dim())?;
         }
         let alone = |scene: &Scene<'_, T>| scene.layers().len() == 1 && scene.has_image();
         let at_once = self.setup.geometry.oversample == 1 && !scenes.is_empty() && scenes.iter().all(alone);
@@ -60,8 +60,7 @@ impl<T: ConvReal> Simulator<T> {
         };
         let mut lights = Vec::with_capacity(scenes.len());
         for scene in scenes {
-            let light = self.lights(scene, progress)?;
-            lights.extend(light.into_iter().map(|(light, _)| light));
+            lights.extend(self.lights(scene, progress)?);
         }
         let views = images.iter_mut().map(|image| image.view_mut()).collect();
         engine.execute_many(Operation::Convolve, &lights, views, progress)?;

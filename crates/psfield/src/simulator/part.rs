@@ -7,14 +7,13 @@ use conv_core::ConvReal;
 use super::setup::Setup;
 use super::sources::PartSources;
 use crate::error::PsfieldError;
-use crate::psf::Psf;
-use crate::psf::get_or_make;
+use crate::psf::{Psf, get_or_make};
 
 /// A PSF with one basis, and a state for each of some layers. Most simulators have one part. The part also
 /// holds what all regions of a frame share: the plans for stars and galaxies.
 #[derive(Debug)]
 pub(crate) struct Part<T: ConvReal> {
-    psf: Psf,
+    pub(super) psf: Psf,
     sources: OnceLock<PartSources<T>>,
 }
 
@@ -47,11 +46,6 @@ impl<T: ConvReal> Part<T> {
             sources: sources.map_or_else(OnceLock::new, OnceLock::from),
             psf,
         })
-    }
-
-    /// The PSF.
-    pub(crate) fn psf(&self) -> &Psf {
-        &self.psf
     }
 
     /// The number of layers.

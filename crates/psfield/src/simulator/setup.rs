@@ -3,6 +3,7 @@
 use conv_core::{ConvReal, InstructionSet, PlanOptions};
 use psf_types::{FrameShape, PsfModel};
 
+use super::flux::check_flux;
 use super::geometry::Geometry;
 use crate::error::PsfieldError;
 use crate::evaluate::check_frame_on_field;
@@ -19,7 +20,7 @@ pub(super) const REGION: &str = "a region of the frame can be computed";
 /// Settings that suit each other, and the geometry that follows from them.
 #[derive(Debug, Clone)]
 pub(crate) struct Setup {
-    pub(super) options: SimulateOptions,
+    pub(crate) options: SimulateOptions,
     pub(super) geometry: Geometry,
 }
 
@@ -50,11 +51,6 @@ impl Setup {
         Ok(Self { options, geometry })
     }
 
-    /// The settings.
-    pub(crate) fn options(&self) -> &SimulateOptions {
-        &self.options
-    }
-
     /// The side of a PSF's stamps, in pixels of the frame. None: their own size.
     pub(super) fn stamp_size(&self, psf: &Psf) -> Option<usize> {
         // Farther out, padded stamps hold only zeros, which would cost time and change nothing.
@@ -62,17 +58,24 @@ impl Setup {
         self.options.stamp_size.map(|size| size.min(widest))
     }
 
-    /// The options of a model's plans, with the limit of memory for this model. None for methods without
-    /// a plan.
+    /// The options of a plan for some models of `psf`, with the limit of memory for these models. None for
+    /// methods without a plan.
+    ///
+    /// # Errors
+    /// The error of [`check_flux`].
     pub(super) fn plan_options<T: ConvReal>(
         &self,
-        model: &PsfModel,
+        psf: &Psf,
+        models: &[PsfModel],
     ) -> Result<Option<PlanOptions>, PsfieldError> {
+        let Some(options) = self.options.plan_options()? else {
+            return Ok(None);
+        };
+        check_flux(psf, models, &options)?;
         let frame = self.geometry.fine(self.geometry.frame)?.shape();
-        let memory = || PlanOptions::memory_for::<T>(frame, model);
+        let memory = || PlanOptions::memory_for::<T>(frame, &models[0]);
         let bytes = self.options.memory.unwrap_or_else(memory);
-        let options = self.options.plan_options()?;
-        Ok(options.map(|options| options.with_memory(bytes)))
+        Ok(Some(options.with_memory(bytes)))
     }
 
     /// The PSF on the pixels of a scene's image, for its convolution.

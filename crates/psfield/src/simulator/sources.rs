@@ -3,17 +3,16 @@
 use std::sync::Arc;
 use std::time::Instant;
 
-use conv_core::{ConvReal, ExtendedSources, Light, PlanOptions, SourcePlan};
+use conv_core::{ConvError, ConvReal, ExtendedSources, Light, SourcePlan};
 use ndarray::ArrayViewMut2;
-use psf_types::{PixelRegion, PointSource, Progress, PsfModel, SersicSource};
+use psf_types::{PixelRegion, PointSource, Progress, SersicSource};
 use sersic::SersicLight;
 
 use super::Simulator;
-use super::flux::check_flux;
 use super::setup::Setup;
 use crate::error::PsfieldError;
 use crate::psf::Psf;
-use crate::scene::{Layer, ProfileSource, Scene};
+use crate::scene::{Layer, Scene};
 
 /// The plans for the sources of all layers of a [`Part`](super::Part). The layers share their local bases.
 #[derive(Debug)]
@@ -31,9 +30,8 @@ impl<T: ConvReal> PartSources<T> {
         let models = psf.models()?;
         let fit_seconds = clock.elapsed().as_secs_f64();
         let clock = Instant::now();
-        let (planned, size) = (setup.plan_options::<T>(&models[0])?, setup.stamp_size(&psf));
-        check_fluxes(&psf, models, planned.as_ref())?;
-        let first = match planned {
+        let size = setup.stamp_size(&psf);
+        let first = match setup.plan_options::<T>(&psf, models)? {
             Some(options) => SourcePlan::of_layers(models, options, size)?,
             None => SourcePlan::exact(models, setup.options.anchor, size)?,
         };
@@ -62,7 +60,8 @@ impl<T: ConvReal> PartSources<T> {
     pub(super) fn representing(&self, psf: &Psf, setup: &Setup) -> Result<Option<Self>, PsfieldError> {
         let psf = psf.with_pixel_response()?;
         let models = psf.models()?;
-        check_fluxes(&psf, models, setup.plan_options::<T>(&models[0])?.as_ref())?;
+        // Only their check of the flux counts.
+        setup.plan_options::<T>(&psf, models)?;
         let made = self.of_layers[0].for_other_layers(models);
         Ok(made.map(|made| Self::at_once(vec![made])))
     }
@@ -76,47 +75,25 @@ impl<T: ConvReal> PartSources<T> {
     }
 }
 
-/// The error of PSFs whose flux is too small for the tolerance of apertures.
-fn check_fluxes(psf: &Psf, models: &[PsfModel], planned: Option<&PlanOptions>) -> Result<(), PsfieldError> {
-    let mut models = models.iter();
-    planned.map_or(Ok(()), |options| {
-        models.try_for_each(|model| check_flux(psf, model, options))
-    })
-}
-
-/// The extended sources of a layer: galaxies, then sources with profiles of the caller's own.
-pub(super) struct Extended<'a> {
-    points: Vec<PointSource>,
-    galaxies: &'a [SersicSource],
-    profiles: &'a [ProfileSource],
-}
-
-impl<'a> Extended<'a> {
-    pub(super) fn of<T: ConvReal>(layer: &'a Layer<'_, T>) -> Result<Self, PsfieldError> {
-        let (galaxies, profiles) = (layer.galaxies(), layer.profiles());
-        let point = |galaxy: &SersicSource| PointSource::new(galaxy.position(), galaxy.flux());
-        let mut points: Vec<PointSource> = galaxies.iter().map(point).collect::<Result<_, _>>()?;
-        points.extend(profiles.iter().map(|source| source.point));
-        Ok(Self {
-            points,
-            galaxies,
-            profiles,
-        })
-    }
-
-    /// Gives the sources to `work`.
-    pub(super) fn with<R>(&self, work: impl FnOnce(ExtendedSources<'_>) -> R) -> R {
-        let light = |index: usize| -> Light {
-            match self.galaxies.get(index) {
-                Some(galaxy) => Arc::new(SersicLight::new(galaxy)),
-                None => Arc::clone(&self.profiles[index - self.galaxies.len()].light),
-            }
-        };
-        work(ExtendedSources {
-            points: &self.points,
-            light: &light,
-        })
-    }
+/// Gives the extended sources of a layer to `work`: galaxies, then sources with profiles of the caller's own.
+pub(super) fn with_extended<T: ConvReal, R>(
+    layer: &Layer<'_, T>,
+    work: impl FnOnce(ExtendedSources<'_>) -> Result<R, ConvError>,
+) -> Result<R, PsfieldError> {
+    let (galaxies, profiles) = (layer.galaxies(), layer.profiles());
+    let point = |galaxy: &SersicSource| PointSource::new(galaxy.position(), galaxy.flux());
+    let mut points: Vec<PointSource> = galaxies.iter().map(point).collect::<Result<_, _>>()?;
+    points.extend(profiles.iter().map(|source| source.point));
+    let light = |index: usize| -> Light {
+        match galaxies.get(index) {
+            Some(galaxy) => Arc::new(SersicLight::new(galaxy)),
+            None => Arc::clone(&profiles[index - galaxies.len()].light),
+        }
+    };
+    Ok(work(ExtendedSources {
+        points: &points,
+        light: &light,
+    })?)
 }
 
 impl<T: ConvReal> Simulator<T> {
@@ -133,10 +110,12 @@ impl<T: ConvReal> Simulator<T> {
         let drawn = scene.layers().iter().enumerate();
         for (number, layer) in drawn.filter(|(_, layer)| layer.has_sources()) {
             let plan = self.sources(number)?;
-            let extended = Extended::of(layer)?;
-            if !extended.points.is_empty() {
+            if !(layer.galaxies().is_empty() && layer.profiles().is_empty()) {
                 let into = image.view_mut();
-                extended.with(|sources| plan.draw_extended_into(sources, frame, region, into, progress))?;
+                let draw = |sources: ExtendedSources<'_>| {
+                    plan.draw_extended_into(sources, frame, region, into, progress)
+                };
+                with_extended(layer, draw)?;
             }
             plan.draw_stars_into(layer.stars(), frame, region, image.view_mut(), progress)?;
         }

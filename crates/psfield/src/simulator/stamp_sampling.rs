@@ -103,11 +103,9 @@ impl Axes {
             stamps.centre_y() - y.start as f64,
         );
         let s = stamps.oversampling();
-        let grid = StampGrid::new(x.len(), y.len())?
-            .with_centre(centre.0, centre.1)?
-            .with_oversampling(s)?
-            .with_pixel_response_included(stamps.pixel_response_included())
-            .with_interpolation(stamps.interpolation());
+        let grid = stamps
+            .with_size(x.len(), y.len())?
+            .with_centre(centre.0, centre.1)?;
         // One more frame pixel on each side, for the shift within a pixel and the edges of the kernel.
         let side = |count: usize| 2 * ((count as f64 / s).ceil() as usize + 1) + 1;
         let frame = StampGrid::new(side(x.len()), side(y.len()))?

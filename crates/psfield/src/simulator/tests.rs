@@ -135,12 +135,14 @@ fn the_light_of_a_region_is_a_part_of_the_image() {
     };
     let simulator = built::<f64>((20, 15), options).unwrap();
     let whole = Scene::new(ramp(20, 15)).unwrap();
-    let light = simulator.lights(&whole, &NoProgress).unwrap();
-    assert_eq!((light[0].0.pixels(), light[0].1), (ramp(20, 15).view(), (0, 0)));
+    let image = whole.layers()[0].image().unwrap();
+    let (light, first) = simulator.light(image, &whole, &NoProgress).unwrap();
+    assert_eq!((light.pixels(), first), (ramp(20, 15).view(), (0, 0)));
     let part = simulator.light_region(&NoProgress).unwrap();
     let light = Image::new(Array2::zeros((part.shape().ny(), part.shape().nx()))).unwrap();
     let at_hand = Scene::from(light);
-    let (_, first) = simulator.lights(&at_hand, &NoProgress).unwrap().remove(0);
+    let image = at_hand.layers()[0].image().unwrap();
+    let (_, first) = simulator.light(image, &at_hand, &NoProgress).unwrap();
     assert_eq!(first, (part.x0() as usize, part.y0() as usize));
 }
 

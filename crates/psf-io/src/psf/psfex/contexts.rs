@@ -21,25 +21,21 @@ const ABSENT: f64 = 4.0 * LONGEST_FRAME;
 
 /// The contexts of a polynomial. Each belongs to a group. The sum of the exponents of a group is at most
 /// the degree of the group.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(super) struct Contexts {
-    axes: Vec<Context>,
+    all: Vec<Context>,
     degrees: Vec<usize>,
+    /// The coordinates of the position, each with the index of its context.
+    x: Option<(usize, PsfexAxis)>,
+    y: Option<(usize, PsfexAxis)>,
 }
 
 #[derive(Debug)]
 struct Context {
-    role: Role,
     /// Counted from 0.
     group: usize,
-}
-
-#[derive(Debug)]
-enum Role {
-    X(PsfexAxis),
-    Y(PsfexAxis),
-    /// Another quantity, with its scaled value.
-    Fixed(f64),
+    /// The scaled value of another quantity. 1 for a coordinate of the position.
+    value: f64,
 }
 
 impl Contexts {
@@ -63,10 +59,7 @@ impl Contexts {
             named == 0 && number("POLDEG1", DEGREE, 0..=PsfexPolynomial::MAX_DEGREE)?.unwrap_or(0) == 0;
         if count == 0 || without_names {
             check_names(path, &[], values)?;
-            return Ok(Self {
-                axes: Vec::new(),
-                degrees: Vec::new(),
-            });
+            return Ok(Self::default());
         }
         let groups = number("POLNGRP", GROUPS, 1..=count)?.unwrap_or(1);
         let degrees = (1..=groups).map(|group| {
@@ -74,48 +67,46 @@ impl Contexts {
             let degree = number(&keyword, DEGREE, 0..=PsfexPolynomial::MAX_DEGREE)?;
             degree.ok_or_else(|| hdu.missing_keyword(&keyword, DEGREE))
         });
-        let degrees = degrees.collect::<Result<Vec<_>, _>>()?;
-        let (mut axes, mut others) = (Vec::new(), Vec::new());
+        let mut contexts = Self {
+            degrees: degrees.collect::<Result<_, _>>()?,
+            ..Self::default()
+        };
+        let mut others = Vec::new();
         for i in 1..=count {
             let group = number(&format!("POLGRP{i}"), GROUP, 1..=groups)?.unwrap_or(1) - 1;
             let (name, zero, scale) = scaled(hdu, i)?;
-            let role = if let Some(letter) = letter(&name) {
+            let mut value = 1.0;
+            if let Some(letter) = letter(&name) {
                 let axis = PsfexAxis::new(&name, zero - 1.0, scale).map_err(invalid(path))?;
-                if letter == 'X' {
-                    Role::X(axis)
+                let coordinate = if letter == 'X' {
+                    &mut contexts.x
                 } else {
-                    Role::Y(axis)
+                    &mut contexts.y
+                };
+                if coordinate.replace((i - 1, axis)).is_some() {
+                    const ONCE: &str = "another coordinate than those before it";
+                    return Err(hdu.keyword_error(&format!("POLNAME{i}"), ONCE));
                 }
             } else {
-                let value = values.iter().find(|(given, _)| given.eq_ignore_ascii_case(&name));
-                others.push(name);
+                let given = values.iter().find(|(given, _)| given.eq_ignore_ascii_case(&name));
                 // A missing value is an error below, which names all of them.
-                Role::Fixed(value.map_or(0.0, |(_, value)| (value - zero) / scale))
-            };
-            let again = axes.iter().any(|known: &Context| {
-                matches!(
-                    (&known.role, &role),
-                    (Role::X(_), Role::X(_)) | (Role::Y(_), Role::Y(_))
-                )
-            });
-            if again {
-                const ONCE: &str = "another coordinate than those before it";
-                return Err(hdu.keyword_error(&format!("POLNAME{i}"), ONCE));
+                value = given.map_or(0.0, |(_, value)| (value - zero) / scale);
+                others.push(name);
             }
-            axes.push(Context { role, group });
+            contexts.all.push(Context { group, value });
         }
         check_names(path, &others, values)?;
-        Ok(Self { axes, degrees })
+        Ok(contexts)
     }
 
     /// The exponents of all contexts in each term, in the order of PSFEx: the first context is the fastest.
     /// `None` for too many terms.
     pub(super) fn exponents(&self) -> Option<Vec<Vec<usize>>> {
         let mut left = self.degrees.clone();
-        let mut exponents = vec![0; self.axes.len()];
+        let mut exponents = vec![0; self.all.len()];
         let mut terms = vec![exponents.clone()];
         loop {
-            let next = self.axes.iter().enumerate().find(|(at, context)| {
+            let next = self.all.iter().enumerate().find(|(at, context)| {
                 let left = &mut left[context.group];
                 if *left > 0 {
                     *left -= 1;
@@ -144,31 +135,23 @@ impl Contexts {
         planes: Array3<f64>,
         terms: &[Vec<usize>],
     ) -> Result<(Array3<f64>, Option<PsfexPolynomial>), IoError> {
-        let role = |is: fn(&Role) -> bool| self.axes.iter().position(|context| is(&context.role));
-        let x = role(|role| matches!(role, Role::X(_)));
-        let y = role(|role| matches!(role, Role::Y(_)));
+        let [x, y] = [&self.x, &self.y].map(|coordinate| coordinate.as_ref().map(|(at, _)| *at));
         let power = |exponents: &[usize], at: Option<usize>| at.map_or(0, |at| exponents[at]);
         let degree = terms.iter().map(|e| power(e, x) + power(e, y)).max().unwrap_or(0);
         if degree > PsfexPolynomial::MAX_DEGREE {
             const TOTAL: &str = "smaller: the degrees of x and y add up to more than 10";
             return Err(hdu.keyword_error("POLDEG1", TOTAL));
         }
-        let is_plain = (x, y) == (Some(0), Some(1)) && self.axes.len() == 2 && self.degrees.len() == 1;
+        let is_plain = (x, y) == (Some(0), Some(1)) && self.all.len() == 2 && self.degrees.len() == 1;
         let planes = if is_plain {
             planes
         } else {
             let (_, ny, nx) = planes.dim();
             let mut reduced = Array3::zeros((PsfexPolynomial::term_count(degree), ny, nx));
             for (exponents, plane) in terms.iter().zip(planes.outer_iter()) {
-                let factor: f64 = self
-                    .axes
-                    .iter()
-                    .zip(exponents)
-                    .map(|(context, &exponent)| match context.role {
-                        Role::Fixed(value) => value.powi(exponent as i32),
-                        _ => 1.0,
-                    })
-                    .product();
+                let powers = self.all.iter().zip(exponents);
+                let powers = powers.map(|(context, &exponent)| context.value.powi(exponent as i32));
+                let factor: f64 = powers.product();
                 let (i, j) = (power(exponents, x), power(exponents, y));
                 let before: usize = (0..j).map(|j| degree - j + 1).sum();
                 reduced
@@ -180,20 +163,12 @@ impl Contexts {
         if x.is_none() && y.is_none() {
             return Ok((planes, None));
         }
-        let (mut along_x, mut along_y) = (None, None);
-        for context in self.axes {
-            match context.role {
-                Role::X(axis) => along_x = Some(axis),
-                Role::Y(axis) => along_y = Some(axis),
-                Role::Fixed(_) => {}
-            }
-        }
-        let or_absent = |axis: Option<PsfexAxis>, name| match axis {
-            Some(axis) => Ok(axis),
+        let or_absent = |coordinate: Option<(usize, PsfexAxis)>, name| match coordinate {
+            Some((_, axis)) => Ok(axis),
             None => PsfexAxis::new(name, 0.0, ABSENT),
         };
-        let x = or_absent(along_x, "X_IMAGE").map_err(invalid(path))?;
-        let y = or_absent(along_y, "Y_IMAGE").map_err(invalid(path))?;
+        let x = or_absent(self.x, "X_IMAGE").map_err(invalid(path))?;
+        let y = or_absent(self.y, "Y_IMAGE").map_err(invalid(path))?;
         let polynomial = PsfexPolynomial::new(x, y, degree).map_err(invalid(path))?;
         Ok((planes, Some(polynomial)))
     }

@@ -49,7 +49,7 @@ mod rows;
 use std::f64::consts::PI;
 
 use ndarray::{Array2, Array3, ArrayView3};
-use psf_types::{DataError, FrameShape, Position, Quantity, Stamp, StampGrid, StampInterpolation};
+use psf_types::{DataError, FrameShape, Position, Quantity, Stamp, StampGrid, StampInterpolation, maths};
 
 /// The usual name of the table.
 const EXTENSION: &str = "PSF_DATA";
@@ -189,7 +189,7 @@ impl PsfexPolynomial {
 
     /// Number of terms for a total degree: `(d+1)(d+2)/2`.
     pub fn term_count(degree: usize) -> usize {
-        (degree + 1) * (degree + 2) / 2
+        maths::term_count(degree)
     }
 
     /// The terms at a position in the order of the planes, with the power of x fastest.
@@ -263,13 +263,7 @@ impl PsfexModel {
         let grid = StampGrid::new(nx, ny)?
             .with_oversampling(1.0 / sampling)?
             .with_interpolation(StampInterpolation::Lanczos3);
-        if let Some((index, &value)) = planes.indexed_iter().find(|(_, value)| !value.is_finite()) {
-            return Err(DataError::NonFinite {
-                quantity: Quantity::BasisValue,
-                index: vec![index.0, index.1, index.2],
-                value,
-            });
-        }
+        DataError::check_finite(Quantity::BasisValue, planes.view())?;
         Ok(Self {
             planes: planes.as_standard_layout().into_owned(),
             sampling,
