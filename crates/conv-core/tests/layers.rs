@@ -80,6 +80,16 @@ fn exact(models: &[PsfModel], light: &[Array2<f64>], anchor: Anchor) -> Array2<f
     sum
 }
 
+/// The image of the light of all layers.
+fn convolved<T: ConvReal>(engine: &Engine<T>, light: &[Array2<T>]) -> Array2<T> {
+    let mut image = engine.plan().zeros();
+    let into = vec![image.view_mut()];
+    engine
+        .execute(Operation::Convolve, &views(light), into, &NoProgress)
+        .unwrap();
+    image
+}
+
 fn plan<T: ConvReal>(models: &[PsfModel], options: PlanOptions) -> Plan<T> {
     let frame = shape().region();
     Plan::of_layers(models, shape(), frame, frame, options, &NoProgress).unwrap()
@@ -96,15 +106,7 @@ fn layers_equal_the_sum_of_direct_convolutions() {
                     for kind in 0..4 {
                         let light: Vec<_> = (0..3).map(|layer| light(kind, layer)).collect();
                         let exact = exact(&models, &light, anchor);
-                        let mut image = engine.plan().zeros();
-                        engine
-                            .execute(
-                                Operation::Convolve,
-                                &views(&light),
-                                vec![image.view_mut()],
-                                &NoProgress,
-                            )
-                            .unwrap();
+                        let image = convolved(&engine, &light);
                         let error = peak(&(&image - &exact)) / peak(&exact);
                         let allowed = tolerance + ROUNDING;
                         let case = format!("{normalisation} {anchor} {paths:?} {tolerance:e}, kind {kind}");
@@ -125,15 +127,7 @@ fn the_adjoint_of_layers_is_their_transpose() {
     for anchor in ANCHORS {
         for paths in [Paths::Cheapest, Paths::Transforms] {
             let engine = Engine::new(plan::<f64>(&models, options(1e-3, anchor, paths)));
-            let mut image = engine.plan().zeros();
-            engine
-                .execute(
-                    Operation::Convolve,
-                    &views(&light),
-                    vec![image.view_mut()],
-                    &NoProgress,
-                )
-                .unwrap();
+            let image = convolved(&engine, &light);
             let mut back = vec![Array2::zeros((SIZE.1, SIZE.0)); 3];
             let into = back.iter_mut().map(|plane| plane.view_mut()).collect();
             let seen_view = ImageView::new(seen.view()).unwrap();
@@ -160,15 +154,7 @@ fn the_adjoint_of_layers_is_their_transpose() {
                         }
                     })
                     .collect();
-                let mut image = engine.plan().zeros();
-                engine
-                    .execute(
-                        Operation::Convolve,
-                        &views(&only),
-                        vec![image.view_mut()],
-                        &NoProgress,
-                    )
-                    .unwrap();
+                let image = convolved(&engine, &only);
                 let (forth, back) = (product(&image, &seen), product(&light[layer], back));
                 assert!(
                     (forth - back).abs() < 1e-11 * forth.abs().max(1.0),
@@ -195,17 +181,7 @@ fn layers_in_single_precision_do_not_depend_on_threads() {
                 .num_threads(threads)
                 .build()
                 .unwrap();
-            let mut image = engine.plan().zeros();
-            pool.install(|| {
-                engine.execute(
-                    Operation::Convolve,
-                    &views(&light),
-                    vec![image.view_mut()],
-                    &NoProgress,
-                )
-            })
-            .unwrap();
-            image
+            pool.install(|| convolved(&engine, &light))
         };
         let single = image(1);
         assert!(single == image(3));
@@ -243,15 +219,7 @@ fn streamed_layers_give_the_same_image() {
     let light: Vec<_> = (0..3).map(|layer| light(2, layer)).collect();
     for anchor in ANCHORS {
         let engine = Engine::new(plan::<f64>(&models, options(1e-3, anchor, Paths::Cheapest)));
-        let mut whole = engine.plan().zeros();
-        engine
-            .execute(
-                Operation::Convolve,
-                &views(&light),
-                vec![whole.view_mut()],
-                &NoProgress,
-            )
-            .unwrap();
+        let whole = convolved(&engine, &light);
         let (light, image) = (&light[..], Vec::new());
         let mut bands = Bands { light, image };
         engine.stream(&mut bands, &NoProgress).unwrap();
@@ -272,15 +240,7 @@ fn a_plan_of_layers_for_other_fields_keeps_its_tiles() {
     assert_eq!(other.summary().tiles, first.summary().tiles);
     let light: Vec<_> = (0..3).map(|layer| light(0, layer)).collect();
     let exact = exact(&turned, &light, Anchor::Source);
-    let mut image = other.zeros();
-    Engine::new(other)
-        .execute(
-            Operation::Convolve,
-            &views(&light),
-            vec![image.view_mut()],
-            &NoProgress,
-        )
-        .unwrap();
+    let image = convolved(&Engine::new(other), &light);
     assert!(peak(&(&image - &exact)) / peak(&exact) < 1e-3);
 }
 

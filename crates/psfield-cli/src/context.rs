@@ -32,7 +32,7 @@ impl GivenOptions {
         Self(names_of(command.get_arguments().filter(on_command_line)))
     }
 
-    /// Those of a group, in its order.
+    /// The given options that belong to a group, in the group's order.
     pub(crate) fn of_group<A: clap::Args>(&self) -> Vec<String> {
         let mut names = names_of(A::augment_args(clap::Command::new("")).get_arguments());
         names.retain(|name| self.0.contains(name));

@@ -52,7 +52,7 @@ pub(crate) enum Column<'py> {
     Texts(Vec<String>),
 }
 
-/// How a file is read: the arguments of `psfield.read_catalog`.
+/// The arguments of `psfield.read_catalog` that say how a file is read.
 #[derive(FromPyObject)]
 #[pyo3(from_item_all)]
 #[allow(clippy::struct_excessive_bools, reason = "the arguments of a Python function")]
@@ -124,8 +124,8 @@ pub(crate) struct Sources {
 
 #[pymethods]
 impl Sources {
-    /// Takes the sources of columns, which may be some `rows` of a table, and their spectra (`sed`, `teff`) and velocities (`vx`, `vy`) if there
-    /// are such columns.
+    /// Takes the sources of columns, which may be some `rows` of a table, and their spectra (`sed`, `teff`)
+    /// and velocities (`vx`, `vy`) if there are such columns.
     #[new]
     #[pyo3(signature = (columns, rows=None))]
     fn new(columns: Vec<(String, Column<'_>)>, rows: Option<Vec<usize>>) -> PyResult<Self> {

@@ -40,7 +40,8 @@ pub(super) struct WindowDrawer<T: ConvReal> {
     psf: Vec<Complex<T>>,
     product: Vec<Complex<T>>,
     transform: Vec<f32>,
-    /// The phase factors ([`Aliases`](super::spectrum::Aliases)) at the galaxy's column, for the `kx` of each alias.
+    /// The phase factors ([`Aliases`](super::spectrum::Aliases)) at the galaxy's column, for the `kx` of each
+    /// alias.
     factors_x: Vec<Complex<T>>,
     /// The phase factors at the galaxy's row, for the `ky` of each alias, ascending.
     factors: Vec<Complex<T>>,

@@ -1,5 +1,5 @@
-//! What the drawers of stars and galaxies share: the PSFs, their blocks of the field, and the PSFs of single
-//! sources.
+//! The drawers of stars and galaxies share the PSFs, the blocks of the field with their local bases, and
+//! the PSFs of single sources.
 
 mod blocks;
 mod psf_vectors;

@@ -152,7 +152,7 @@ impl Catalog {
         &self.rows
     }
 
-    /// The same sources, whose table holds some rows of a larger one: row `i` is row `rows[i]` there.
+    /// Returns this catalogue with the row numbers of a larger table: row `i` is row `rows[i]` there.
     ///
     /// # Panics
     /// Without a number for each row.

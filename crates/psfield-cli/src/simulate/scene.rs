@@ -131,7 +131,7 @@ pub(super) struct ReadScene<T: ConvReal> {
     pub(super) files: ReadFiles,
 }
 
-/// What the files of a scene say besides its light.
+/// The properties of a scene's files besides its light.
 #[derive(Debug, Clone)]
 pub(super) struct ReadFiles {
     /// The shape of the scene, in its own pixels.

@@ -88,8 +88,8 @@ fn a_wavelength_is_chosen_from_samples_and_from_models() {
     }
 }
 
-#[test]
-fn each_source_has_the_psf_of_its_spectrum() {
+/// A folder with a PSF that depends on the wavelength, and a bandpass.
+fn desk_with_band() -> Desk {
     let desk = Desk::new();
     desk.write_samples("colour.fits", &coloured());
     desk.done("fit colour.fits -o colour_model.fits --rank full");
@@ -98,6 +98,12 @@ fn each_source_has_the_psf_of_its_spectrum() {
         "band.csv",
         "wavelength_nm,throughput\n500,0\n600,1\n800,1\n900,0\n",
     );
+    desk
+}
+
+#[test]
+fn each_source_has_the_psf_of_its_spectrum() {
+    let desk = desk_with_band();
     desk.write("blue.txt", "0.4 1\n0.55 1\n0.551 0\n1.0 0\n");
     desk.write_image("point.fits", points(&[(20, 20, 1000.0)]));
     desk.write_image("other.fits", points(&[(40, 30, 500.0)]));
@@ -363,13 +369,7 @@ fn images_of_several_spectra_are_streamed() {
 /// A batch keeps the plans of spectra, and a series gives each source the PSF of its spectrum.
 #[test]
 fn jobs_and_exposures_may_be_in_colour() {
-    let desk = Desk::new();
-    desk.write_samples("colour.fits", &coloured());
-    desk.done("fit colour.fits -o colour_model.fits --rank full");
-    desk.write(
-        "band.csv",
-        "wavelength_nm,throughput\n500,0\n600,1\n800,1\n900,0\n",
-    );
+    let desk = desk_with_band();
     desk.write("teff.csv", "x,y,flux,teff\n20,20,1000,3000\n40,30,500,20000\n");
     desk.write("swapped.csv", "x,y,flux,teff\n20,20,1000,20000\n40,30,500,3000\n");
     let alone = |catalog: &str, name: &str| {

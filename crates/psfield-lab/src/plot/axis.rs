@@ -76,7 +76,7 @@ pub(super) fn bounds(values: impl Iterator<Item = f64>) -> (f64, f64) {
     })
 }
 
-/// How values lie along an axis.
+/// The spacing of values along an axis.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Spacing {
     Linear,

@@ -30,8 +30,9 @@ pub(super) fn text_width(text: &str) -> f64 {
 }
 
 impl Figure {
-    /// Draws charts, two per row if there are several, each in a cell of `width` pixels. If the charts have at least two curves of different names, a legend above them
-    /// shows each name once, so curves of equal names should have equal colours and markers.
+    /// Draws charts, two per row if there are several, each in a cell of `width` pixels. If the charts have at
+    /// least two curves of different names, a legend above them shows each name once, so curves of equal names
+    /// should have equal colours and markers.
     pub fn new(charts: &[Chart], width: f64) -> Self {
         let across = charts.len().clamp(1, 2);
         // Cells have equal heights, so that axes are in line.
