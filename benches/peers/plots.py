@@ -34,7 +34,7 @@ def draw(rows, folder):
     with plt.rc_context(STYLE):
         if "pixels" in groups:
             save(pixels(groups["pixels"]), folder / "cost_with_pixels.svg")
-        panels = [name for name in ("light", "stars", "galaxies") if name in groups]
+        panels = [name for name in ("light", "stars", "galaxies", "floor") if name in groups]
         if panels:
             save(amounts(panels, groups), folder / "cost_with_sources.svg")
 
@@ -83,6 +83,10 @@ def amounts(groups, rows_of):
             axes.set_xlim(-0.03, 150)
             axes.set_xticks(amount, [f"{value:g}" for value in amount])
             axes.set_xlabel("pixels with light (%)")
+        elif group == "floor":
+            axes.set_xscale("symlog", linthresh=0.01, linscale=0.5)
+            axes.set_xticks(amount, [f"{value:g}" for value in amount])
+            axes.set_xlabel("floor (flux per pixel), fluxes of 1 to $10^6$")
         else:
             axes.set_xscale("log")
             axes.set_xlabel(f"number of {group}")

@@ -18,9 +18,11 @@ from pool import Pool
 STARS = 100, 1000
 """Numbers of stars that are drawn. The difference of their times gives the time of a star."""
 GALAXIES = 300
+SOURCES_OF_FLOOR = 10_000
+"""Stars, and as many galaxies, of the group `floor`."""
 STARS_OF_SERIES = 2000
 """Stars in each exposure of the group `starseries`."""
-ORDER = "pixels", "light", "stars", "galaxies", "frames", "fields", "colours", "series", "starseries"
+ORDER = "pixels", "light", "stars", "galaxies", "floor", "frames", "fields", "colours", "series", "starseries"
 
 
 class Peers:
@@ -42,6 +44,9 @@ class Peers:
             return name, seconds * STARS_OF_SERIES * amount
         if row["group"] == "galaxies":
             return galaxies.GalSim.name, self.galaxy(size) * amount
+        if row["group"] == "floor":
+            each = self.star(size)[stars.GalSim.name] + self.galaxy(size)
+            return galaxies.GalSim.name, each * SOURCES_OF_FLOOR
         frames = int(amount) if row["group"] in ("frames", "fields", "colours", "series") else 1
         return "fftconvolve", self.images(size, frames)
 

@@ -30,7 +30,7 @@ from psfield._catalog import read_catalog
 from psfield._errors import PsfieldWarning
 from psfield._model import PsfModel
 from psfield._native import __version__
-from psfield._plan import Plan, SpotCheck
+from psfield._plan import DroppedLight, Plan, SpotCheck
 from psfield._radial import RadialProfile
 from psfield._reports import (
     FitReport,
@@ -44,6 +44,7 @@ from psfield._simulate import example, simulate
 from psfield._threads import set_threads, threads
 
 __all__ = [
+    "DroppedLight",
     "FitReport",
     "LeaveOneOutReport",
     "Plan",

@@ -1267,6 +1267,7 @@ class PsfModel:
         frame: tuple[int, int, int, int] | None = None,
         region: tuple[int, int, int, int] | None = None,
         tolerance_on: Literal["l2", "aperture"] = DEFAULTS.tolerance_on,
+        floor: float = DEFAULTS.floor,
         anchor: Literal["source", "output"] = DEFAULTS.anchor,
         method: Literal["auto", "lowrank"] = DEFAULTS.method,
         memory: int | None = DEFAULTS.memory,
@@ -1308,6 +1309,13 @@ class PsfModel:
             Errors that the tolerance bounds. ``l2``: the relative L2 error of a PSF. ``aperture``:
             also the error of the flux in every circle about the source, relative to the total flux
             of the PSF.
+        floor : float
+            Flux per pixel below which light of stars and galaxies may be dropped, such as a tenth
+            of the noise (`psfield.detector.Detector.noise`). A source is drawn as far as its light
+            exceeds the floor, and at least to the radius of 90 % of its light, so faint sources
+            are drawn faster. `Plan.dropped_light` says how much is dropped, and `Plan.spot_check`
+            allows it. With 0, nothing is dropped. Scenes that are images do not depend on it, nor
+            does `Plan.adjoint`.
         anchor : {'source', 'output'}
             Position at which the PSF is evaluated. ``source``: each source spreads with the PSF at
             its own position. ``output``: each pixel gathers light with the PSF at its own position.

@@ -59,6 +59,31 @@ Labelled = TypeVar("Labelled", bound=_WithAttributes | _WithLabels | _WithUnit)
 
 
 @dataclass(frozen=True)
+class DroppedLight(FieldsAsTable):
+    """Upper limits of the light of sources that a plan drops because it is below the floor.
+
+    `Plan.dropped_light` returns it.
+
+    Attributes
+    ----------
+    largest : float
+        The largest sum of dropped light in any pixel is at most this, in flux per pixel.
+    fraction : float
+        The fraction of the sources' flux that is dropped is at most about this.
+
+    Examples
+    --------
+    >>> import psfield
+    >>> model = psfield.PsfModel.from_samples([[0, 1, 0], [1, 4, 1], [0, 1, 0]], (0, 0))
+    >>> model.plan((20, 30)).dropped_light({"x": [14.0], "y": [12.0], "flux": [10.0]})
+    DroppedLight(largest=0.0, fraction=0.0)
+    """
+
+    largest: float
+    fraction: float
+
+
+@dataclass(frozen=True)
 class SpotCheck(FieldsAsTable):
     """A comparison of an image with the direct sum in double precision at random pixels.
 
@@ -618,6 +643,30 @@ class Plan:
             matvec=lambda scene: self.simulate(np.reshape(scene, scene_shape)).ravel(),
             rmatvec=lambda image: self.adjoint(np.reshape(image, self.image_shape)).ravel(),
         )
+
+    def dropped_light(self, catalog: Any, *, wcs: Any = None) -> DroppedLight:
+        """Return upper limits of the light that is dropped because it is below the floor.
+
+        Parameters
+        ----------
+        catalog, wcs
+            As for `simulate`.
+
+        Returns
+        -------
+        DroppedLight
+            Zeros for a plan without a floor, whose ``floor`` is 0.
+
+        Examples
+        --------
+        >>> import psfield
+        >>> stamp = [[1, 1, 1, 1, 1], [1, 9, 9, 9, 1], [1, 9, 99, 9, 1], [1, 9, 9, 9, 1], [1] * 5]
+        >>> model = psfield.PsfModel.from_samples(stamp, (0, 0))
+        >>> plan = model.plan((30, 30), floor=0.5)
+        >>> plan.dropped_light({"x": [14.0], "y": [12.0], "flux": [10.0]}).largest <= 0.5
+        True
+        """
+        return DroppedLight(*self._handle.dropped_light(self._sources(catalog, None, None, wcs, 3)))
 
     def spot_check(
         self,

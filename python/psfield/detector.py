@@ -202,6 +202,22 @@ class Detector:
         return self._handle.unit()
 
     @property
+    def noise(self) -> float:
+        """Noise of a dark pixel, in the unit of the image's flux.
+
+        The standard deviation of sky (at the middle of the frame), dark charge and read noise. Sky
+        and dark charge count only with photon noise. A tenth of it is a good ``floor`` for
+        `PsfModel.plan`.
+
+        Examples
+        --------
+        >>> from psfield.detector import Detector
+        >>> Detector(photon_noise=True, sky_e=91.0, read_noise_e=3.0, electrons_per_flux=2.0).noise
+        5.0
+        """
+        return self._handle.noise()
+
+    @property
     def saturation(self) -> float | None:
         """Count at which pixels saturate, or None if they do not.
 

@@ -75,6 +75,7 @@ def files(tmp_path_factory):
 FEATURES = {
     "image": ({"scene": "scene.fits"}, {}),
     "stars and galaxies": ({"catalog": "stars.csv"}, {}),
+    "floor of sources": ({"catalog": "stars.csv", "floor": 0.05}, {"floor": 0.05}),
     "spectra of images": (
         {"scene": "scene.fits", "sed": BLUE, "layer": f"red.fits:sed={RED}", **COLOUR},
         {"scene": {BLUE: "scene.fits", RED: "red.fits"}, "bandpass": "band.csv"},

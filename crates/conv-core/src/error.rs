@@ -55,6 +55,12 @@ pub enum ConvError {
         /// The tolerance given.
         got: f64,
     },
+    /// The floor is not a number of at least 0.
+    #[error("the floor is {got}: it must be a number of at least 0")]
+    Floor {
+        /// The floor given.
+        got: f64,
+    },
     /// The plan does not accept light of this shape.
     #[error("the light has {got} pixels, but the plan accepts {expected}")]
     LightShape {

@@ -64,6 +64,7 @@
 
 mod both_precisions;
 mod cpu;
+mod dropped_light;
 mod engine;
 mod error;
 mod galaxies;
@@ -98,6 +99,7 @@ pub mod internals {
 
 pub use {ndarray, psf_types};
 
+pub use dropped_light::DroppedLight;
 pub use engine::{Engine, LowRank, Operation, RowStream, TileCounts};
 pub use error::ConvError;
 pub use galaxies::{ExtendedSources, GalaxyErrors, Light};

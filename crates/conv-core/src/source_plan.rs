@@ -3,6 +3,7 @@
 use ndarray::ArrayViewMut2;
 use psf_types::{Anchor, PixelRegion, PointSource, Position, Progress, PsfModel};
 
+use crate::dropped_light::DroppedLight;
 use crate::galaxies::{ExtendedSources, ExtendedToDraw, GalaxyDrawer, GalaxyErrors};
 use crate::image_memory::{check_shape, with_rows_in_memory};
 use crate::plan::{PlanOptions, check_layers, share_stamps};
@@ -234,6 +235,32 @@ impl<T: ConvReal> SourcePlan<T> {
         };
         check_shape(region.shape(), image.dim())?;
         with_rows_in_memory(image, |image| self.galaxies.draw_into(catalogue, region, image))
+    }
+
+    /// Adds the light that stars and extended sources drop at most, because it is below the floor
+    /// ([`PlanOptions::with_floor`]). `dropped` covers `region`, in pixels of the frame. Stars that are drawn
+    /// together by transforms drop nothing, but are counted as if they did. Without a floor, only the flux is
+    /// counted.
+    pub fn add_dropped_light(
+        &self,
+        (stars, extended): (&[PointSource], ExtendedSources<'_>),
+        frame: PixelRegion,
+        region: PixelRegion,
+        dropped: &mut DroppedLight,
+    ) {
+        let progress = &psf_types::NoProgress;
+        let catalogue = StarsToDraw {
+            stars,
+            frame,
+            progress,
+        };
+        self.stars.add_dropped(&self.psfs, catalogue, region, dropped);
+        let catalogue = ExtendedToDraw {
+            sources: extended,
+            frame,
+            progress,
+        };
+        self.galaxies.add_dropped(catalogue, region, dropped);
     }
 
     /// Computes the light of extended sources in single pixels `(column, row)` of the frame, in f64, with the

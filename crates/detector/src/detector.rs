@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::DetectorError;
 use crate::error::{above_zero, at_least_zero, require};
+use crate::noise::largest_response;
 
 /// The full description of a detector and an exposure, with the keys of the TOML file. Nothing is
 /// checked here: [`Detector::new`] checks descriptions from files and from code.
@@ -331,6 +332,28 @@ impl Detector {
     /// Expected dark charge of a good pixel in the exposure, in electrons.
     pub fn dark_e(&self) -> f64 {
         self.params.dark_e_per_s * self.params.exposure_s.unwrap_or(0.0)
+    }
+
+    /// The noise of a dark pixel, in the unit of the image's flux: the standard deviation of sky (at the middle of
+    /// the frame), dark charge and read noise, `sqrt(sky + D t + sigma^2) / c`. Sky and dark charge count only
+    /// with photon noise.
+    pub fn noise(&self) -> f64 {
+        let DetectorParams {
+            sky_e,
+            read_noise_e,
+            electrons_per_flux,
+            photon_noise,
+            ..
+        } = self.params;
+        let counted = if photon_noise { sky_e + self.dark_e() } else { 0.0 };
+        (counted + read_noise_e * read_noise_e).sqrt() / electrons_per_flux
+    }
+
+    /// The mean number of photons for a flux of 1 that are shot at an exposure
+    /// ([`Exposer::with_photons`](crate::Exposer::with_photons)): `electrons_per_flux` times the largest response
+    /// of a pixel.
+    pub fn photons_per_flux(&self) -> f64 {
+        self.params.electrons_per_flux * largest_response(self.params.response_rms)
     }
 
     /// Returns whether every step is off, so that the counts equal the image. (Negative pixels

@@ -7,7 +7,7 @@ use serde::Serialize;
 
 use crate::bad_pixels::{BadPixelMask, PixelFlags, bad_columns, mark_bad_pixels};
 use crate::levels::{FrameSky, clip, convert};
-use crate::noise::{add_photon_noise, add_read_noise, apply_response};
+use crate::noise::{add_photon_noise, add_read_noise, apply_response, thin_by_response};
 use crate::{Detector, DetectorError, DetectorParams};
 
 impl Detector {
@@ -144,6 +144,8 @@ pub struct Exposer<'a> {
     /// The flag of each column: 0 or [`PixelFlags::BAD_COLUMN`].
     columns: Vec<u8>,
     mask: Option<&'a BadPixelMask>,
+    /// Photons `[y, x]` of sources that were drawn one by one.
+    photons: Option<ArrayView2<'a, i32>>,
 }
 
 /// Rows of an exposure.
@@ -170,6 +172,35 @@ impl<'a> Exposer<'a> {
             hot_dark_e: params.bad_pixels.hot_dark_e_per_s * params.exposure_s.unwrap_or(0.0),
             columns: bad_columns(params, frame.nx()),
             mask: None,
+            photons: None,
+        })
+    }
+
+    /// Adds photons `[y, x]` that were drawn one by one, [`Detector::photons_per_flux`] for a flux of 1 on average.
+    /// Each is detected with the probability that the pixel's response gives, so the electrons of a source are
+    /// Poisson distributed about its flux times `electrons_per_flux` times the response, as those of light in the
+    /// image. Later steps treat both in the same way.
+    ///
+    /// # Errors
+    /// [`DetectorError::Rows`] or [`DetectorError::RowWidth`] for photons whose shape differs from the frame, and
+    /// [`DetectorError::Needs`] for a detector without photon noise.
+    pub fn with_photons(self, photons: ArrayView2<'a, i32>) -> Result<Self, DetectorError> {
+        self.check_rows(0, photons)?;
+        if photons.nrows() != self.frame.ny() {
+            return Err(DetectorError::Rows {
+                rows: 0..photons.nrows(),
+                frame: self.frame,
+            });
+        }
+        if !self.detector.params().photon_noise {
+            return Err(DetectorError::Needs {
+                key: "shooting of photons",
+                other: "photon_noise",
+            });
+        }
+        Ok(Self {
+            photons: Some(photons),
+            ..self
         })
     }
 
@@ -304,6 +335,22 @@ impl<'a> Exposer<'a> {
         }
         if params.photon_noise {
             add_photon_noise(self.seed, row, &mut values);
+        }
+        if let Some(photons) = self.photons {
+            let mut detected = photons.row(row).to_vec();
+            if params.response_rms > 0.0 {
+                thin_by_response(
+                    (params.pattern_seed, self.seed),
+                    row,
+                    params.response_rms,
+                    &mut detected,
+                );
+            }
+            for ((value, count), flag) in values.iter_mut().zip(detected).zip(&*flags) {
+                if flag & PixelFlags::NO_CHARGE == 0 {
+                    *value += f64::from(count);
+                }
+            }
         }
         if let Some(full_well_e) = params.full_well_e {
             clip(full_well_e, &mut values, flags);

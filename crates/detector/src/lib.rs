@@ -14,6 +14,7 @@
 //! | dark current | `S + (D + D_hot(x, y)) t` | `dark_e_per_s`, `exposure_s`, `bad_pixels.hot_dark_e_per_s` |
 //! | bad pixels | dead pixels and bad columns hold no charge | `bad_pixels` |
 //! | photon noise | `N ~ Poisson(S)`, for negative `S` `-N ~ Poisson(-S)` | `photon_noise` |
+//! | shot photons | each is detected with the probability `r / r_max` ([`Exposer::with_photons`]) | |
 //! | full well | `min(N, W)` | `full_well_e` |
 //! | read noise | `N + R`, `R ~ Normal(0, sigma^2)` | `read_noise_e` |
 //! | amplifier | `N / g + b` in ADU | `gain_e_per_adu`, `bias_adu` |
@@ -32,7 +33,7 @@
 //! # Random numbers
 //! The generator is ChaCha8, keyed by the seed (`seed_from_u64`). Each row of the image has its own
 //! stream in each step, numbered `step * 2^56 + row`. The steps are photons 1, read noise 2,
-//! response 3, bad pixels 4, bad columns 5. The bad columns are drawn once, from the stream of row
+//! response 3, bad pixels 4, bad columns 5, thinning of photons 6. The bad columns are drawn once, from the stream of row
 //! 0. Numbers are drawn for the pixels of a row one after the other. The result therefore depends
 //! only on the image, the parameters and the seeds, not on threads or bands of rows. Switching the
 //! read noise on does not change the photon noise.

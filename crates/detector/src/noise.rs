@@ -3,7 +3,7 @@
 
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use rand_distr::{Distribution, Poisson, StandardNormal};
+use rand_distr::{Binomial, Distribution, Poisson, StandardNormal};
 
 /// A step of the chain that draws random numbers. The value of a variant selects the random stream
 /// and must not change, because results would change.
@@ -14,6 +14,7 @@ pub(crate) enum Step {
     Response = 3,
     BadPixels = 4,
     BadColumns = 5,
+    Thinning = 6,
 }
 
 /// Row numbers must be below 2 to this power. No frame has so many rows.
@@ -30,10 +31,38 @@ pub(crate) fn noise_stream(seed: u64, step: Step, row: usize) -> ChaCha8Rng {
 /// normal deviate of mean 1, or 0 if the deviate is negative. It belongs to the sensor: it follows
 /// from `pattern_seed` and is equal in every exposure.
 pub(crate) fn apply_response(pattern_seed: u64, row: usize, rms: f64, electrons: &mut [f64]) {
+    for (value, response) in electrons.iter_mut().zip(responses(pattern_seed, row, rms)) {
+        *value *= response;
+    }
+}
+
+/// The response of each pixel of a row.
+fn responses(pattern_seed: u64, row: usize, rms: f64) -> impl Iterator<Item = f64> {
     let mut rng = noise_stream(pattern_seed, Step::Response, row);
-    for value in electrons {
+    std::iter::repeat_with(move || {
         let normal: f64 = StandardNormal.sample(&mut rng);
-        *value *= (1.0 + rms * normal).max(0.0);
+        (1.0 + rms * normal).max(0.0)
+    })
+}
+
+/// The response of a pixel exceeds the mean by at most so many standard deviations. In one of 10^15 pixels it is
+/// larger.
+const MOST_DEVIATIONS: f64 = 8.0;
+
+/// The largest response of a pixel.
+pub(crate) fn largest_response(rms: f64) -> f64 {
+    1.0 + MOST_DEVIATIONS * rms
+}
+
+/// Keeps each photon with the probability of the pixel's response over the largest one. A pixel's count may be
+/// negative: then its size is thinned.
+pub(crate) fn thin_by_response((pattern_seed, seed): (u64, u64), row: usize, rms: f64, counts: &mut [i32]) {
+    let mut rng = noise_stream(seed, Step::Thinning, row);
+    let largest = largest_response(rms);
+    for (count, response) in counts.iter_mut().zip(responses(pattern_seed, row, rms)) {
+        let kept = Binomial::new(count.unsigned_abs().into(), (response / largest).min(1.0));
+        let kept = kept.expect("a probability").sample(&mut rng);
+        *count = count.signum() * kept as i32;
     }
 }
 

@@ -5,8 +5,11 @@ mod common;
 
 use common::{NX, NY, PIXELS, assert_within, detector, flat, moments};
 use ndarray::{Array2, array};
-use psf_detector::{BadPixelMask, CountUnit, DetectorError, PixelFlags, SkyGradient};
+use psf_detector::{BadPixelMask, CountUnit, Detector, DetectorError, Exposer, PixelFlags, SkyGradient};
 use psf_types::{FrameShape, Image};
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, Poisson};
 
 /// Rounding error of a few sums and products in double precision.
 const ROUNDING: f64 = 1e-12;
@@ -389,4 +392,80 @@ fn the_response_has_the_requested_spread() {
     });
     let dark = dark.expose(&flat(0.0), 1).unwrap();
     assert!(dark.counts().pixels().iter().all(|v| *v == 6.0));
+}
+
+/// Photons that were drawn one by one are detected as the response says, and not in dead pixels.
+#[test]
+fn shot_photons_have_the_statistics_of_light() {
+    const RUNS: u64 = 12;
+    const FLUX: f64 = 6.0;
+    let ccd = detector(|params| {
+        params.photon_noise = true;
+        params.electrons_per_flux = 0.5;
+        params.response_rms = 0.2;
+        params.bad_pixels.dead_fraction = 0.1;
+    });
+    let (dark, light) = (flat(0.0), flat(FLUX));
+    let mut rng = ChaCha8Rng::seed_from_u64(1);
+    let poisson = Poisson::new(FLUX * ccd.photons_per_flux()).unwrap();
+    let zeros = || Array2::<f64>::zeros(light.pixels().dim());
+    let (mut sum, mut squares, mut of_light) = (zeros(), zeros(), zeros());
+    for seed in 0..RUNS {
+        let photons = zeros().mapv(|_| poisson.sample(&mut rng) as i32);
+        let exposer = ccd.exposer(dark.shape(), seed).unwrap();
+        let exposure = exposer
+            .with_photons(photons.view())
+            .unwrap()
+            .expose(&dark)
+            .unwrap();
+        let dead = exposure.flags().mapv(|flag| flag & PixelFlags::DEAD != 0);
+        let counts = exposure.counts().pixels().mapv(f64::from);
+        assert!(
+            counts
+                .iter()
+                .zip(&dead)
+                .all(|(count, dead)| !dead || *count == 0.0)
+        );
+        sum += &counts;
+        squares += &(&counts * &counts);
+        of_light += &ccd
+            .expose(&light, seed)
+            .unwrap()
+            .counts()
+            .pixels()
+            .mapv(f64::from);
+    }
+    assert_within("mean", sum.sum() / of_light.sum(), 1.0, 4e-4);
+    let runs = RUNS as f64;
+    let variances = (&squares - &(&sum * &sum / runs)) / (runs - 1.0);
+    assert_within("variance", variances.sum() / (sum.sum() / runs), 1.0, 1e-3);
+    // In each pixel the mean is that of light.
+    let chi_square = sum
+        .iter()
+        .zip(&of_light)
+        .map(|(a, b)| (a - b).powi(2) / (a + b).max(1.0));
+    assert_within("pixels", chi_square.sum::<f64>() / PIXELS / 0.9, 1.0, 2e-3);
+}
+
+#[test]
+fn photons_need_the_frames_shape_and_photon_noise() {
+    fn exposer(ccd: &Detector) -> Exposer<'_> {
+        ccd.exposer(flat(0.0).shape(), 1).unwrap()
+    }
+    let photons = Array2::zeros((NY, NX));
+    let quiet = detector(|_| {});
+    let refused = exposer(&quiet).with_photons(photons.view());
+    assert!(matches!(
+        refused,
+        Err(DetectorError::Needs {
+            other: "photon_noise",
+            ..
+        })
+    ));
+    let noisy = detector(|params| params.photon_noise = true);
+    assert!(exposer(&noisy).with_photons(photons.view()).is_ok());
+    for shape in [(NY, NX + 1), (NY + 1, NX), (NY - 1, NX)] {
+        let photons = Array2::zeros(shape);
+        assert!(exposer(&noisy).with_photons(photons.view()).is_err(), "{shape:?}");
+    }
 }

@@ -32,7 +32,7 @@ pub(crate) fn command<C: CommandFactory>() -> Command {
 }
 
 /// The defaults of the library that help texts name in braces.
-fn defaults() -> [(&'static str, String); 11] {
+fn defaults() -> [(&'static str, String); 12] {
     let (sampling, simulation) = (SamplingOptions::default(), SimulateOptions::default());
     [
         ("{criterion}", Criterion::default().to_string()),
@@ -45,6 +45,7 @@ fn defaults() -> [(&'static str, String); 11] {
         ("{start}", AdaptiveSampling::DEFAULT_START.to_string()),
         ("{threshold}", sampling.threshold.to_string()),
         ("{tolerance}", format!("{:e}", simulation.tolerance)),
+        ("{floor}", simulation.floor.to_string()),
         ("{verify}", KrigingSampling::DEFAULT_VERIFY.to_string()),
     ]
 }

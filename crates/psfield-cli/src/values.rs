@@ -93,6 +93,24 @@ pub(crate) fn tolerance(text: &str) -> Result<f64, String> {
     )
 }
 
+/// The floor of sources.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) enum Floor {
+    /// A tenth of the detector's noise.
+    Auto,
+    /// Flux per pixel.
+    At(f64),
+}
+
+/// Parses a floor: a number of at least 0, or `auto`.
+pub(crate) fn floor(text: &str) -> Result<Floor, String> {
+    if text == "auto" {
+        return Ok(Floor::Auto);
+    }
+    let is_valid = |value: &f64| *value >= 0.0 && value.is_finite();
+    number(text, is_valid, "auto or a number of at least 0").map(Floor::At)
+}
+
 /// Parses a number of bytes: a whole number, optionally followed by K, M or G (powers of 1024).
 pub(crate) fn bytes(text: &str) -> Result<usize, String> {
     let digits = text.trim_end_matches(|c: char| c.is_ascii_alphabetic());

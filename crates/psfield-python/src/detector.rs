@@ -46,6 +46,11 @@ impl Detector {
         self.0.unit().to_string()
     }
 
+    /// The noise of a dark pixel, in the unit of the image's flux.
+    fn noise(&self) -> f64 {
+        self.0.noise()
+    }
+
     /// The count at which pixels saturate, if they do.
     fn saturation(&self) -> Option<f64> {
         self.0.saturation()

@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex};
 use ndarray::parallel::prelude::*;
 use ndarray::{Array, Array2, Array3, ArrayViewMut2, ArrayViewMut3, Axis, Dimension, Ix2, Ix3};
 use numpy::{Element, IntoPyArray};
-use psfield::conv_core::{ConvReal, zeros};
+use psfield::conv_core::{ConvReal, DroppedLight, zeros};
 use psfield::psf_types::{Image, ImageView, NoProgress, PixelRegion};
 use psfield::{Method, Preparation, PsfieldError, Scene, SimulateOptions, SimulationWarning, Simulator};
 use pyo3::exceptions::PyOSError;
@@ -80,13 +80,17 @@ pub(crate) fn options(given: &Bound<'_, PyMapping>) -> PyResult<SimulateOptions>
         return Err(invalid(format!("method must be auto or lowrank, got {name}")));
     }
     let options: SimulateOptions = from_python(given)?;
-    if options.plan_options().is_err() {
-        let tolerance = options.tolerance;
-        return Err(invalid(format!(
-            "tolerance must be at least 0 and below 1, got {tolerance}"
-        )));
+    match options.plan_options() {
+        Ok(_) => Ok(options),
+        Err(error) if error.setting() == Some("floor") => Err(invalid(format!(
+            "floor must be at least 0 and finite, got {}",
+            options.floor
+        ))),
+        Err(_) => Err(invalid(format!(
+            "tolerance must be at least 0 and below 1, got {}",
+            options.tolerance
+        ))),
     }
-    Ok(options)
 }
 
 /// The image, or `None` if it was written to an array of the caller, and warnings in sentences.
@@ -275,6 +279,19 @@ impl Plan {
         })
     }
 
+    /// Upper limits of the light of sources that is dropped: in any pixel, and as a fraction of their flux.
+    fn dropped_light(&self, py: Python<'_>, sources: PyRef<'_, Sources>) -> PyResult<(f64, f64)> {
+        let sources = &*sources;
+        let dropped = in_precision!(self, simulators => {
+            threads::run_beside(py, None, &*pool()?, |watch, pool| {
+                let (simulator, scene) = self.ready(simulators, Vec::new(), sources, watch, pool)?;
+                pool.install(|| -> Result<_, Failure> { Ok(simulator.dropped_light(&scene)?) })
+            })?
+        });
+        let limits = |dropped: DroppedLight| (dropped.largest(), dropped.fraction());
+        Ok(dropped?.map_or((0.0, 0.0), limits))
+    }
+
     /// Checks an image against the direct sum. Returns the result as JSON.
     fn spot_check<'py>(
         &self,
@@ -393,7 +410,7 @@ fn simulated<T: ConvReal>(
     simulator.simulate_into(scene, image.view_mut(), watch)?;
     // `new` checks that every pixel is finite, as the library does for images that it allocates.
     ImageView::new(image.view())?;
-    Ok((made, simulator.warnings(scene)))
+    Ok((made, simulator.warnings(scene, None)))
 }
 
 /// Converts an image, or images, and warnings.
@@ -429,7 +446,7 @@ fn many_simulated<T: ConvReal>(
         // `new` checks that every pixel is finite.
         ImageView::new(image)?;
     }
-    let warnings = scenes.first().map(|scene| simulator.warnings(scene));
+    let warnings = scenes.first().map(|scene| simulator.warnings(scene, None));
     Ok((made, warnings.unwrap_or_default()))
 }
 

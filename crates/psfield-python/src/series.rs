@@ -128,7 +128,7 @@ fn exposed<'py, T: ConvReal + Element>(
                 image,
                 exposure.shift_px,
                 exposure.sources,
-                simulator.warnings(scene),
+                simulator.warnings(scene, None),
             ))
         })
     })?;

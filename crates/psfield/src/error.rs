@@ -190,6 +190,7 @@ impl From<ConvError> for PsfieldError {
     fn from(error: ConvError) -> Self {
         let (kind, setting) = match error {
             ConvError::Tolerance { .. } => (ErrorKind::Setting, Some("tolerance")),
+            ConvError::Floor { .. } => (ErrorKind::Setting, Some("floor")),
             ConvError::PatchSize => (ErrorKind::Setting, Some("method")),
             ConvError::StampSize => (ErrorKind::Setting, Some("stamp_size")),
             ConvError::RegionOutsideFrame { .. } => (ErrorKind::Setting, Some("region")),

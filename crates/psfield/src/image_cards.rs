@@ -2,7 +2,7 @@
 
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
-use conv_core::ConvReal;
+use conv_core::{ConvReal, DroppedLight};
 use psf_io::{Card, CardError, HeaderCards};
 
 use crate::error::{ErrorKind, PsfieldError};
@@ -14,6 +14,9 @@ pub const JOB_KEYWORD: &str = "PSFJOB";
 
 /// The keyword that holds the name of the PSF's file, without its folder.
 pub const PSF_FILE_KEYWORD: &str = "PSFFILE";
+
+/// The keywords of [`Simulator::dropped_cards`].
+const DROPPED_KEYWORDS: [&str; 3] = ["PSFFLOOR", "PSFDROPM", "PSFDROPF"];
 
 /// Cards of a file's origin: the version of psfield, the date, and the `command` as a line of
 /// HISTORY.
@@ -164,11 +167,41 @@ impl<T: ConvReal> Simulator<T> {
         Ok(cards)
     }
 
+    /// Returns cards that say how much light was dropped: none without a floor.
+    ///
+    /// | keyword | value |
+    /// |---|---|
+    /// | `PSFFLOOR` | the floor, in flux per pixel |
+    /// | `PSFDROPM` | the largest sum of dropped light in a pixel is at most this |
+    /// | `PSFDROPF` | the fraction of the flux that is dropped at most |
+    ///
+    /// # Errors
+    /// [`CardError`] if the light is not finite.
+    pub fn dropped_cards(&self, dropped: Option<&DroppedLight>) -> Result<Vec<Card>, CardError> {
+        let Some(dropped) = dropped else {
+            return Ok(Vec::new());
+        };
+        let [floor, largest, fraction] = DROPPED_KEYWORDS;
+        Ok(vec![
+            Card::new(floor, self.options().floor, "floor of sources, flux per pixel")?,
+            Card::new(
+                largest,
+                dropped.largest(),
+                "most light dropped in any pixel, upper limit",
+            )?,
+            Card::new(
+                fraction,
+                dropped.fraction(),
+                "fraction of flux dropped, upper limit",
+            )?,
+        ])
+    }
+
     /// Converts the header of a scene to the header of the image that is simulated from it. If
     /// `of_image` is true, the world coordinates of `header` refer to the pixels of the image that
     /// describes the scene. Otherwise they refer to frame pixels counted from the scene's first
     /// pixel. In the result they refer to the frame's pixels. The cards of an earlier spot check,
-    /// batch job and PSF file are removed.
+    /// batch job, PSF file and floor are removed.
     pub fn carried_header(&self, header: &HeaderCards, of_image: bool) -> HeaderCards {
         let (frame, s) = (self.frame(), self.options().oversample);
         let mut header = if of_image {
@@ -182,7 +215,8 @@ impl<T: ConvReal> Simulator<T> {
         // The scene may be an image that psfield made. Its spot check, batch job and PSF do not
         // apply to the new image.
         let others = [JOB_KEYWORD, PSF_FILE_KEYWORD];
-        for keyword in SpotCheck::KEYWORDS.into_iter().chain(others) {
+        let keywords = SpotCheck::KEYWORDS.into_iter().chain(DROPPED_KEYWORDS);
+        for keyword in keywords.chain(others) {
             header.remove(keyword);
         }
         header

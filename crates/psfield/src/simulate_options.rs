@@ -34,6 +34,11 @@ pub struct SimulateOptions {
     /// flux in every circle about the source ([`PlanOptions::with_tolerance_on`]). Applies to the
     /// methods with a plan.
     pub tolerance_on: ToleranceOn,
+    /// Light of stars and galaxies below this flux per pixel may be dropped, at least 0
+    /// ([`PlanOptions::with_floor`]). [`Simulator::dropped_light`](crate::Simulator::dropped_light) says how
+    /// much is. At 0 nothing is. Images in scenes and the adjoint do not depend on it. Applies to the methods
+    /// with a plan.
+    pub floor: f64,
     /// Chooses whether the PSF is evaluated at the position of each source or of each pixel of the
     /// image.
     pub anchor: Anchor,
@@ -79,6 +84,7 @@ impl Default for SimulateOptions {
             method: Method::default(),
             tolerance: PlanOptions::DEFAULT_TOLERANCE,
             tolerance_on: ToleranceOn::default(),
+            floor: 0.0,
             anchor: Anchor::default(),
             memory: None,
             oversample: 1,
@@ -109,10 +115,11 @@ impl SimulateOptions {
     /// methods without a plan.
     ///
     /// # Errors
-    /// [`ErrorKind::Setting`](crate::ErrorKind::Setting) for a tolerance out of range, also for
+    /// [`ErrorKind::Setting`](crate::ErrorKind::Setting) for a tolerance or a floor out of range, also for
     /// methods without a plan.
     pub fn plan_options(&self) -> Result<Option<PlanOptions>, PsfieldError> {
         let options = PlanOptions::new(self.tolerance)?
+            .with_floor(self.floor)?
             .with_tolerance_on(self.tolerance_on)
             .with_anchor(self.anchor);
         Ok(match self.method {

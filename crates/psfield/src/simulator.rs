@@ -11,6 +11,7 @@ mod many;
 mod part;
 mod setup;
 mod sources;
+mod stamp_edges;
 mod stamp_sampling;
 mod stream;
 #[cfg(test)]
@@ -33,6 +34,7 @@ use crate::scene::{Layer, Scene};
 use crate::simulate_options::SimulateOptions;
 
 use convolver::OfLayers;
+use stamp_edges::StampEdge;
 
 pub use builder::SimulatorBuilder;
 pub(crate) use part::Part;
@@ -104,6 +106,7 @@ struct Shared<T: ConvReal> {
     image_models: OnceLock<(Vec<PsfModel>, f64)>,
     /// The errors of stars by the interpolation of the stamps.
     sampling_errors: OnceLock<SamplingErrors>,
+    stamp_edge: OnceLock<StampEdge>,
 }
 
 impl<T: ConvReal> Shared<T> {

@@ -34,7 +34,8 @@ const AROUND: usize = 7;
 ///    is nearly the same for all sources that light a pixel, and on average if the errors of different
 ///    sources are independent.
 ///
-/// To each limit, rounding is added. A galaxy is compared with an integral on the sky, which shares
+/// To each limit, rounding is added, and the light that the floor drops at most
+/// ([`Simulator::dropped_light`](crate::Simulator::dropped_light)). A galaxy is compared with an integral on the sky, which shares
 /// nothing with its drawing. Its limits are lower, because its light is spread over many pixels, and
 /// they include the error of its image (see [`conv_core::SourcePlan`]). In the r.m.s., galaxies add up
 /// as in single pixels. The check measures the error that the engine adds to the model. It does not
@@ -103,6 +104,13 @@ impl Allowed {
         self.sum += error;
         self.norm += error;
         *root = root.hypot(error);
+    }
+
+    /// Adds light that the pixel may lack.
+    pub(crate) fn add_dropped(&mut self, light: f64) {
+        self.sum += light;
+        self.each += light;
+        self.root += light;
     }
 
     /// Adds the errors of a galaxy. The error of its PSF is limited in each pixel or, if that is less,

@@ -17,7 +17,7 @@ from psfield import _native
 #: Keywords that are not copied from the scene: those of its storage, and those of this module.
 _OWN = re.compile(
     r"SIMPLE|XTENSION|BITPIX|NAXIS\d*|EXTEND|PCOUNT|GCOUNT|GROUPS|EXTNAME|EXTVER|EXTLEVEL|INHERIT"
-    r"|BSCALE|BZERO|BLANK|DATAMIN|DATAMAX|CHECKSUM|DATASUM|PSFIELD|PSFCMD|PSFTOL|PSFTOLON"
+    r"|BSCALE|BZERO|BLANK|DATAMIN|DATAMAX|CHECKSUM|DATASUM|PSFIELD|PSFCMD|PSFTOL|PSFTOLON|PSFFLOOR|PSFDROP."
     r"|PSFANCH|PSFSCPIX|PSFPREC|PSFSEED|PSFMETH|PSFDEV|PSFRANK|PSFNORM|PSFJOB|PSFCHK."
 )
 #: Name of an unfinished file: the output, the batch, the machine and the process.
@@ -99,6 +99,8 @@ class FitsFiles:
         header["PSFTOL"] = (self.settings["tolerance"], allowed)
         on = "aperture: tolerance bounds flux in circles too"
         header["PSFTOLON"] = (self.settings["tolerance_on"], on)
+        if self.settings["floor"] > 0:
+            header["PSFFLOOR"] = (self.settings["floor"], "floor of sources, flux per pixel")
         if job.get("seed") is not None:
             header["PSFSEED"] = (int(job["seed"]), "seed of the scene and of the noise")
         with warnings.catch_warnings():

@@ -242,7 +242,7 @@ impl<T: ConvReal> GalaxyDrawer<T> {
         let transformed = |directions: Array2<f64>, largest: &[f64]| {
             let accuracy = self.shared.extent.accuracy();
             let kernels = Kernels::new(stamps, directions, largest, psf, accuracy);
-            let outline = kernels.power.outline(light);
+            let outline = kernels.power.outline(light, accuracy);
             let spectra = stamps.spectra_of(&kernels, side, stamps.band_number(outline.radius()));
             (spectra, outline)
         };

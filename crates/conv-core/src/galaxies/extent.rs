@@ -22,7 +22,7 @@ pub(super) struct Extent {
 }
 
 /// The sides of windows in pixels, which have fast transforms.
-const SIDES: [usize; 19] = [
+pub(super) const SIDES: [usize; 19] = [
     32, 48, 64, 80, 96, 128, 160, 192, 240, 320, 384, 480, 640, 768, 960, 1280, 1536, 1920, 2560,
 ];
 /// The errors of a galaxy beside that of its PSF are about this fraction of the tolerance times the

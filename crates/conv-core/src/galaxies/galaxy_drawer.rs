@@ -8,9 +8,11 @@ use rayon::prelude::*;
 
 use super::extent::{Extent, truncate};
 use super::far_field::{BlockWeights, FarLight, SMALLEST, add_far_light};
+use super::floor::{PsfOutskirts, WithinFloor};
 use super::kernels::{Kernels, ModelStamps};
 use super::power_spectrum::Outline;
 use super::window::{Drawn, Spectra, WindowDrawer};
+use crate::dropped_light::DroppedLight;
 use crate::kept::Kept;
 use crate::overlap::{Piece, add_pieces, shared};
 use crate::plan::local_modes::LocalModes;
@@ -43,6 +45,8 @@ pub(super) struct Shared<T> {
 struct DrawingBlock {
     modes: LocalModes,
     kernels: Kernels,
+    /// `None` without a floor, and if the PSFs have no flux.
+    outskirts: Option<PsfOutskirts>,
 }
 
 /// Columns and rows of a block of the field. In a larger block, more galaxies share its transformed
@@ -185,21 +189,23 @@ impl<T: ConvReal> GalaxyDrawer<T> {
                 catalogue.progress.check_cancelled()?;
                 let (flux, light) = (catalogue.flux(index), catalogue.light(index));
                 let (x, y) = catalogue.position(index);
-                let (side, reach) = self.shared.extent.side_and_reach(light.as_ref());
-                if flux == 0.0 || !is_near((x, y), self.shared.extent.farthest(side, reach), region) {
+                let whole = self.without_floor(light.as_ref());
+                if flux == 0.0 || !is_near((x, y), self.farthest(&whole), region) {
                     return Ok(None);
                 }
-                let block = block_of((x.round() as i64, y.round() as i64), BLOCK);
-                let outline = match self.psfs.options().anchor() {
-                    Anchor::Output => Outline::default(),
-                    _ => self.block(block).kernels.power.outline(light.as_ref()),
-                };
+                let (key, mut drawn, mut outline) = (block_at((x, y)), whole, Outline::default());
+                if self.psfs.options().anchor() != Anchor::Output {
+                    let block = self.block(key);
+                    drawn = self.within_floor(&block, whole, (light.as_ref(), flux));
+                    outline = block.kernels.power.outline(light.as_ref(), drawn.accuracy);
+                }
+                let WithinFloor { side, reach, .. } = drawn;
                 let number = self.stamps().band_number(outline.radius());
                 let points = self.stamps().transform_points(side, number);
                 if points > MOST_POINTS {
                     return Err(ConvError::GalaxyTransform { x, y, points });
                 }
-                let key = (side, number, block);
+                let key = (side, number, key);
                 Ok(Some(Placed {
                     key,
                     index,
@@ -227,6 +233,75 @@ impl<T: ConvReal> GalaxyDrawer<T> {
             far.extend(drawn.into_iter().flat_map(|(_, far)| far));
         }
         add_far_light(&far, image, first, catalogue.progress)
+    }
+
+    /// How a galaxy is drawn without a floor.
+    fn without_floor(&self, light: &dyn LightProfile) -> WithinFloor {
+        let (side, reach) = self.shared.extent.side_and_reach(light);
+        let accuracy = self.shared.extent.accuracy();
+        WithinFloor {
+            side,
+            reach,
+            accuracy,
+        }
+    }
+
+    /// How a galaxy of a flux is drawn.
+    fn within_floor(
+        &self,
+        block: &DrawingBlock,
+        whole: WithinFloor,
+        (light, flux): (&dyn LightProfile, f64),
+    ) -> WithinFloor {
+        let allowed = self.psfs.options().floor() / flux.abs();
+        let outskirts = block.outskirts.as_ref();
+        outskirts.map_or(whole, |psf| WithinFloor::new(whole, light, psf, allowed))
+    }
+
+    fn farthest(&self, drawn: &WithinFloor) -> f64 {
+        self.shared.extent.farthest(drawn.side, drawn.reach)
+    }
+
+    /// Adds the light that galaxies drop at most, in a region.
+    pub(crate) fn add_dropped(
+        &self,
+        catalogue: ExtendedToDraw<'_>,
+        region: PixelRegion,
+        dropped: &mut DroppedLight,
+    ) {
+        let count = catalogue.sources.points.len();
+        dropped.add_all(count, |dropped, some| {
+            some.for_each(|index| self.add_dropped_of(index, catalogue, region, dropped));
+        });
+    }
+
+    /// Adds the light that a galaxy drops at most.
+    fn add_dropped_of(
+        &self,
+        index: usize,
+        catalogue: ExtendedToDraw<'_>,
+        region: PixelRegion,
+        dropped: &mut DroppedLight,
+    ) {
+        let (flux, light) = (catalogue.flux(index), catalogue.light(index));
+        let at = catalogue.position(index);
+        let whole = self.without_floor(light.as_ref());
+        let farthest = self.farthest(&whole);
+        if flux == 0.0 || !is_near(at, farthest, region) {
+            return;
+        }
+        let block = (self.psfs.options().anchor() != Anchor::Output).then(|| self.block(block_at(at)));
+        match block
+            .as_ref()
+            .and_then(|block| Some((block, block.outskirts.as_ref()?)))
+        {
+            Some((block, psf)) => {
+                let drawn = self.within_floor(block, whole, (light.as_ref(), flux));
+                let limits = (psf, self.psfs.options().floor(), farthest);
+                drawn.add_dropped(&whole, (at, flux, light.as_ref()), limits, dropped);
+            }
+            None => dropped.count(flux, 0.0),
+        }
     }
 
     /// Draws the windows of a group of galaxies. Returns the windows that reach the region, and the
@@ -342,10 +417,22 @@ impl<T: ConvReal> GalaxyDrawer<T> {
             let directions = modes.kernels();
             // The values at the corners of cells begin with the flux, also without a reference.
             let values = modes.at_corners(&cells);
+            // The least flux of a PSF that is scaled to a flux of 1.
+            let faintest = match self.psfs.model.needs_flux_scaling() {
+                true => values
+                    .column(0)
+                    .iter()
+                    .fold(f64::INFINITY, |least, &flux| least.min(flux)),
+                false => 1.0,
+            };
             let values = values.slice(s![.., values.ncols() - directions.nrows()..]);
             let largest = values.map_axis(Axis(0), |values| values.fold(0.0_f64, |m, v| m.max(v.abs())));
             let largest = largest.to_vec();
             let typical = LocalModes::mean(space, &cells);
+            let outskirts = (self.psfs.options().floor() > 0.0 && faintest > 0.0).then(|| {
+                let largest: Vec<f64> = largest.iter().map(|largest| largest / faintest).collect();
+                self.stamps().outskirts(&directions, &largest, typical.view())
+            });
             let kernels = Kernels::new(
                 self.stamps(),
                 directions,
@@ -353,7 +440,11 @@ impl<T: ConvReal> GalaxyDrawer<T> {
                 typical.view(),
                 self.shared.extent.accuracy(),
             );
-            DrawingBlock { modes, kernels }
+            DrawingBlock {
+                modes,
+                kernels,
+                outskirts,
+            }
         };
         self.shared.blocks.get(key, make, |_| 0)
     }
@@ -396,6 +487,11 @@ enum Psf<'a, T> {
     Local(&'a Local<T>, Vec<f64>),
     /// The PSF of all components, as a vector of the model's space of PSFs.
     Exact(Array1<f64>),
+}
+
+/// The block of a galaxy at a point of the frame.
+fn block_at((x, y): (f64, f64)) -> BlockKey {
+    block_of((x.round() as i64, y.round() as i64), BLOCK)
 }
 
 pub(super) fn window_at((x, y): (f64, f64), side: usize) -> Window {

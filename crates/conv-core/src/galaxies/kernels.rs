@@ -7,6 +7,7 @@ use ndarray::{Array2, ArrayView1, ArrayView2, Axis};
 use psf_types::StampGrid;
 use rustfft::num_complex::Complex64;
 
+use super::floor::PsfOutskirts;
 use super::power_spectrum::{AliasedPower, PowerSpectrum};
 use super::spectrum::{Wavenumbers, discrete_transform, has_aliases, nearest, spectrum};
 use super::window::Spectra;
@@ -94,6 +95,16 @@ impl ModelStamps {
             spectra: Kept::new(memory_bytes),
             memory_bytes,
         }
+    }
+
+    /// The outskirts of combinations `[PSF, stamp]` of the stamps, with their largest coefficients.
+    pub(super) fn outskirts(
+        &self,
+        directions: &Array2<f64>,
+        largest: &[f64],
+        typical: ArrayView1<'_, f64>,
+    ) -> PsfOutskirts {
+        PsfOutskirts::new((self.values.view(), self.grid), directions, largest, typical)
     }
 
     /// The moments of a combination of the stamps.

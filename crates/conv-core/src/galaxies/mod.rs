@@ -9,14 +9,15 @@
 //! window's pixels, is transformed back ([`window`]). Wavenumbers without light are left out
 //! ([`power_spectrum`]). The PSF is a combination of the few stamps of
 //! a block of the field ([`kernels`]), as for stars. Outside the window, the light is nearly the
-//! image ([`far_field`]). The window is as small as the tolerance allows ([`extent`]). Galaxies
-//! beyond the tolerance use all components ([`all_components`]). The spot check computes single pixels
+//! image ([`far_field`]). The window is as small as the tolerance ([`extent`]) and the floor ([`floor`])
+//! allow. Galaxies beyond the tolerance use all components ([`all_components`]). The spot check computes single pixels
 //! by integration on the sky ([`real_space`]).
 
 mod all_components;
 mod cells;
 mod extent;
 mod far_field;
+mod floor;
 mod galaxy_drawer;
 mod kernels;
 mod power_spectrum;

@@ -23,8 +23,6 @@ pub(super) struct PowerSpectrum {
     outside: f64,
     /// The power of a typical PSF in rings of the width of a cell.
     typical: Vec<f64>,
-    /// Light beyond outlines is at most this fraction of a galaxy's image, in the L2 norm.
-    accuracy: f64,
 }
 
 /// The most cells along an axis.
@@ -40,8 +38,7 @@ const OUTSIDE: f64 = 0.3;
 
 impl PowerSpectrum {
     /// `limit` is an upper limit of the power of any PSF at the [`AliasedPower`]'s wavenumbers, and
-    /// `typical` the power of one of them. Beyond the outlines, the light of this one is at most
-    /// `accuracy`, in the L2 norm.
+    /// `typical` the power of one of them. Outlines are made for an `accuracy` of at least this.
     pub(super) fn new(aliases: &AliasedPower, limit: &[f64], typical: &[f64], accuracy: f64) -> Self {
         let least = typical.iter().sum::<f64>() * NEGLIGIBLE * accuracy * accuracy / typical.len() as f64;
         let mut rings = vec![0.0; (aliases.cells as f64 * SQRT_2) as usize + 1];
@@ -77,13 +74,12 @@ impl PowerSpectrum {
             largest,
             outside: outside[count.min(aliases.cells)],
             typical: rings.chunks(joined).map(|rings| rings.iter().sum()).collect(),
-            accuracy,
         }
     }
 
     /// The wavenumbers beyond which at most the square of the accuracy times the power of a galaxy's
-    /// image lies.
-    pub(super) fn outline(&self, light: &dyn LightProfile) -> Outline {
+    /// image lies: the light there is at most `accuracy` of the image through the typical PSF, in the L2 norm.
+    pub(super) fn outline(&self, light: &dyn LightProfile, accuracy: f64) -> Outline {
         let cells = self.largest.nrows();
         // The transform of the light is largest at the inner edge of a ring.
         let rings = (cells as f64 * SQRT_2) as usize + 2;
@@ -96,8 +92,7 @@ impl PowerSpectrum {
         let square = |factor: f32| f64::from(factor) * f64::from(factor);
         let typical = self.typical.iter().zip(&smallest[1..]);
         let total: f64 = typical.map(|(power, &factor)| power * square(factor)).sum();
-        let mut rest =
-            LEFT_OUT * self.accuracy * self.accuracy * total - self.outside * square(largest[cells - 1]);
+        let mut rest = LEFT_OUT * accuracy * accuracy * total - self.outside * square(largest[cells - 1]);
         // Each line may leave out its share of the power that the lines before have not used.
         let mut ends = vec![0; cells];
         let mut end = 0;
@@ -237,7 +232,7 @@ mod tests {
         let power: Vec<f64> = coarse.iter().map(Complex64::norm_sqr).collect();
         let profile = SersicProfile::new(re, n, q, 30.0).unwrap();
         let light = SersicLight::new(&SersicSource::new(Position::of_pixel(0, 0), 1.0, profile).unwrap());
-        let outline = PowerSpectrum::new(&aliases, &power, &power, accuracy).outline(&light);
+        let outline = PowerSpectrum::new(&aliases, &power, &power, accuracy).outline(&light, accuracy);
 
         let most = (5.0 * PI * s / STEP) as usize;
         let fine = discrete_transform(stamp.view(), grid, STEP, most);
@@ -307,7 +302,7 @@ mod tests {
         let light = SersicLight::new(&SersicSource::new(Position::of_pixel(0, 0), 1.0, galaxy).unwrap());
         let outline = |power: f64, accuracy: f64| {
             let power = vec![power; (aliases.radius + 1) * (2 * aliases.radius + 1)];
-            PowerSpectrum::new(&aliases, &power, &power, accuracy).outline(&light)
+            PowerSpectrum::new(&aliases, &power, &power, accuracy).outline(&light, accuracy)
         };
         let empty = outline(0.0, 1e-3);
         assert_eq!(

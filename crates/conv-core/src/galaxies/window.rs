@@ -285,7 +285,7 @@ mod tests {
                 let profile = SersicProfile::new(0.3 * 1.06_f64.powi(step), 1.0, 1.0, 0.0).unwrap();
                 let galaxy = SersicSource::new(Position::of_pixel(0, 0), 1.0, profile).unwrap();
                 let light = SersicLight::new(&galaxy);
-                let outline = PowerSpectrum::new(&aliases, &power, &power, 1e-3).outline(&light);
+                let outline = PowerSpectrum::new(&aliases, &power, &power, 1e-3).outline(&light, 1e-3);
                 let galaxy = Drawn {
                     spectra: &spectra,
                     light: &light,

@@ -36,6 +36,7 @@ pub struct PlanOptions {
     anchor: Anchor,
     paths: Paths,
     memory_bytes: usize,
+    floor: f64,
 }
 
 impl PlanOptions {
@@ -76,6 +77,22 @@ impl PlanOptions {
     #[must_use]
     pub fn with_anchor(self, anchor: Anchor) -> Self {
         Self { anchor, ..self }
+    }
+
+    /// Sets the floor, in flux per pixel: light of stars and galaxies below it may be dropped. A source is drawn
+    /// as far as its light exceeds the floor, and at least as far as the radius of 90 % of its light. How far
+    /// depends on the source and the plan alone. [`SourcePlan::add_dropped_light`](crate::SourcePlan::add_dropped_light)
+    /// says how much is dropped. At 0, the default, nothing is. Plans for images ignore it, and so do plans that
+    /// draw stars from all components.
+    ///
+    /// # Errors
+    /// [`ConvError::Floor`] unless the floor is a number of at least 0.
+    pub fn with_floor(self, floor: f64) -> Result<Self, ConvError> {
+        if floor >= 0.0 && floor.is_finite() {
+            Ok(Self { floor, ..self })
+        } else {
+            Err(ConvError::Floor { got: floor })
+        }
     }
 
     /// Sets the allowed methods for tiles.
@@ -135,6 +152,11 @@ impl PlanOptions {
         self.anchor
     }
 
+    /// The floor, in flux per pixel ([`with_floor`](Self::with_floor)).
+    pub fn floor(&self) -> f64 {
+        self.floor
+    }
+
     /// The allowed methods for tiles.
     pub fn paths(&self) -> Paths {
         self.paths
@@ -154,6 +176,7 @@ impl Default for PlanOptions {
             anchor: Anchor::default(),
             paths: Paths::default(),
             memory_bytes: Self::DEFAULT_MEMORY_BYTES,
+            floor: 0.0,
         }
     }
 }

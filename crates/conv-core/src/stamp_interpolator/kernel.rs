@@ -102,6 +102,11 @@ impl Kernel {
         }
     }
 
+    /// The largest sum of the absolute weights, at any coordinate.
+    pub(crate) fn largest_sum(self) -> f64 {
+        self.weights(0.5).iter().map(|w| w.abs()).sum()
+    }
+
     /// The coordinates at which a stamp of `length` pixels has values.
     pub(crate) fn domain(self, length: usize) -> std::ops::RangeInclusive<f64> {
         let beyond = self.reach() + EDGE;

@@ -8,6 +8,7 @@ use psf_types::{PixelRegion, Progress};
 use pulp::bytemuck::{cast_slice, cast_slice_mut};
 
 use super::phases::{PhasedAxis, PhasedStar};
+use super::reach::Reach;
 use super::row_layout::{CHUNK, RowLayout};
 use super::star_block::StarBlock;
 use crate::overlap::Piece;
@@ -38,8 +39,8 @@ const STARS_PER_POLL: usize = 1 << 10;
 impl<T: ConvReal> DrawGroup<'_, T> {
     /// Returns a tile with the stars of a group.
     pub(super) fn tile<S: Lanes<T>>(&self, simd: S, group: &Group<T>) -> Result<Piece<T>, ConvError> {
-        let columns = hull(group.stars.iter().map(|star| &star.columns));
-        let rows = hull(group.stars.iter().map(|star| &star.rows));
+        let columns = hull(group.stars.iter().map(|star| self.drawn(star).0));
+        let rows = hull(group.stars.iter().map(|star| self.drawn(star).1));
         let (first, height) = (self.region.y0(), self.region.shape().ny() as i64);
         let rows = rows.start.max(first)..rows.end.min(first + height);
         let length = |range: &Range<i64>| (range.end - range.start).max(0) as usize;
@@ -55,6 +56,25 @@ impl<T: ConvReal> DrawGroup<'_, T> {
             }
         )?;
         Ok(tile)
+    }
+
+    /// The rectangle on which a star is drawn: columns, and rows.
+    fn drawn(&self, star: &PhasedStar<T>) -> (Range<i64>, Range<i64>) {
+        let (columns, rows) = (star.columns.clone(), star.rows.clone());
+        let Some(level) = star.level.map(|number| self.reach().level(number)) else {
+            return (columns, rows);
+        };
+        let (of_level, first) = (level.columns.clone(), columns.start);
+        let start = (of_level.start + star.pixel.0 - first).max(0) / CHUNK as i64 * CHUNK as i64;
+        let rows_of_level = level.rows().start + star.pixel.1..level.rows().end + star.pixel.1;
+        (
+            first + start..columns.end.min(of_level.end + star.pixel.0),
+            rows.start.max(rows_of_level.start)..rows.end.min(rows_of_level.end),
+        )
+    }
+
+    fn reach(&self) -> &Reach {
+        self.block.reach.as_ref().expect("only a reach gives levels")
     }
 
     /// Adds the stars to a tile that holds all their columns. Adds row `j` of every star before row
@@ -86,17 +106,32 @@ impl<T: ConvReal> DrawGroup<'_, T> {
                     continue;
                 }
                 let kept = star.first_row + j as usize * self.axes[0].oversampling;
-                let column = (star.columns.start - tile.first.0) as usize;
-                let length = (star.columns.end - star.columns.start) as usize;
-                let first = (row - rows.start) as usize * width + column;
-                StarRow {
+                let of_star = StarRow {
                     values: &self.block.values()[kept * row_of_kernels..],
                     weights: &weights[star.weights.clone()],
                     layout: self.layout,
                     first: star.first_column,
                     taps: star.taps.first_chunk::<TAPS>().expect("a star has all taps"),
+                };
+                let tile_row = &mut values[(row - rows.start) as usize * width..][..width];
+                let (length, offset) = (
+                    star.columns.end - star.columns.start,
+                    star.pixel.0 - star.columns.start,
+                );
+                let whole = [-offset..length - offset];
+                let segments = match star.level {
+                    Some(level) => self.reach().level(level).segments(row - star.pixel.1),
+                    None => &whole,
+                };
+                let first = star.columns.start - tile.first.0;
+                for segment in segments {
+                    let from = (segment.start + offset).max(0) / S::LANES as i64 * S::LANES as i64;
+                    let to = (segment.end + offset).min(length);
+                    if from < to {
+                        let pixels = &mut tile_row[(first + from) as usize..(first + to) as usize];
+                        of_star.add_to(simd, sums.get_mut(), from as usize, pixels);
+                    }
                 }
-                .add_to(simd, sums.get_mut(), &mut values[first..first + length]);
             }
         }
         Ok(())
@@ -104,9 +139,8 @@ impl<T: ConvReal> DrawGroup<'_, T> {
 }
 
 /// The smallest range that contains all ranges.
-fn hull<'a>(ranges: impl Iterator<Item = &'a Range<i64>>) -> Range<i64> {
+fn hull(ranges: impl Iterator<Item = Range<i64>>) -> Range<i64> {
     ranges
-        .cloned()
         .reduce(|a, b| a.start.min(b.start)..a.end.max(b.end))
         .unwrap_or(0..0)
 }
@@ -128,17 +162,17 @@ struct StarRow<'a, T, const TAPS: usize> {
 }
 
 impl<T: ConvReal, const TAPS: usize> StarRow<'_, T, TAPS> {
-    /// Adds the row to the pixels `target`. `sums` has room for a row of one kernel and one more
-    /// vector, and is overwritten.
+    /// Adds the row to the pixels `target`, from pixel `from` of the row on, which is a whole number of
+    /// vectors. `sums` has room for a row of one kernel and one more vector, and is overwritten.
     #[inline(always)]
-    fn add_to<S: Lanes<T>>(self, simd: S, sums: &mut [T], target: &mut [T]) {
+    fn add_to<S: Lanes<T>>(self, simd: S, sums: &mut [T], from: usize, target: &mut [T]) {
         if self.layout.is_shared {
-            self.sum_row(simd, sums);
             let taps: [usize; TAPS] = self.layout.shared_taps(self.first);
+            self.sum_row(simd, sums, from, from + target.len());
             for (i, pixels) in target.chunks_mut(S::LANES).enumerate() {
                 let mut by_tap = [[simd.splat(T::zero())]; TAPS];
                 for ([values], tap) in by_tap.iter_mut().zip(taps) {
-                    let from = tap + i * S::LANES;
+                    let from = tap + from + i * S::LANES;
                     *values = cast_slice(&sums[from..from + S::LANES])[0];
                 }
                 self.add_taps(simd, by_tap, pixels);
@@ -146,7 +180,7 @@ impl<T: ConvReal, const TAPS: usize> StarRow<'_, T, TAPS> {
             return;
         }
         for (i, pixels) in target.chunks_mut(2 * S::LANES).enumerate() {
-            let pixel = 2 * i * S::LANES;
+            let pixel = from + 2 * i * S::LANES;
             if pixels.len() > S::LANES {
                 self.add_taps(simd, self.sums_by_tap::<S, 2>(simd, pixel), pixels);
             } else {
@@ -155,17 +189,31 @@ impl<T: ConvReal, const TAPS: usize> StarRow<'_, T, TAPS> {
         }
     }
 
-    /// Computes the sums over kernels and row taps for every column of coefficients.
+    /// Computes the sums over kernels and row taps for the columns of coefficients that contribute to the pixels
+    /// from `from` to `to`. Taps reach into the next pixels.
     #[inline(always)]
-    fn sum_row<S: Lanes<T>>(self, simd: S, sums: &mut [T]) {
-        let sums: &mut [S::V] = cast_slice_mut(&mut sums[..self.layout.kernel]);
+    fn sum_row<S: Lanes<T>>(self, simd: S, sums: &mut [T], from: usize, to: usize) {
+        let RowLayout { kernel, chunk, .. } = self.layout;
+        let end = (to + S::LANES + TAPS).next_multiple_of(S::LANES).min(chunk);
+        if from == 0 && end == chunk {
+            return self.sum_values(simd, 0, &mut sums[..kernel]);
+        }
+        for (residue, sums) in sums[..kernel].chunks_exact_mut(chunk).enumerate() {
+            self.sum_values(simd, residue * chunk + from, &mut sums[from..end]);
+        }
+    }
+
+    /// Computes these sums from column `first` of the layout on, for whole vectors.
+    #[inline(always)]
+    fn sum_values<S: Lanes<T>>(self, simd: S, first: usize, sums: &mut [T]) {
+        let sums: &mut [S::V] = cast_slice_mut(sums);
         let (fours, rest) = sums.as_chunks_mut::<4>();
         for (i, four) in fours.iter_mut().enumerate() {
-            *four = self.sums::<S, 4>(simd, 4 * i * S::LANES);
+            *four = self.sums::<S, 4>(simd, first + 4 * i * S::LANES);
         }
-        let first = 4 * fours.len();
+        let first = first + 4 * fours.len() * S::LANES;
         for (i, one) in rest.iter_mut().enumerate() {
-            [*one] = self.sums::<S, 1>(simd, (first + i) * S::LANES);
+            [*one] = self.sums::<S, 1>(simd, first + i * S::LANES);
         }
     }
 

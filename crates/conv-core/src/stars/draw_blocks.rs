@@ -14,6 +14,7 @@ use super::phases::{PhasedAxis, PhasedStar, Star};
 use super::row_layout::RowLayout;
 use super::spread::Spreader;
 use super::star_block::StarBlock;
+use crate::dropped_light::DroppedLight;
 use crate::kept::Kept;
 use crate::overlap::{add_values, split};
 use crate::plan::PlanOptions;
@@ -34,6 +35,8 @@ pub(super) struct Phased<T> {
     pub(super) stamps: Arc<PhasedStamps<T>>,
     pub(super) norms: Arc<PhaseNorms>,
     pub(super) tolerance: f64,
+    /// Light below it may be dropped, in flux per pixel.
+    pub(super) floor: f64,
     /// Errors of PSFs up to this fraction count as rounding.
     pub(super) rounding: f64,
     pub(super) blocks: Kept<BlockKey, StarBlock<T>>,
@@ -76,6 +79,7 @@ impl<T: ConvReal> Phased<T> {
             axes,
             layout,
             tolerance,
+            floor: options.floor(),
             rounding: PlanOptions::rounding_in::<T>(),
             blocks: Kept::new(options.memory_bytes()),
         })
@@ -235,6 +239,34 @@ impl<T: ConvReal> BlockDrawer<'_, T> {
         tasks
     }
 
+    /// The local basis of a block.
+    fn block(&self, key: BlockKey) -> Arc<StarBlock<T>> {
+        let phased = self.phased;
+        let region = region_of(key, phased.spreader.side as i64);
+        let directions = (self.psfs.space(), &*phased.stamps);
+        let reach = (phased.floor, &phased.axes, phased.layout);
+        let make = || StarBlock::new(directions, region, &phased.norms, phased.tolerance, reach);
+        phased.blocks.get(key, make, StarBlock::bytes)
+    }
+
+    /// Adds the light that the stars drop at most.
+    pub(super) fn add_dropped(&self, dropped: &mut DroppedLight) {
+        let stars = self.sorted();
+        dropped.add_all(stars.len(), |dropped, some| {
+            for stars in stars[some].chunk_by(|a, b| a.0 == b.0) {
+                let ((row, column), _) = stars[0];
+                let block = self.block((i64::from(row), i64::from(column)));
+                for &(_, index) in stars {
+                    let star = Star::new(&self.catalogue.stars[index], self.catalogue.frame);
+                    match &block.reach {
+                        Some(reach) => reach.add_dropped(star.pixel, star.flux, dropped),
+                        None => dropped.count(star.flux, 0.0),
+                    }
+                }
+            }
+        });
+    }
+
     /// Draws the stars of a block, one by one or, if they are many, by transforms. Returns the
     /// indices of stars that would exceed the tolerance.
     fn draw<S: Lanes<T>>(&self, simd: S, task: Task<'_, T>) -> Result<Vec<usize>, ConvError> {
@@ -243,9 +275,7 @@ impl<T: ConvReal> BlockDrawer<'_, T> {
         let ((row, column), _) = task.stars[0];
         let key = (i64::from(row), i64::from(column));
         let region = region_of(key, phased.spreader.side as i64);
-        let directions = (self.psfs.space(), &*phased.stamps);
-        let make = || StarBlock::new(directions, region, &phased.norms, phased.tolerance);
-        let block = &*phased.blocks.get(key, make, StarBlock::bytes);
+        let block = &*self.block(key);
         let (mut image, origin) = (task.image, task.origin);
         let mut stars: Vec<usize> = task.stars.iter().map(|&(_, index)| index).collect();
         let mut missed = Vec::new();
@@ -317,11 +347,12 @@ impl<T: ConvReal> BlockDrawer<'_, T> {
     /// one, or if their fluxes are extreme.
     fn brightest_spread(&self, block: &StarBlock<T>, region: PixelRegion, stars: &[usize]) -> Option<f64> {
         let kernels = block.modes.kernel_count();
-        if !(self.phased.may_spread && self.phased.spreader.pays(stars.len(), kernels)) {
-            return None;
-        }
         let flux = |&index: &usize| self.catalogue.stars[index].flux().abs();
         let mut fluxes: Vec<f64> = stars.iter().map(flux).collect();
+        let drawn = |&flux: &f64| block.reach.as_ref().map_or(1.0, |reach| reach.part_of(flux));
+        if !(self.phased.may_spread && self.phased.spreader.pays(&fluxes, drawn, kernels)) {
+            return None;
+        }
         let faint = (FAINT * fluxes.len() as f64) as usize;
         let (fainter, ..) = fluxes.select_nth_unstable_by(faint, f64::total_cmp);
         let total: f64 = fainter.iter().sum();
@@ -376,6 +407,10 @@ impl<T: ConvReal> BlockDrawer<'_, T> {
                 missed.extend(is_needed.then_some(index));
                 continue;
             }
+            let reach = block
+                .reach
+                .as_ref()
+                .filter(|reach| reach.holds_for(&coefficients, scale));
             let scale = scale * star.flux;
             let first = weights.len();
             for tap in &rows.weights[..taps] {
@@ -383,6 +418,8 @@ impl<T: ConvReal> BlockDrawer<'_, T> {
             }
             let ((column, row), oversampling) = (star.pixel, axes[0].oversampling);
             prepared.push(PhasedStar {
+                pixel: star.pixel,
+                level: reach.and_then(|reach| reach.level_of(star.flux)),
                 columns: column + columns.from..column + columns.to,
                 rows: row + rows.from..row + rows.to,
                 first_row: rows.first_of(rows.from, oversampling),

@@ -17,6 +17,7 @@ mod painter;
 mod phase_norms;
 mod phased_stamps;
 mod phases;
+mod reach;
 mod row_layout;
 mod spread;
 mod star_block;

@@ -76,10 +76,32 @@ impl PhasedAxis {
         ])
     }
 
+    /// The pixels that a star may light: the first, relative to the star's own pixel, and their number.
+    pub(super) fn window(&self) -> (i64, usize) {
+        (self.window.0, (self.window.1 - self.window.0) as usize)
+    }
+
     /// The index in the stamp of a coefficient. `kept` is its number, counted from the first
     /// coefficient kept. `None` if the coefficient is zero.
     pub(super) fn index(&self, kept: usize) -> Option<usize> {
         self.kernel.index(kept as i64 + self.first, self.length)
+    }
+
+    /// The coefficients that a pixel may use, at any phase. `pixel` is relative to the star's own pixel.
+    pub(super) fn coefficients_of(&self, pixel: i64) -> Range<usize> {
+        let half = self.oversampling as f64 / 2.0 + ON_PIXEL;
+        let shift = pixel * self.oversampling as i64;
+        let first = self.first_of(self.centre - half) + shift;
+        let end = self.first_of(self.centre + half) + shift + self.kernel.tap_count() as i64;
+        let within = |at: i64| at.clamp(0, self.kept as i64) as usize;
+        within(first)..within(end)
+    }
+
+    /// The pixel, relative to the star's own pixel, in which a coefficient lies if the star is at the centre of
+    /// its pixel. `kept` is the coefficient's number, counted from the first coefficient kept.
+    pub(super) fn pixel_of(&self, kept: usize) -> i64 {
+        let from_centre = (kept as i64 + self.first) as f64 - self.centre;
+        (from_centre / self.oversampling as f64 + 0.5).floor() as i64
     }
 
     /// The coordinate in the stamp of the centre of a star's own pixel.
@@ -146,6 +168,11 @@ pub(super) struct Star {
 /// A star with its phases and the coefficients of its block's kernels.
 #[derive(Debug)]
 pub(super) struct PhasedStar<T> {
+    /// Its own pixel.
+    pub(super) pixel: (i64, i64),
+    /// The number of its level in the [`Reach`](super::reach::Reach) of its block. `None` if it is drawn on all
+    /// pixels that it lights.
+    pub(super) level: Option<usize>,
     /// The pixels that it lights.
     pub(super) columns: Range<i64>,
     pub(super) rows: Range<i64>,

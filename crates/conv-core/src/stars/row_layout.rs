@@ -45,6 +45,12 @@ impl RowLayout {
         (line / self.residues * self.chunk + pixel, line % self.residues)
     }
 
+    /// The index of the value of a column of coefficients.
+    pub(super) fn index_of(self, column: usize, oversampling: usize) -> usize {
+        let (pixel, residue) = (column / oversampling, column % oversampling);
+        (pixel / self.chunk * self.residues + residue) * self.chunk + pixel % self.chunk
+    }
+
     /// The index of the first tap of a pixel, without sharing. `residue` is that of the first tap.
     #[inline(always)]
     pub(super) fn index(self, residue: usize, pixel: usize) -> usize {

@@ -154,8 +154,9 @@ impl<T: ConvReal> Spreader<T> {
         self.axes.each_ref().map(|axis| axis.lit().div_ceil(self.side))
     }
 
-    /// Returns whether it is faster to spread stars than to draw them one by one.
-    pub(super) fn pays(&self, stars: usize, kernels: usize) -> bool {
+    /// Returns whether it is faster to spread stars of these fluxes than to draw them one by one. `drawn` returns
+    /// the part of its pixels on which a star is drawn.
+    pub(super) fn pays(&self, fluxes: &[f64], drawn: impl Fn(&f64) -> f64, kernels: usize) -> bool {
         let planes = kernels * self.residues();
         let sums = planes * self.plane_len() * size_of::<f64>();
         let bytes = sums + WHOLE_PLANES * self.fft.plane_len() * size_of::<T>();
@@ -168,7 +169,10 @@ impl<T: ConvReal> Spreader<T> {
         let convolve = cost.tile((x.length, y.length), size, planes as f64, 1)
             + planes as f64 * cost.kernel(size, stamp);
         let products = x.kernel * y.kernel * taps * (x.oversampling.min(taps) * kernels + 1);
-        convolve < stars as f64 * (cost.draw_star(products) - cost.spread_star(taps * taps * kernels))
+        let whole = cost.draw_star(products);
+        let may_pay = convolve < fluxes.len() as f64 * whole;
+        let draw = || fluxes.iter().map(|flux| whole * drawn(flux)).sum::<f64>();
+        may_pay && convolve + fluxes.len() as f64 * cost.spread_star(taps * taps * kernels) < draw()
     }
 
     /// Spreads groups of stars of a block, and adds their light to an image, whose first pixel is

@@ -8,6 +8,7 @@ use psf_types::{Anchor, PixelRegion, PointSource};
 use super::draw_blocks::{BlockDrawer, DrawBlocks, Phased, StarsToDraw};
 use super::painter::{StarPainter, StarStamps};
 use super::phases::PhasedAxis;
+use crate::dropped_light::DroppedLight;
 use crate::sources::SourcePsfs;
 use crate::{ConvError, ConvReal};
 
@@ -54,6 +55,41 @@ impl<T: ConvReal> StarDrawer<T> {
         }
     }
 
+    /// Adds the light that stars drop at most, in the part of the frame that `dropped` covers.
+    pub(crate) fn add_dropped(
+        &self,
+        psfs: &SourcePsfs,
+        catalogue: StarsToDraw<'_>,
+        region: PixelRegion,
+        dropped: &mut DroppedLight,
+    ) {
+        match &self.phased {
+            Some(phased) => self
+                .block_drawer(psfs, phased, catalogue, region)
+                .add_dropped(dropped),
+            None => catalogue
+                .stars
+                .iter()
+                .for_each(|star| dropped.count(star.flux(), 0.0)),
+        }
+    }
+
+    fn block_drawer<'a>(
+        &self,
+        psfs: &'a SourcePsfs,
+        phased: &'a Phased<T>,
+        catalogue: StarsToDraw<'a>,
+        region: PixelRegion,
+    ) -> BlockDrawer<'a, T> {
+        BlockDrawer {
+            psfs,
+            phased,
+            catalogue,
+            window: self.stamps.window(),
+            region,
+        }
+    }
+
     /// Adds stars to a part of an image, whose rows are contiguous in memory.
     pub(crate) fn draw_into(
         &self,
@@ -66,13 +102,7 @@ impl<T: ConvReal> StarDrawer<T> {
         let Some(phased) = &self.phased else {
             return painter.draw_into(catalogue.stars, region, image, catalogue.progress);
         };
-        let drawer = BlockDrawer {
-            psfs,
-            phased,
-            catalogue,
-            window: self.stamps.window(),
-            region,
-        };
+        let drawer = self.block_drawer(psfs, phased, catalogue, region);
         let mut missed = T::dispatch(DrawBlocks {
             drawer,
             image: image.view_mut(),

@@ -3,7 +3,7 @@
 use std::ops::Range;
 use std::time::Instant;
 
-use conv_core::{ConvReal, RowStream, TileCounts};
+use conv_core::{ConvReal, DroppedLight, RowStream, TileCounts};
 use detector::ExposureReport;
 use ndarray::{ArrayView2, ArrayViewMut2};
 use psf_io::{Card, ImageReader, ImageWriter};
@@ -19,6 +19,8 @@ use crate::simulate::scene::{ReadFiles, with_nan_as};
 /// The results of a simulation whose image has been written.
 pub(super) struct Outcome {
     pub(super) counts: TileCounts,
+    /// The light that is dropped, if there is a floor.
+    pub(super) dropped: Option<DroppedLight>,
     pub(super) spot_check: Option<SpotCheck>,
     pub(super) exposure: Option<ExposureReport>,
     /// NaN pixels of the scene that were replaced.
@@ -48,6 +50,7 @@ impl SimulateArgs {
         let mut image = simulator.zeros();
         let counts = simulator.simulate_into(scene, image.view_mut(), &bar)?;
         let image = Image::new(image).map_err(PsfieldError::from)?;
+        let dropped = simulator.dropped_light(scene)?;
         seconds.execute = clock.elapsed().as_secs_f64();
         drop(bar);
 
@@ -60,6 +63,7 @@ impl SimulateArgs {
 
         let clock = Instant::now();
         let mut cards = self.cards(ready)?;
+        cards.extend(simulator.dropped_cards(dropped.as_ref())?);
         if let Some(check) = &spot_check {
             cards.extend(check.cards()?);
             if exposing.is_some() {
@@ -78,6 +82,7 @@ impl SimulateArgs {
         seconds.write = clock.elapsed().as_secs_f64();
         Ok(Outcome {
             counts,
+            dropped,
             spot_check,
             exposure,
             nan_pixels: read.nan_pixels,
@@ -95,7 +100,9 @@ impl SimulateArgs {
     ) -> anyhow::Result<Outcome> {
         let Ready { simulator, scene, .. } = ready;
         let header = simulator.carried_header(&read.header, true);
-        let cards = self.cards(ready)?;
+        let mut cards = self.cards(ready)?;
+        let dropped = simulator.dropped_light(scene)?;
+        cards.extend(simulator.dropped_cards(dropped.as_ref())?);
         // Cards of a later check need room in the header. Without a check no room is reserved, so
         // that the header equals the header of an image that was made in memory.
         let late = if self.spot_check > 0 {
@@ -132,6 +139,7 @@ impl SimulateArgs {
         seconds.write += clock.elapsed().as_secs_f64();
         Ok(Outcome {
             counts,
+            dropped,
             spot_check,
             exposure: None,
             nan_pixels,

@@ -1,6 +1,6 @@
 //! The detector of `psfield simulate`.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use detector::{Detector, DetectorParams, ExposureReport};
 use psf_io::{Card, HeaderCards};
@@ -93,7 +93,20 @@ impl ExposureArgs {
     }
 }
 
+/// The noise of a dark pixel of a detector. The exposure time is that of a series, if it is given.
+pub(super) fn noise_of(path: &Path, exposure_s: Option<f64>) -> anyhow::Result<f64> {
+    let params = Detector::from_toml_file(path)?.params().clone();
+    let exposure_s = exposure_s.or(params.exposure_s);
+    Ok(Detector::new(DetectorParams { exposure_s, ..params })?.noise())
+}
+
 impl Exposing {
+    /// The noise of a dark pixel, if there is noise.
+    pub(super) fn noise(&self) -> Option<f64> {
+        let noise = self.detector.noise();
+        (noise > 0.0).then_some(noise)
+    }
+
     /// The detector for one frame of a series, with the exposure time of the series.
     pub(super) fn for_frame(
         &self,

@@ -24,11 +24,11 @@ use crate::files::OutputFile;
 use crate::psf_args::PsfArgs;
 use crate::simulate::colour::{ColourArgs, check_spectra};
 use crate::simulate::execute::{Outcome, Ready};
-use crate::simulate::exposure_args::ExposureArgs;
+use crate::simulate::exposure_args::{Exposing, ExposureArgs, noise_of};
 use crate::simulate::prepared::timed;
 use crate::simulate::report::Seconds;
 use crate::simulate::scene::{ReadFiles, SceneArgs};
-use crate::values::{Precision, bytes, stamp_size, tolerance};
+use crate::values::{Floor, Precision, bytes, floor, stamp_size, tolerance};
 
 pub(crate) use crate::simulate::prepared::Simulators;
 pub(crate) use crate::simulate::report::{Report, verdict};
@@ -77,6 +77,15 @@ pub(crate) struct SimulateArgs {
         )
     )]
     tolerance_on: Option<ToleranceOn>,
+    /// Drop the light of stars and galaxies below E, in flux per pixel, or auto [default: {floor}]
+    ///
+    /// Each star and galaxy is drawn as far as its light exceeds E, and at least to the radius of 90 % of its
+    /// light. Faint sources are then drawn on few pixels. The report says how much light is dropped in any
+    /// pixel at most, so does the header, and --spot-check allows it. auto: a tenth of the noise of a dark
+    /// pixel, which needs --detector. With 0, nothing is dropped. The scene's image does not depend on E.
+    /// Applies only to the methods auto and lowrank.
+    #[arg(long, value_name = "E|auto", value_parser = floor, help_heading = ACCURACY)]
+    floor: Option<Floor>,
     /// Check N random pixels against the direct sum in double precision (0: no check)
     ///
     /// Half of them are bright pixels. The pixels around up to 96 random sources are compared, too. If
@@ -182,6 +191,9 @@ pub(crate) struct SimulateArgs {
 const ACCURACY: &str = "Accuracy and method";
 const MEMORY: &str = "Memory";
 
+/// `--floor auto` is this part of the noise of a dark pixel.
+const FLOOR_OF_NOISE: f64 = 0.1;
+
 fn tolerance_on_help() -> String {
     format!(
         "Errors of the PSF that --tolerance bounds [default: {}]",
@@ -209,9 +221,10 @@ impl SimulateArgs {
     ///
     /// The image is written even if its spot check fails. [`Report::verdict`] returns this failure.
     pub(crate) fn simulate(&self, simulators: &mut Simulators, context: &Context) -> anyhow::Result<Report> {
+        let with_floor = self.with_floor(None)?;
         let simulated = match self.precision {
-            Precision::F32 => self.simulate_in::<f32>(simulators, context),
-            Precision::F64 => self.simulate_in::<f64>(simulators, context),
+            Precision::F32 => with_floor.simulate_in::<f32>(simulators, context),
+            Precision::F64 => with_floor.simulate_in::<f64>(simulators, context),
         };
         simulated.map_err(|error| {
             let kind = error.downcast_ref().map(PsfieldError::kind);
@@ -246,6 +259,10 @@ impl SimulateArgs {
             Some("--tolerance applies only to the methods auto and lowrank")
         } else if self.tolerance_on.is_some() && !planned {
             Some("--tolerance-on applies only to the methods auto and lowrank")
+        } else if self.floor.is_some() && !planned {
+            Some("--floor applies only to the methods auto and lowrank")
+        } else if self.floor == Some(Floor::Auto) && self.exposure.detector.is_none() {
+            Some("--floor auto is a tenth of the detector's noise: give --detector, or a number")
         } else if self.memory.is_some() && !planned {
             Some("--memory applies only to the methods auto and lowrank")
         } else if self.stream && self.scene.scene.is_none() {
@@ -263,6 +280,26 @@ impl SimulateArgs {
         self.scene.missing(given).or(first.map(str::to_owned))
     }
 
+    /// These options with a number as floor. `exposure_s` is the exposure time of a series.
+    pub(super) fn with_floor(&self, exposure_s: Option<f64>) -> anyhow::Result<Self> {
+        let floor = match (self.floor, &self.exposure.detector) {
+            (Some(Floor::Auto), Some(path)) => {
+                let noise = noise_of(path, exposure_s)?;
+                anyhow::ensure!(
+                    noise > 0.0,
+                    "{}: --floor auto needs a detector with noise: give the floor as a number",
+                    path.display()
+                );
+                Some(Floor::At(FLOOR_OF_NOISE * noise))
+            }
+            (floor, _) => floor,
+        };
+        Ok(Self {
+            floor,
+            ..self.clone()
+        })
+    }
+
     /// The settings of the simulator.
     pub(super) fn options(&self) -> SimulateOptions {
         let defaults = SimulateOptions::default();
@@ -270,6 +307,10 @@ impl SimulateArgs {
             method: self.method,
             tolerance: self.tolerance.unwrap_or(defaults.tolerance),
             tolerance_on: self.tolerance_on.unwrap_or(defaults.tolerance_on),
+            floor: match self.floor {
+                Some(Floor::At(floor)) => floor,
+                _ => defaults.floor,
+            },
             anchor: self.anchor,
             memory: self.memory,
             oversample: self.scene.finer(),
@@ -309,7 +350,8 @@ impl SimulateArgs {
         let light = read.light.into_scene()?;
         let scene = &light;
         let made = self.prepare(&simulator, scene, simulators, &mut seconds, context)?;
-        Self::warn_of_scene(|| simulator.warnings(scene), &mut seconds, context);
+        let noise = exposing.as_ref().and_then(Exposing::noise);
+        Self::warn_of_scene(|| simulator.warnings(scene, noise), &mut seconds, context);
         let (simulator, streamed) = (&*simulator, !readers.is_empty());
         let ready = Ready {
             simulator,
@@ -369,6 +411,7 @@ impl SimulateArgs {
             precision: T::NAME,
             tolerance: options.method.has_plan().then_some(options.tolerance),
             tolerance_on: options.method.has_plan().then_some(options.tolerance_on),
+            floor: options.method.has_plan().then_some(options.floor),
             scene_pixels: self
                 .scene
                 .scene
@@ -389,6 +432,7 @@ impl SimulateArgs {
             device: made.placement.clone(),
             seconds,
             peak_memory_bytes: peak_memory_bytes(),
+            dropped: outcome.dropped,
             spot_check: outcome.spot_check,
             exposure: outcome.exposure,
         }

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use conv_core::{PlanSummary, TileCounts};
+use conv_core::{DroppedLight, PlanSummary, TileCounts};
 use detector::ExposureReport;
 use psf_types::{Anchor, Normalisation, ToleranceOn};
 use psfield::SpotCheck;
@@ -22,6 +22,11 @@ pub(crate) struct Report {
     pub(super) tolerance: Option<f64>,
     /// The errors that the tolerance bounds.
     pub(super) tolerance_on: Option<ToleranceOn>,
+    /// Light of sources below it may be dropped, in flux per pixel.
+    pub(super) floor: Option<f64>,
+    /// Upper limits of the light that is dropped, if there is a floor.
+    #[serde(serialize_with = "dropped_figures")]
+    pub(super) dropped: Option<DroppedLight>,
     /// The meaning of the values of the scene's image, if there is one.
     pub(super) scene_pixels: Option<String>,
     /// Components of the model, the mean not counted.
@@ -108,6 +113,17 @@ fn tile_figures<S: Serializer>(counts: &Option<TileCounts>, serializer: S) -> Re
     figures.serialize(serializer)
 }
 
+#[allow(clippy::ref_option, reason = "serde passes a reference to the field")]
+fn dropped_figures<S: Serializer>(dropped: &Option<DroppedLight>, serializer: S) -> Result<S::Ok, S::Error> {
+    let figures = dropped.as_ref().map(|dropped| {
+        object! {
+            largest: dropped.largest(),
+            fraction: dropped.fraction(),
+        }
+    });
+    figures.serialize(serializer)
+}
+
 /// Returns an error if the image in the file `written` failed its spot check.
 pub(crate) fn verdict(check: &SpotCheck, written: &Path) -> anyhow::Result<()> {
     anyhow::ensure!(
@@ -182,6 +198,13 @@ impl Report {
             0 => String::new(),
             count => format!("NaN pixels of the scene that were replaced: {count}\n"),
         };
+        let dropped = self.dropped.as_ref().map_or_else(String::new, |dropped| {
+            format!(
+                "dropped light: at most {:.2e} in any pixel, {:.1e} of the flux\n",
+                dropped.largest(),
+                dropped.fraction()
+            )
+        });
         let exposure = self.exposure.as_ref().map_or_else(String::new, |e| {
             format!(
                 "detector: sky {} e, dark {} e, seed {}; pixels: {} saturated, {} bad, {} below 0 before noise\n",
@@ -190,7 +213,7 @@ impl Report {
         });
         let streamed = if self.streamed { ", streamed" } else { "" };
         format!(
-            "{}: {nx} x {ny} pixels, rank {}, method {}, anchor {}, {}{streamed}\n{sources}{replaced}{plan}{tiles}{exposure}\
+            "{}: {nx} x {ny} pixels, rank {}, method {}, anchor {}, {}{streamed}\n{sources}{dropped}{replaced}{plan}{tiles}{exposure}\
              device: {}\n\
              seconds: read {:.3}, fit {:.3}, plan {:.3}, convolve {:.3}, write {:.3}\n{check}",
             self.output.display(),

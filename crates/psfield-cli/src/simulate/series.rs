@@ -208,6 +208,7 @@ impl SeriesArgs {
         context: &Context,
     ) -> anyhow::Result<()> {
         let clock = Instant::now();
+        let options = &options.with_floor(Some(series.exposures.exposure_s()))?;
         let first = OutputFile::from(self.frame(0).into_os_string());
         let exposing = options
             .exposure
@@ -295,7 +296,8 @@ impl SeriesArgs {
                 context.warn(&warning.to_string());
             }
             options.warn_of_placement(&made.placement, context);
-            SimulateArgs::warn_of_scene(|| simulator.warnings(scene), &mut seconds, context);
+            let noise = exposing.as_ref().and_then(Exposing::noise);
+            SimulateArgs::warn_of_scene(|| simulator.warnings(scene, noise), &mut seconds, context);
         }
         let ready = Ready {
             simulator,

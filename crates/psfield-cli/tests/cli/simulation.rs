@@ -419,3 +419,92 @@ fn quiet_says_nothing_and_overwrite_replaces() {
     desk.done("simulate scene.fits --psf model.fits -o image.fits --overwrite --anchor output");
     assert!(difference(&desk.image("image.fits"), &before) > VISIBLE);
 }
+
+const STARS: &str = "x,y,flux\n30.3,25.1,100\n12,40,0.5\n50.5,9,3\n";
+
+/// What is dropped stands in the report, in the text and in the header, and the spot check allows it.
+#[test]
+fn light_below_the_floor_is_dropped() {
+    let desk = Desk::new();
+    desk.write("stars.csv", STARS);
+    let simulate = |floor: &str| {
+        let command = format!("simulate --catalog stars.csv --shape {NX},{NY} --psf samples.fits");
+        format!("{command} --spot-check 300 -o image{floor}.fits --floor {floor} --overwrite")
+    };
+    let report = desk.done(&format!("{} --json", simulate("0.01"))).json();
+    let (largest, fraction) = (&report["dropped"]["largest"], &report["dropped"]["fraction"]);
+    assert!((1e-3..0.03).contains(&largest.as_f64().unwrap()), "{largest}");
+    assert!((1e-4..0.05).contains(&fraction.as_f64().unwrap()), "{fraction}");
+    assert_eq!(report["floor"], 0.01);
+    let text = desk.done(&simulate("0.01")).stdout;
+    assert!(text.contains("dropped light: at most"), "{text}");
+    let header = desk.header("image0.01.fits");
+    let value = |key: &str| header.get(key).and_then(Card::value);
+    assert_eq!(value("PSFFLOOR"), Some(CardValue::Real(0.01)));
+    assert_eq!(
+        value("PSFDROPM"),
+        Some(CardValue::Real(largest.as_f64().unwrap()))
+    );
+    assert_eq!(value("PSFCHKV"), Some(CardValue::Text("passed".to_owned())));
+    // Without a floor nothing is dropped, and nothing is said.
+    let report = desk.done(&format!("{} --json", simulate("0"))).json();
+    assert!(report["dropped"].is_null());
+    assert!(desk.header("image0.fits").get("PSFFLOOR").is_none());
+    let [whole, within] = ["image0.fits", "image0.01.fits"].map(|name| desk.image(name));
+    let difference = (&whole - &within).mapv(f64::abs).fold(0.0_f64, |m, &v| m.max(v));
+    assert!(
+        difference > 1e-4 && difference <= largest.as_f64().unwrap(),
+        "{difference}"
+    );
+}
+
+#[test]
+fn a_floor_may_follow_the_noise_of_the_detector() {
+    let desk = Desk::new();
+    desk.write("stars.csv", STARS);
+    desk.write(
+        "camera.toml",
+        "read_noise_e = 3.0\nsky_e = 16.0\nphoton_noise = true\nelectrons_per_flux = 50.0\n",
+    );
+    let simulate = format!("simulate --catalog stars.csv --shape {NX},{NY} --psf samples.fits --floor auto");
+    let report = desk
+        .done(&format!("{simulate} -o image.fits --detector camera.toml --json"))
+        .json();
+    assert_eq!(report["floor"], 0.01);
+    desk.refused(
+        &format!("{simulate} -o a.fits"),
+        2,
+        &["--floor auto", "--detector"],
+    );
+    desk.write("perfect.toml", "electrons_per_flux = 50.0\n");
+    desk.refused(
+        &format!("{simulate} -o a.fits --detector perfect.toml"),
+        1,
+        &["perfect.toml", "noise", "--floor"],
+    );
+    for floor in ["-1", "nan", "x"] {
+        desk.refused(
+            &format!("simulate scene.fits --psf samples.fits -o a.fits --floor {floor}"),
+            2,
+            &["--floor", "auto or a number of at least 0"],
+        );
+    }
+    desk.refused(
+        "simulate scene.fits --psf samples.fits -o a.fits --floor 1 --method direct",
+        2,
+        &["--floor applies only to"],
+    );
+}
+
+#[test]
+fn stars_that_are_too_bright_for_their_stamps_are_told() {
+    let desk = Desk::new();
+    desk.write("stars.csv", STARS);
+    let simulate = format!("simulate --catalog stars.csv --shape {NX},{NY} --psf samples.fits --overwrite");
+    let run = desk.run(&format!("{simulate} -o a.fits --stamp-size 9"));
+    assert!(
+        run.stderr.contains("too small for 1 star: at 4 pixels"),
+        "{run:?}"
+    );
+    desk.done(&format!("{simulate} -o b.fits"));
+}

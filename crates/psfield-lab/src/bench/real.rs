@@ -6,7 +6,7 @@ use std::time::Instant;
 use metrics::Summary;
 use ndarray::Array2;
 use psf_types::{FrameShape, NoProgress, Progress, PsfModelRecord};
-use psfield::{Psf, PsfieldError};
+use psfield::{Psf, PsfieldError, SimulateOptions};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use serde::Serialize;
@@ -175,7 +175,18 @@ fn planned(
         let series = SeriesCase::new(psf, scene, AUTO.settings(options), case.amount as usize)?;
         return Ok(CaseSimulator::Series(Box::new(series)));
     }
-    let simulator = AUTO.simulator(record, psf, frame, options)?;
+    let simulator = match case.group {
+        RealGroup::Floor => {
+            let settings = SimulateOptions {
+                floor: case.amount,
+                ..AUTO.settings(options)
+            };
+            psf.simulator((frame.ny(), frame.nx()))
+                .options(settings)
+                .build()?
+        }
+        _ => AUTO.simulator(record, psf, frame, options)?,
+    };
     simulator.prepare(&scenes.get(scenes.count - 1)?, &NoProgress)?;
     Ok(CaseSimulator::Images(Box::new(simulator)))
 }

@@ -29,6 +29,9 @@ pub enum RealGroup {
     /// Galaxies of a catalogue, with half-light radii that are log-normal about 1.5 pixels and
     /// Sersic indices of 0.5 to 4.
     Galaxies,
+    /// Stars and galaxies of a catalogue, as many of each, with fluxes over six powers of ten. The amount is the
+    /// floor ([`SimulateOptions::floor`](psfield::SimulateOptions::floor)).
+    Floor,
     /// Many small frames with one plan. Every pixel is lit.
     Frames,
     /// Small frames, each with a PSF field of its own on one basis. They are parts of larger frames, with
@@ -48,9 +51,10 @@ pub enum RealGroup {
 const FIELD: usize = 4;
 
 named!(
-    RealGroup, "group of cases", "pixels, light, stars, galaxies, frames, fields, colours, series or starseries",
-    "pixels" => Pixels, "light" => Light, "stars" => Stars, "galaxies" => Galaxies, "frames" => Frames,
-    "fields" => Fields, "colours" => Colours, "series" => Series, "starseries" => StarSeries
+    RealGroup, "group of cases",
+    "pixels, light, stars, galaxies, floor, frames, fields, colours, series or starseries",
+    "pixels" => Pixels, "light" => Light, "stars" => Stars, "galaxies" => Galaxies, "floor" => Floor,
+    "frames" => Frames, "fields" => Fields, "colours" => Colours, "series" => Series, "starseries" => StarSeries
 );
 
 /// A PSF over a frame, made from a model on a regular grid.
@@ -143,6 +147,7 @@ impl RealGroup {
             Self::Light => "% lit",
             Self::Stars => "stars",
             Self::Galaxies => "galaxies",
+            Self::Floor => "floor",
             Self::Frames | Self::Fields => "frames",
             Self::Colours => "spectra",
             Self::Series | Self::StarSeries => "exposures",
@@ -192,6 +197,7 @@ impl RealGroup {
             Self::Light => (4096, &[0.0, 0.1, 1.0, 3.0, 10.0, 30.0, 100.0], &[0.0, 3.0, 100.0]),
             Self::Stars => (9216, &[1e3, 1e4, 1e5, 1e6, 1e7], &[1e3]),
             Self::Galaxies => (4096, &[1e3, 1e4, 1e5], &[10.0]),
+            Self::Floor => (4096, &[0.0, 0.01, 0.1, 1.0, 10.0], &[0.0, 1.0]),
             Self::Frames => (256, &[1000.0], &[10.0]),
         };
         let amounts = if quick { quick_amounts } else { amounts };
@@ -215,11 +221,12 @@ impl RealCase {
 mod tests {
     use super::*;
 
-    const ALL: [RealGroup; 9] = [
+    const ALL: [RealGroup; 10] = [
         RealGroup::Pixels,
         RealGroup::Light,
         RealGroup::Stars,
         RealGroup::Galaxies,
+        RealGroup::Floor,
         RealGroup::Frames,
         RealGroup::Fields,
         RealGroup::Colours,
@@ -235,9 +242,9 @@ mod tests {
         };
         assert_eq!(
             sides(&[1024, 9216]),
-            [9216, 4096, 9216, 4096, 256, 256, 9216, 2048, 2048]
+            [9216, 4096, 9216, 4096, 4096, 256, 256, 9216, 2048, 2048]
         );
-        assert_eq!(sides(&[200, 100]), [200; 9]);
+        assert_eq!(sides(&[200, 100]), [200; 10]);
         let names = ALL.map(|group| group.to_string().parse::<RealGroup>());
         assert_eq!(names.map(Result::unwrap), ALL);
     }

@@ -1,5 +1,6 @@
 //! The scenes of a case of real work, and the PSFs of its frames.
 
+use std::ops::Range;
 use std::time::Instant;
 
 use ndarray::{Array2, s};
@@ -55,6 +56,12 @@ pub(super) enum CaseSimulator {
 /// The stars of a series.
 const STARS_OF_SERIES: usize = 2000;
 
+/// The stars, and as many galaxies, of a case of [`RealGroup::Floor`], and the decades of their fluxes.
+const SOURCES_OF_FLOOR: usize = 10_000;
+const FLUXES_OF_FLOOR: Range<f64> = 0.0..6.0;
+/// The decades of other fluxes.
+const FLUXES: Range<f64> = 2.0..5.0;
+
 /// The scenes of a case.
 pub(super) struct Scenes {
     frame: FrameShape,
@@ -81,6 +88,7 @@ impl Scenes {
             RealGroup::Stars => (amount, 0),
             RealGroup::StarSeries => (STARS_OF_SERIES, 0),
             RealGroup::Galaxies => (0, amount),
+            RealGroup::Floor => (SOURCES_OF_FLOOR, SOURCES_OF_FLOOR),
             _ => (0, 0),
         };
         let image = if stars + galaxies == 0 {
@@ -94,9 +102,13 @@ impl Scenes {
         } else {
             None
         };
-        let stars = (0..stars).map(|_| star(frame, &mut rng));
+        let fluxes = match case.group {
+            RealGroup::Floor => FLUXES_OF_FLOOR,
+            _ => FLUXES,
+        };
+        let stars = (0..stars).map(|_| star(frame, fluxes.clone(), &mut rng));
         let stars = stars.collect::<Result<_, _>>()?;
-        let galaxies = (0..galaxies).map(|_| galaxy(frame, &mut rng));
+        let galaxies = (0..galaxies).map(|_| galaxy(frame, fluxes.clone(), &mut rng));
         Ok(Self {
             frame,
             count,
@@ -194,16 +206,16 @@ impl Scenes {
     }
 }
 
-/// Returns a random flux between 10^2 and 10^5, each power of ten with equal probability.
-fn flux(rng: &mut ChaCha8Rng) -> f64 {
-    10f64.powf(rng.random_range(2.0..5.0))
+/// Returns a random flux, each power of ten in a range with equal probability.
+fn flux(decades: Range<f64>, rng: &mut ChaCha8Rng) -> f64 {
+    10f64.powf(rng.random_range(decades))
 }
 
-fn star(frame: FrameShape, rng: &mut ChaCha8Rng) -> Result<PointSource, PsfieldError> {
-    Ok(PointSource::new(random_position(frame, rng)?, flux(rng))?)
+fn star(frame: FrameShape, fluxes: Range<f64>, rng: &mut ChaCha8Rng) -> Result<PointSource, PsfieldError> {
+    Ok(PointSource::new(random_position(frame, rng)?, flux(fluxes, rng))?)
 }
 
-fn galaxy(frame: FrameShape, rng: &mut ChaCha8Rng) -> Result<SersicSource, PsfieldError> {
+fn galaxy(frame: FrameShape, fluxes: Range<f64>, rng: &mut ChaCha8Rng) -> Result<SersicSource, PsfieldError> {
     let radius = LogNormal::new(1.5f64.ln(), 0.5).expect("a finite width");
     let profile = SersicProfile::new(
         radius.sample(rng).clamp(0.3, 8.0),
@@ -213,7 +225,7 @@ fn galaxy(frame: FrameShape, rng: &mut ChaCha8Rng) -> Result<SersicSource, Psfie
     )?;
     Ok(SersicSource::new(
         random_position(frame, rng)?,
-        flux(rng),
+        flux(fluxes, rng),
         profile,
     )?)
 }

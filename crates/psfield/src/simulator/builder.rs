@@ -166,6 +166,7 @@ impl<T: ConvReal> Simulator<T> {
                 method,
                 image_models: OnceLock::new(),
                 sampling_errors: OnceLock::new(),
+                stamp_edge: OnceLock::new(),
             }),
             setup,
             convolvers: Mutex::new(Vec::new()),

@@ -62,6 +62,11 @@ impl<T: ConvReal> Simulator<T> {
         SpotCheck::of_picked::<T, R::Error>(picker, |pixels| {
             let mut allowed = self.promised(scene, pixels.len());
             let exact = self.exact_by_rows(scene, rows, pixels, allowed.as_deref_mut(), progress)?;
+            let dropped = self
+                .dropped_light(scene)?
+                .map_or(0.0, |dropped| dropped.largest());
+            let each = allowed.iter_mut().flatten();
+            each.for_each(|allowed| allowed.add_dropped(dropped));
             Ok((exact, allowed))
         })
     }

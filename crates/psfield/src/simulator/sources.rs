@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::time::Instant;
 
-use conv_core::{ConvError, ConvReal, ExtendedSources, Light, SourcePlan};
+use conv_core::{ConvError, ConvReal, DroppedLight, ExtendedSources, Light, SourcePlan};
 use ndarray::ArrayViewMut2;
 use psf_types::{PixelRegion, PointSource, Progress, SersicSource};
 use sersic::SersicLight;
@@ -120,6 +120,33 @@ impl<T: ConvReal> Simulator<T> {
             plan.draw_stars_into(layer.stars(), frame, region, image.view_mut(), progress)?;
         }
         Ok(())
+    }
+
+    /// Returns upper limits of the light that is dropped in the image of a scene because it is below the floor
+    /// ([`SimulateOptions::floor`](crate::SimulateOptions::floor)). None without a floor, and without sources.
+    ///
+    /// # Errors
+    /// The errors of [`prepare`](Self::prepare).
+    pub fn dropped_light(&self, scene: &Scene<'_, T>) -> Result<Option<DroppedLight>, PsfieldError> {
+        self.check_scene(scene)?;
+        let options = self.options();
+        if options.floor == 0.0
+            || !options.method.has_plan()
+            || !scene.layers().iter().any(Layer::has_sources)
+        {
+            return Ok(None);
+        }
+        let (frame, region) = (self.frame(), self.setup.geometry.region);
+        let mut dropped = DroppedLight::new(region);
+        let layers = scene.layers().iter().enumerate();
+        for (number, layer) in layers.filter(|(_, layer)| layer.has_sources()) {
+            let plan = self.sources(number)?;
+            with_extended(layer, |extended| {
+                plan.add_dropped_light((layer.stars(), extended), frame, region, &mut dropped);
+                Ok(())
+            })?;
+        }
+        Ok(Some(dropped))
     }
 
     /// The plan for the sources of a layer.

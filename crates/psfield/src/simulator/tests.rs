@@ -121,7 +121,7 @@ fn a_profile_of_the_callers_own_is_drawn_and_checked_as_a_galaxy() {
     assert_eq!((check.passed, check.sources), (Some(true), 2));
     assert!(
         !simulator
-            .warnings(&own)
+            .warnings(&own, None)
             .iter()
             .any(|w| matches!(w, SimulationWarning::NoSourceInFrame { .. }))
     );
@@ -265,7 +265,7 @@ fn warnings_tell_of_coarse_stamps() {
         let simulator = psf.simulator((30 * s, 40 * s)).oversample(s);
         let simulator: Simulator<f64> = simulator.device(Device::Cpu).build().unwrap();
         let scene = Scene::dark().with_stars(vec![star(x, 4.0, 1.0)]);
-        simulator.warnings(&scene.with_galaxies(galaxies))
+        simulator.warnings(&scene.with_galaxies(galaxies), None)
     };
     let galaxies = vec![galaxy(5.0, 5.0, 3.0)];
     for s in [1, 2, 3] {
@@ -305,7 +305,7 @@ fn samples_that_do_not_determine_the_psf_are_warned_of() {
     let simulator: Simulator<f64> = psf.simulator((50, 50)).device(Device::Cpu).build().unwrap();
     let scene = Scene::dark().with_stars(vec![star(7.0, 4.0, 1.0)]);
     simulator.simulate(&scene).unwrap();
-    let warnings = simulator.warnings(&scene);
+    let warnings = simulator.warnings(&scene, None);
     let [SimulationWarning::Fit(sentence)] = &warnings[..] else {
         panic!("{warnings:?}");
     };
@@ -333,7 +333,7 @@ fn frames_beyond_the_polynomials_of_the_psf_are_warned_of() {
     let psf = psfex(0.4, 0.8);
     let warnings = |psf: &Psf, ny: usize, nx: usize| {
         let simulator: Simulator<f64> = psf.simulator((ny, nx)).device(Device::Cpu).build().unwrap();
-        simulator.warnings(&Scene::dark().with_stars(vec![star(7.0, 4.0, 1.0)]))
+        simulator.warnings(&Scene::dark().with_stars(vec![star(7.0, 4.0, 1.0)]), None)
     };
     // The frame of the stars, and one that is a little larger.
     assert!(warnings(&psf, 90, 60).is_empty());
@@ -380,7 +380,7 @@ fn a_plan_beyond_its_memory_is_said_to_be_slow() {
         let simulator: Simulator<f64> = builder.build().unwrap();
         let scene = Scene::new(Array2::from_elem((90, 60), 1.0)).unwrap();
         simulator.prepare(&scene, &NoProgress).unwrap();
-        simulator.warnings(&scene)
+        simulator.warnings(&scene, None)
     };
     let [
         SimulationWarning::MadeAnew {
@@ -408,7 +408,7 @@ fn the_stated_errors_are_those_of_images() {
         .unwrap();
     let image_at = |x: f64| {
         let scene = Scene::dark().with_stars(vec![star(x, x, 1.0)]);
-        let warnings = simulator.warnings(&scene);
+        let warnings = simulator.warnings(&scene, None);
         (simulator.simulate(&scene).unwrap(), warnings)
     };
     let mut flux: f64 = 0.0;
@@ -460,7 +460,7 @@ fn a_model_that_does_not_keep_the_flux_in_circles_is_warned_of() {
         let simulator: Simulator<f64> = builder.device(Device::Cpu).build().unwrap();
         let scene = Scene::dark().with_stars(vec![star(7.0, 4.0, 1.0)]);
         simulator.prepare(&scene, &NoProgress).unwrap();
-        simulator.warnings(&scene)
+        simulator.warnings(&scene, None)
     };
     let narrow = varying_halo(RankSelection::Fixed(1));
     let file = tempfile::tempdir().unwrap();

@@ -50,6 +50,15 @@ impl<T: ConvReal> Simulator<T> {
     /// Measures the errors of stars by the interpolation of stamps, in the middle and the corners of the
     /// frame: the largest of all layers. Zero if the PSF is not known there.
     fn sampling_errors(&self) -> SamplingErrors {
+        let positions = self.some_positions();
+        let layers = 0..self.layer_count();
+        let models = layers.filter_map(|layer| Some(self.sources(layer).ok()?.model()));
+        let measured = models.filter_map(|model| SamplingErrors::of_model(model, &positions).ok());
+        measured.fold(SamplingErrors::default(), SamplingErrors::max)
+    }
+
+    /// The middle and the corners of the frame.
+    pub(super) fn some_positions(&self) -> [Position; 5] {
         let shape = self.frame().shape();
         let (last_x, last_y) = (shape.nx() as i64 - 1, shape.ny() as i64 - 1);
         let pixels = [
@@ -59,11 +68,7 @@ impl<T: ConvReal> Simulator<T> {
             (0, last_y),
             (last_x, last_y),
         ];
-        let positions = pixels.map(|(x, y)| Position::of_pixel(x, y));
-        let layers = 0..self.layer_count();
-        let models = layers.filter_map(|layer| Some(self.sources(layer).ok()?.model()));
-        let measured = models.filter_map(|model| SamplingErrors::of_model(model, &positions).ok());
-        measured.fold(SamplingErrors::default(), SamplingErrors::max)
+        pixels.map(|(x, y)| Position::of_pixel(x, y))
     }
 
     /// Returns a warning if the components that the model leaves out change the flux in circles by more
@@ -77,8 +82,8 @@ impl<T: ConvReal> Simulator<T> {
     }
 
     /// Returns warnings about a scene's stars and galaxies, about the PSF at them, and about the plan if
-    /// it is made.
-    pub fn warnings(&self, scene: &Scene<'_, T>) -> Vec<SimulationWarning> {
+    /// it is made. `noise` is that of a dark pixel of the image, if it is known, in the unit of the image.
+    pub fn warnings(&self, scene: &Scene<'_, T>, noise: Option<f64>) -> Vec<SimulationWarning> {
         let shape = self.frame().shape();
         let last = Position::of_pixel(shape.nx() as i64 - 1, shape.ny() as i64 - 1);
         let extrapolation = self.psf().extrapolation(&[Position::of_pixel(0, 0), last]);
@@ -113,6 +118,7 @@ impl<T: ConvReal> Simulator<T> {
                 warnings.push(SimulationWarning::SourcesBetweenPixels(errors));
             }
         }
+        warnings.extend(self.cut_stars(scene, noise));
         warnings.extend(self.circle_warning());
         let of_fit = self.psf().fit_warnings().iter().cloned();
         warnings.extend(of_fit.map(SimulationWarning::Fit));
@@ -144,6 +150,19 @@ pub enum SimulationWarning {
     NoSourceInFrame {
         /// Number of stars and galaxies.
         count: usize,
+    },
+    /// Stamps end where stars still have light above a limit: the floor
+    /// ([`SimulateOptions::floor`](crate::SimulateOptions::floor)) or, without one, a thousandth of the noise or,
+    /// if that is not known, of the brightest star's brightest pixel.
+    CutStars {
+        /// Number of stars.
+        count: usize,
+        /// The distance of the stamps' edges from the star along x or y, in pixels.
+        radius_px: f64,
+        /// The light of the brightest star at an edge, in flux per pixel.
+        brightest: f64,
+        /// The limit, in flux per pixel.
+        limit: f64,
     },
     /// Stars between pixels or galaxies, and the stamps are too coarse for an accurate interpolation.
     SourcesBetweenPixels(SamplingErrors),
@@ -193,6 +212,17 @@ impl fmt::Display for SimulationWarning {
             Self::NoSourceInFrame { count } => write!(
                 f,
                 "no light of the stars and galaxies ({count} in all) reaches the frame: check their positions (0-based pixels)"
+            ),
+            Self::CutStars {
+                count,
+                radius_px,
+                brightest,
+                limit,
+            } => write!(
+                f,
+                "the stamps are too small for {count} {}: at {radius_px:.0} pixels, where the stamps end, the light is up to \
+                 {brightest:.2e} per pixel, more than {limit:.2e}. A box shows in the image. Use larger stamps",
+                if *count == 1 { "star" } else { "stars" }
             ),
             Self::SourcesBetweenPixels(errors) => write!(
                 f,

@@ -1,0 +1,89 @@
+//! Stars whose light ends at the edge of their stamp although it is still bright.
+
+use std::convert::Infallible;
+
+use conv_core::ConvReal;
+use psf_types::{FieldError, Position, PsfModel};
+
+use super::{SimulationWarning, Simulator};
+use crate::psf::get_or_make;
+use crate::scene::Scene;
+
+/// Light at a stamp's edge is not seen below this part of the frame's noise, or of its brightest pixel.
+const UNSEEN: f64 = 1e-3;
+
+/// The light of a star of flux 1, in flux per pixel.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub(super) struct StampEdge {
+    peak: f64,
+    /// The largest value within a pixel of the stamp's edge.
+    edge: f64,
+    /// The distance of the edge from the star along x or y, in pixels of the frame.
+    radius: f64,
+}
+
+impl StampEdge {
+    /// The largest values of a model's PSFs at some positions, for stamps that are cut to `size` pixels of the
+    /// frame along each side.
+    fn of_model(model: &PsfModel, size: Option<usize>, positions: &[Position]) -> Result<Self, FieldError> {
+        let grid = model.grid();
+        let s = grid.oversampling();
+        let half = |centre: f64, count: usize| centre.min((count - 1) as f64 - centre) / s;
+        let half = half(grid.centre_x(), grid.nx()).min(half(grid.centre_y(), grid.ny()));
+        let radius = size.map_or(half, |size| half.min((size / 2) as f64));
+        let mut found = Self {
+            radius,
+            ..Self::default()
+        };
+        for &position in positions {
+            let psf = model.psf_at(position)?;
+            for ((j, i), v) in psf.values().indexed_iter() {
+                let (x, y) = ((i as f64 - grid.centre_x()) / s, (j as f64 - grid.centre_y()) / s);
+                let distance = x.abs().max(y.abs());
+                found.peak = found.peak.max(v.abs());
+                if (radius - 1.0..=radius).contains(&distance) {
+                    found.edge = found.edge.max(v.abs());
+                }
+            }
+        }
+        Ok(found)
+    }
+}
+
+impl<T: ConvReal> Simulator<T> {
+    /// The edges of the stamps that draw stars. Nothing if the PSF is not known on the frame.
+    fn stamp_edge(&self) -> StampEdge {
+        let Ok(plan) = self.sources(0) else {
+            return StampEdge::default();
+        };
+        let positions = self.some_positions();
+        StampEdge::of_model(plan.model(), plan.size(), &positions).unwrap_or_default()
+    }
+
+    /// Returns a warning if stamps end while stars still have light above the floor. Without a floor, the limit
+    /// is a thousandth of the frame's noise or, if that is not known, of its brightest star's brightest pixel.
+    pub(super) fn cut_stars(&self, scene: &Scene<'_, T>, noise: Option<f64>) -> Option<SimulationWarning> {
+        let brightest = scene.stars().map(|star| star.flux().abs()).fold(0.0, f64::max);
+        if brightest == 0.0 {
+            return None;
+        }
+        // Computed once, because every simulated scene asks for warnings.
+        let edge = || Ok::<_, Infallible>(self.stamp_edge());
+        let Ok(&StampEdge { peak, edge, radius }) = get_or_make(&self.shared.stamp_edge, edge);
+        let limit = match (self.options().floor, noise) {
+            (0.0, None) => UNSEEN * brightest * peak,
+            (0.0, Some(noise)) => UNSEEN * noise,
+            (floor, _) => floor,
+        };
+        let count = scene
+            .stars()
+            .filter(|star| star.flux().abs() * edge > limit)
+            .count();
+        (count > 0).then_some(SimulationWarning::CutStars {
+            count,
+            radius_px: radius,
+            brightest: brightest * edge,
+            limit,
+        })
+    }
+}
