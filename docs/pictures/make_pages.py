@@ -341,6 +341,35 @@ def paths(program):
     ax.tick_params(which="both", length=0)
 
 
+def bright_and_faint(program):
+    """Stars with noise, and the noise-free light that is drawn with three floors."""
+    y, x = (np.mgrid[-63:64, -63:64]).astype(float)
+    r2 = x**2 + y**2
+    spikes = np.exp(-(x**2)) / (1 + np.abs(y)) + np.exp(-(y**2)) / (1 + np.abs(x))
+    stamp = (1 + r2 / 3) ** -1.6 + 0.02 * spikes * np.exp(-r2 / 1500)
+    model = psfield.PsfModel.from_samples(stamp, (0, 0))
+    rng = np.random.default_rng(4)
+    count, noise = 60, 8.0
+    stars = {
+        "x": np.append(rng.uniform(0, 160, count), 80.3),
+        "y": np.append(rng.uniform(0, 160, count), 79.6),
+        "flux": np.append(10 ** rng.uniform(2, 4.5, count), 5e5),
+    }
+    camera = psfield.detector.Detector(photon_noise=True, read_noise_e=noise)
+    whole = model.plan((160, 160)).simulate(None, stars)
+    _, axes = plt.subplots(1, 4, figsize=(9.6, 2.7), layout="constrained")
+
+    def draw(ax, image, title):
+        ax.imshow(np.arcsinh(image / noise), cmap="gray", vmin=-1, vmax=7)
+        ax.set(title=title, xticks=[], yticks=[])
+
+    draw(axes[0], camera.expose(whole, seed=1).counts, "with noise")
+    for ax, part in zip(axes[1:], (0, 0.1, 1)):
+        plan = model.plan((160, 160), floor=part * noise)
+        name = {0: "floor 0", 0.1: "a tenth of the noise", 1: "the noise"}[part]
+        draw(ax, plan.simulate(None, stars), name)
+
+
 def migration(program):
     """The types of 0.1.0 and the types that replace them."""
     ax = canvas((-0.85, 5.65), (-0.25, 1.45))
@@ -358,7 +387,7 @@ def migration(program):
 def main(program, names):
     """Make pictures in a folder with the files of the demo, and store them next to this file."""
     makers = (index, python, guide, formats, cluster, gpu, coming_from, accuracy)
-    makers += (stability, stages, api, contributing, migration, paths)
+    makers += (stability, stages, api, contributing, migration, paths, bright_and_faint)
     program = Path(program).resolve()
     with tempfile.TemporaryDirectory() as work:
         os.chdir(work)

@@ -162,6 +162,15 @@ class Plan:
     def adjoint(
         self, image: NDArray[Any], spectra: list[str], progress: _Callback
     ) -> list[NDArray[Any]]: ...
+    def expose(
+        self,
+        images: _Images,
+        sources: Sources | None,
+        detector: Detector,
+        seed: int,
+        shoot_below: float,
+        bad_pixels: NDArray[np.float64] | None,
+    ) -> tuple[tuple[NDArray[Any], NDArray[np.uint8], str], list[str]]: ...
     def dropped_light(self, sources: Sources) -> tuple[float, float]: ...
     def spot_check(
         self,

@@ -7,13 +7,14 @@ import os
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar, overload
+from numbers import Real
+from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeVar, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from psfield import _native
-from psfield._arrays import DTYPES, numbers, precision_of, shape_of
+from psfield._arrays import DTYPES, doubles, numbers, precision_of, shape_of
 from psfield._astropy import like, unit_of
 from psfield._catalog import Reads, is_path, sources_of
 from psfield._choices import integer
@@ -25,6 +26,7 @@ from psfield._progress import Progress, as_callback
 from psfield._reports import PlanSummary
 from psfield._sky import sky_of
 from psfield._tables import column_names
+from psfield.detector import Detector, Exposure, exposure_of
 
 if TYPE_CHECKING:
     from scipy.sparse.linalg import LinearOperator
@@ -644,6 +646,70 @@ class Plan:
             rmatvec=lambda image: self.adjoint(np.reshape(image, self.image_shape)).ravel(),
         )
 
+    def expose(
+        self,
+        scene: Any = None,
+        catalog: Any = None,
+        *,
+        detector: Detector,
+        seed: int,
+        shoot_below: float | Literal["auto"] = 0,
+        bad_pixels: Any = None,
+        wcs: Any = None,
+    ) -> Exposure:
+        """Simulate a scene, a catalogue of stars and galaxies, or both, and expose the image.
+
+        Parameters
+        ----------
+        scene, catalog, wcs
+            As for `simulate`, without stacks of scenes.
+        detector : psfield.detector.Detector
+            The detector.
+        seed : int
+            Seed of the noise.
+        shoot_below : float or 'auto'
+            Stars and galaxies of fewer expected photons are drawn photon by photon, which is faster
+            for faint ones. Their photons are Poisson distributed, as those of light in the image.
+            ``auto``: the sources for which it is predicted to be faster. It needs photon noise.
+        bad_pixels : array_like, optional
+            As for `psfield.detector.Detector.expose`.
+
+        Returns
+        -------
+        psfield.detector.Exposure
+
+        Examples
+        --------
+        >>> import psfield
+        >>> from psfield.detector import Detector
+        >>> model = psfield.PsfModel.from_samples([[0, 1, 0], [1, 4, 1], [0, 1, 0]], (0, 0))
+        >>> stars = {"x": [4.0, 9.0], "y": [5.0, 2.0], "flux": [30.0, 2e4]}
+        >>> camera = Detector(photon_noise=True)
+        >>> plan = model.plan((12, 16))
+        >>> exposure = plan.expose(None, stars, detector=camera, seed=1, shoot_below=100)
+        >>> exposure.counts.shape
+        (12, 16)
+        """
+        if not isinstance(detector, Detector):
+            raise TypeError(f"detector must be a Detector, got {type(detector).__name__}")
+        if scene is None and catalog is None:
+            raise ValueError("there is nothing to expose: give a scene, a catalog, or both")
+        if is_stack(scene):
+            raise ValueError("scene: a stack of scenes cannot be exposed: expose them one by one")
+        seed = integer(seed, "seed", 0, 2**64 - 1)
+        is_auto = isinstance(shoot_below, str) and shoot_below == "auto"
+        if not is_auto and not (isinstance(shoot_below, Real) and 0 <= shoot_below < np.inf):
+            raise ValueError(f"shoot_below must be 'auto' or at least 0, got {shoot_below!r}")
+        below = -1.0 if is_auto else float(shoot_below)
+        mask = None if bad_pixels is None else doubles(bad_pixels, "bad_pixels", "[y, x]")
+        images, scene = self._images(scene), first_image(scene)
+        light = images[0][1] if images else None
+        sources = self._sources(catalog, scene, light, wcs, 3)
+        found, texts = self._handle.expose(images, sources, detector._handle, seed, below, mask)
+        for text in texts:
+            warnings.warn(text, PsfieldWarning, stacklevel=2)
+        return exposure_of(*found)
+
     def dropped_light(self, catalog: Any, *, wcs: Any = None) -> DroppedLight:
         """Return upper limits of the light that is dropped because it is below the floor.
 
@@ -666,7 +732,10 @@ class Plan:
         >>> plan.dropped_light({"x": [14.0], "y": [12.0], "flux": [10.0]}).largest <= 0.5
         True
         """
-        return DroppedLight(*self._handle.dropped_light(self._sources(catalog, None, None, wcs, 3)))
+        sources = self._sources(catalog, None, None, wcs, 3)
+        if sources is None:
+            raise ValueError("catalog: give a catalogue of stars and galaxies")
+        return DroppedLight(*self._handle.dropped_light(sources))
 
     def spot_check(
         self,

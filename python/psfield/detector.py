@@ -256,10 +256,9 @@ class Detector:
         dtype = DTYPES["f32" if plain(image, "image").dtype == np.float32 else "f64"]
         mask = None if bad_pixels is None else doubles(bad_pixels, "bad_pixels", "[y, x]")
         seed = integer(seed, "seed", 0, 2**64 - 1)
-        counts, flags, report = self._handle.expose(
-            numbers(image, "image", dtype, "[y, x]"), seed, mask
+        return exposure_of(
+            *self._handle.expose(numbers(image, "image", dtype, "[y, x]"), seed, mask)
         )
-        return Exposure(counts, flags, ExposureReport(**json.loads(report)))
 
     def __repr__(self) -> str:
         defaults = DETECTOR._asdict()
@@ -268,6 +267,11 @@ class Detector:
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _again, (self.params,)
+
+
+def exposure_of(counts: Any, flags: Any, report: str) -> Exposure:
+    """Return an exposure with its report, which is JSON."""
+    return Exposure(counts, flags, ExposureReport(**json.loads(report)))
 
 
 def _again(params: dict[str, Any]) -> Detector:

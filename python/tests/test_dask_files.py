@@ -14,6 +14,7 @@ from psfield.dask._job import scene_of, shape_without_reading  # noqa: E402
 SETTINGS = {
     "anchor": "source", "scene_pixels": "point", "precision": "f32", "tolerance": 1e-3,
     "tolerance_on": "aperture",
+    "floor": 0.0,
 }  # fmt: skip
 
 

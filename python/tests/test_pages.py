@@ -104,6 +104,15 @@ def test_colour():
     assert all(0 < peak < 1 for peak in peaks)
 
 
+@pytest.mark.filterwarnings("ignore::psfield.PsfieldWarning")
+def test_bright_and_faint():
+    names = run("docs/bright_and_faint.md")
+    limit = names["plan"].dropped_light(names["catalog"])
+    assert 0 < limit.largest < 10 * names["camera"].noise
+    counts, shot = names["counts"].counts, names["exposure"].counts
+    assert shot.sum() == pytest.approx(counts.sum(), rel=1e-3)
+
+
 def test_formats():
     names = run("docs/formats.md")
     model = psfield.PsfModel.read("my_samples.fits")

@@ -67,6 +67,7 @@ def files(tmp_path_factory):
     (folder / "band.csv").write_text(BAND)
     (folder / "stars.csv").write_text(STARS)
     (folder / "seds.csv").write_text(f"x,y,flux,sed\n20.3,10,50,{BLUE}\n41,30.5,70,{RED}\n")
+    (folder / "noisy.toml").write_text("electrons_per_flux = 100\nphoton_noise = true\n")
     (folder / "camera.toml").write_text("electrons_per_flux = 100\nread_noise_e = 2\n")
     return folder
 
@@ -94,6 +95,10 @@ FEATURES = {
     "moving light": ({"catalog": "stars.csv"}, {}),
     "many frames at once": ({"scene": "scene.fits"}, {}),
     "rows in turn, for scenes beyond memory": ({"scene": "scene.fits", "stream": True}, {}),
+    "photons one by one": (
+        {"catalog": "stars.csv", "detector": "noisy.toml", "seed": 3, "shoot-below": 1e6},
+        {},
+    ),
     "noise of a detector": ({"scene": "scene.fits", "detector": "camera.toml", "seed": 3}, {}),
     "spot check": ({"catalog": "stars.csv", "spot-check": 100}, {}),
     "adjoint": ({"scene": "scene.fits"}, {}),
@@ -182,6 +187,10 @@ class Case:
             return other.with_psf(self.model).simulate(self.scene)
         if self.feature == "many frames at once":
             return plan.simulate(np.stack([self.scene, self.scene]))[1]
+        if self.feature == "photons one by one":
+            camera = psfield.detector.Detector.from_toml(self.folder / "noisy.toml")
+            words = {"detector": camera, "seed": 3, "shoot_below": 1e6}
+            return plan.expose(self.scene, self.catalog, **words).counts
         if self.feature == "spot check":
             assert plan.spot_check(self.scene, self.catalog, pixels=100).passed
         if self.feature == "adjoint":

@@ -98,6 +98,9 @@ pub enum ConvError {
         /// Points along each axis.
         points: usize,
     },
+    /// Sources cannot be drawn photon by photon.
+    #[error("photons cannot be shot: {0}")]
+    Photons(&'static str),
     /// The progress object cancelled the work ([`psf_types::Progress::cancelled`]).
     #[error(transparent)]
     Cancelled(#[from] Cancelled),

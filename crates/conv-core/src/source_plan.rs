@@ -6,6 +6,8 @@ use psf_types::{Anchor, PixelRegion, PointSource, Position, Progress, PsfModel};
 use crate::dropped_light::DroppedLight;
 use crate::galaxies::{ExtendedSources, ExtendedToDraw, GalaxyDrawer, GalaxyErrors};
 use crate::image_memory::{check_shape, with_rows_in_memory};
+use crate::photons::{PhotonReport, PhotonShooter, PhotonSources};
+use crate::plan::cost_model::CostModel;
 use crate::plan::{PlanOptions, check_layers, share_stamps};
 use crate::sources::SourcePsfs;
 use crate::stars::{StarDrawer, StarPainter, StarsToDraw};
@@ -77,6 +79,7 @@ pub struct SourcePlan<T> {
     psfs: SourcePsfs,
     stars: StarDrawer<T>,
     galaxies: GalaxyDrawer<T>,
+    photons: PhotonShooter,
 }
 
 /// The tolerance for extended sources of an exact plan.
@@ -123,9 +126,13 @@ impl<T: ConvReal> SourcePlan<T> {
     }
 
     fn made(psfs: SourcePsfs, exactly: bool) -> Result<Self, ConvError> {
+        let stars = StarDrawer::new(&psfs, exactly)?;
+        let (kernel, window) = stars.kernel_and_window();
+        let tolerance = psfs.options().tolerance_in::<T>();
         Ok(Self {
-            stars: StarDrawer::new(&psfs, exactly)?,
+            stars,
             galaxies: GalaxyDrawer::new(&psfs),
+            photons: PhotonShooter::new(&psfs, kernel, window, tolerance),
             psfs,
         })
     }
@@ -140,6 +147,7 @@ impl<T: ConvReal> SourcePlan<T> {
             Self {
                 stars: self.stars.clone(),
                 galaxies: self.galaxies.with_same_bases(&psfs),
+                photons: self.photons.for_other_field(),
                 psfs,
             }
         })
@@ -156,6 +164,7 @@ impl<T: ConvReal> SourcePlan<T> {
             Self {
                 stars: self.stars.with_own_bases(&psfs),
                 galaxies: self.galaxies.with_own_bases(&psfs),
+                photons: self.photons.for_other_field(),
                 psfs,
             }
         })
@@ -261,6 +270,56 @@ impl<T: ConvReal> SourcePlan<T> {
             progress,
         };
         self.galaxies.add_dropped(catalogue, region, dropped);
+    }
+
+    /// The most expected photons of a source for which [`shoot_into`](Self::shoot_into) is predicted to be faster
+    /// than drawing its light: of a star and of a galaxy, if a frame has so many stars, and so many sources in all.
+    pub fn most_photons_to_shoot(&self, (stars, sources): (usize, usize), frame: PixelRegion) -> [f64; 2] {
+        // Stars that are drawn from all components take the longest.
+        let draw_star = self.stars.seconds_of_star(stars, frame).unwrap_or(f64::INFINITY);
+        let tables = self.photons.expected_tables(&self.psfs, frame).min(sources);
+        let tables = tables as f64 * self.psfs.model.grid().pixel_count() as f64;
+        CostModel::most_photons(draw_star, tables / sources.max(1) as f64)
+    }
+
+    /// Adds the photons of sources to the counts of a part of an image. `counts` holds the pixels `[y, x]` of
+    /// `region`, which is in pixels of the frame. This suits sources of few photons: it takes about
+    /// 25 to 40 ns for each photon of native stamps (300 ns with Lanczos-3), where drawing takes microseconds for
+    /// each source.
+    ///
+    /// The counts of pixels are independent Poisson deviates. Their means are the source's flux times
+    /// `photons_per_flux` times its PSF, as [`draw_stars_into`](Self::draw_stars_into) and
+    /// [`draw_extended_into`](Self::draw_extended_into) draw it. Where a PSF is negative, photons count as -1, so
+    /// the mean is negative, too. The variance of a pixel is its mean or, where the PSFs of nodes of the
+    /// coefficient field have both signs, the weighted sum of their sizes.
+    ///
+    /// The mean is exact to 1e-6 of the flux if the field is a weighted mean of at most 8 nodes, as on grids and
+    /// in triangles. The PSFs of other fields are bilinear in cells of the field, within the tolerance. Each
+    /// extended source needs the distribution of its light
+    /// ([`LightProfile::radial_light`](psf_types::LightProfile::radial_light)).
+    ///
+    /// The photons of a source depend on the seed and on the source's position, flux and profile. So neither
+    /// threads nor the region nor the order of the sources matter. Sources that are equal in everything get
+    /// different photons. Tables of the PSFs are kept for the next call, as far as the memory limit allows.
+    ///
+    /// `progress` is polled and may cancel the work. No steps are reported to it.
+    ///
+    /// # Errors
+    /// [`ConvError::FrameShape`] for counts of another shape than the region, [`ConvError::Photons`] for an
+    /// output-anchored plan or if a source has too many photons, [`ConvError::Cancelled`], and [`ConvError`] if
+    /// the PSF has no value at a source that reaches the region. After an error the counts may hold some of the
+    /// photons.
+    pub fn shoot_into(
+        &self,
+        sources: &PhotonSources<'_>,
+        frame: PixelRegion,
+        region: PixelRegion,
+        counts: ArrayViewMut2<'_, i32>,
+        progress: &dyn Progress,
+    ) -> Result<PhotonReport, ConvError> {
+        check_shape(region.shape(), counts.dim())?;
+        self.photons
+            .shoot_into(&self.psfs, sources, frame, region, counts, progress)
     }
 
     /// Computes the light of extended sources in single pixels `(column, row)` of the frame, in f64, with the

@@ -1,5 +1,7 @@
 //! The light of an extended source, as a function on the sky.
 
+use crate::RadialLight;
+
 /// The light of an extended source of unit flux, as a function of the offset from its centre. The
 /// light at an offset equals the light at the opposite offset, so its Fourier transform is real.
 ///
@@ -46,6 +48,16 @@ pub trait LightProfile {
 
     /// An upper limit of the flux farther than `distance_px` from the centre, from 0 to 1.
     fn flux_beyond(&self, distance_px: f64) -> f64;
+
+    /// Returns the distribution of the light over the isophotes, from which photons are drawn.
+    ///
+    /// The default implementation integrates the [`brightness`](Self::brightness), which takes 10 000 values
+    /// of it. It is called for every source that is drawn photon by photon, so a profile should keep its
+    /// distribution.
+    fn radial_light(&self) -> RadialLight {
+        let logarithms = RadialLight::logarithms(&|radius| self.brightness(radius), self.axis_ratio());
+        RadialLight::from_logarithms(&logarithms, 1.0)
+    }
 }
 
 /// Limits of a profile's brightness and of its derivatives, in some part of the sky.

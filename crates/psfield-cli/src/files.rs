@@ -406,6 +406,8 @@ mod tests {
         "frame",
         "dispersion",
         "tolerance_on",
+        "floor",
+        "shoot_below",
         "method",
         "anchor",
         "gpu_adapter",

@@ -3,6 +3,7 @@
 use std::str::FromStr;
 
 use psf_types::{FrameShape, PixelRegion};
+use psfield::ShootBelow;
 
 /// The largest accepted side of a stamp. A larger number is probably a typing error, and such
 /// stamps would fill the memory.
@@ -109,6 +110,15 @@ pub(crate) fn floor(text: &str) -> Result<Floor, String> {
     }
     let is_valid = |value: &f64| *value >= 0.0 && value.is_finite();
     number(text, is_valid, "auto or a number of at least 0").map(Floor::At)
+}
+
+/// Parses the number of photons below which sources are drawn photon by photon, or `auto`.
+pub(crate) fn shoot_below(text: &str) -> Result<ShootBelow, String> {
+    if text == "auto" {
+        return Ok(ShootBelow::Auto);
+    }
+    let is_valid = |value: &f64| *value >= 0.0 && value.is_finite();
+    number(text, is_valid, "auto or a number of at least 0").map(ShootBelow::Photons)
 }
 
 /// Parses a number of bytes: a whole number, optionally followed by K, M or G (powers of 1024).

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use numpy::{Element, IntoPyArray, PyArray2, PyReadonlyArray2};
 use psfield::PsfieldError;
-use psfield::detector::{self, BadPixelMask, DetectorParams};
+use psfield::detector::{self, BadPixelMask, DetectorParams, Exposure};
 use psfield::psf_types::{Image, Real};
 use pyo3::prelude::*;
 use pyo3::types::PyMapping;
@@ -15,10 +15,10 @@ use crate::threads;
 
 /// A detector: it converts light to counts in several steps.
 #[pyclass(frozen, module = "psfield._native")]
-pub(crate) struct Detector(detector::Detector);
+pub(crate) struct Detector(pub(crate) detector::Detector);
 
 /// Counts, flags and the report as JSON.
-type Exposed<'py> = (Bound<'py, PyAny>, Bound<'py, PyArray2<u8>>, String);
+pub(crate) type Exposed<'py> = (Bound<'py, PyAny>, Bound<'py, PyArray2<u8>>, String);
 
 #[pymethods]
 impl Detector {
@@ -91,10 +91,14 @@ impl Detector {
             }
             Ok(exposer.expose(&light)?)
         })?;
-        let exposure = made.map_err(Failure::from)?;
-        let report = serde_json::to_string(exposure.report()).expect("the report is plain numbers");
-        let flags = exposure.flags().to_owned().into_pyarray(py);
-        let counts = exposure.into_counts().into_pixels().into_pyarray(py).into_any();
-        Ok((counts, flags, report))
+        Ok(exposure_in_python(py, made.map_err(Failure::from)?))
     }
+}
+
+/// Converts counts, flags and the report.
+pub(crate) fn exposure_in_python<T: Real + Element>(py: Python<'_>, exposure: Exposure<T>) -> Exposed<'_> {
+    let report = serde_json::to_string(exposure.report()).expect("the report is plain numbers");
+    let flags = exposure.flags().to_owned().into_pyarray(py);
+    let counts = exposure.into_counts().into_pixels().into_pyarray(py).into_any();
+    (counts, flags, report)
 }

@@ -4,10 +4,14 @@ use std::sync::{Arc, Mutex};
 
 use ndarray::parallel::prelude::*;
 use ndarray::{Array, Array2, Array3, ArrayViewMut2, ArrayViewMut3, Axis, Dimension, Ix2, Ix3};
-use numpy::{Element, IntoPyArray};
+use numpy::{Element, IntoPyArray, PyReadonlyArray2};
 use psfield::conv_core::{ConvReal, DroppedLight, zeros};
+use psfield::detector::BadPixelMask;
 use psfield::psf_types::{Image, ImageView, NoProgress, PixelRegion};
-use psfield::{Method, Preparation, PsfieldError, Scene, SimulateOptions, SimulationWarning, Simulator};
+use psfield::{
+    ExposeOptions, Method, Preparation, PsfieldError, Scene, ShootBelow, SimulateOptions, SimulationWarning,
+    Simulator,
+};
 use pyo3::exceptions::PyOSError;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyMapping};
@@ -16,6 +20,7 @@ use rayon::ThreadPool;
 use crate::arrays::{Borrowed, readonly, writable};
 use crate::catalog::Sources;
 use crate::colour::{Colour, ColourArguments};
+use crate::detector::{Detector, Exposed, exposure_in_python};
 use crate::error::{Failure, invalid, with_argument};
 use crate::memory;
 use crate::psf_model::PsfModel;
@@ -279,6 +284,52 @@ impl Plan {
         })
     }
 
+    /// Simulates a scene as [`simulate`](Self::simulate), and exposes the image. `shoot_below` is a number of
+    /// photons, or below 0 for a choice by the cost. Returns counts, flags, the report, and warnings.
+    #[allow(clippy::too_many_arguments, reason = "the arguments of Python's method")]
+    fn expose<'py>(
+        &self,
+        py: Python<'py>,
+        images: Vec<(Option<String>, Bound<'py, PyAny>)>,
+        sources: Option<PyRef<'py, Sources>>,
+        detector: PyRef<'py, Detector>,
+        seed: u64,
+        shoot_below: f64,
+        bad_pixels: Option<PyReadonlyArray2<'py, f64>>,
+    ) -> PyResult<(Exposed<'py>, Vec<String>)> {
+        self.check_process()?;
+        memory::check("the exposure", self.image_bytes(3))?;
+        let none = Sources::default();
+        let sources = sources.as_deref().unwrap_or(&none);
+        let mask = bad_pixels.map(|mask| BadPixelMask::new(mask.as_array()));
+        let mask = mask.transpose().map_err(Failure::from)?;
+        let detector = &detector.0;
+        let options = ExposeOptions {
+            detector,
+            seed,
+            shoot_below: match shoot_below {
+                0.0 => None,
+                below if below > 0.0 => Some(ShootBelow::Photons(below)),
+                _ => Some(ShootBelow::Auto),
+            },
+            bad_pixels: mask.as_ref(),
+        };
+        in_precision!(self, simulators => {
+            let images = Borrowed::new(&images)?;
+            let images = images.views();
+            let made = threads::run_beside(py, None, &*pool()?, |watch, pool| {
+                let (simulator, scene) = self.ready(simulators, images, sources, watch, pool)?;
+                pool.install(|| -> Result<_, Failure> {
+                    let exposure = simulator.expose(&scene, options, watch)?;
+                    let noise = Some(detector.noise()).filter(|noise| *noise > 0.0);
+                    Ok((exposure, simulator.warnings(&scene, noise)))
+                })
+            })?;
+            let (exposure, warnings) = made?;
+            Ok((exposure_in_python(py, exposure), texts(&warnings)))
+        })
+    }
+
     /// Upper limits of the light of sources that is dropped: in any pixel, and as a fraction of their flux.
     fn dropped_light(&self, py: Python<'_>, sources: PyRef<'_, Sources>) -> PyResult<(f64, f64)> {
         let sources = &*sources;
@@ -418,9 +469,16 @@ fn in_python<T: Element, D: Dimension>(
     py: Python<'_>,
     (image, warnings): (Option<Array<T, D>>, Vec<SimulationWarning>),
 ) -> Simulated<'_> {
+    (
+        image.map(|image| image.into_pyarray(py).into_any()),
+        texts(&warnings),
+    )
+}
+
+/// Warnings in sentences that name arguments of Python.
+fn texts(warnings: &[SimulationWarning]) -> Vec<String> {
     let text = |w: &SimulationWarning| with_argument(w.to_string(), w.setting());
-    let image = image.map(|image| image.into_pyarray(py).into_any());
-    (image, warnings.iter().map(text).collect())
+    warnings.iter().map(text).collect()
 }
 
 /// Simulates prepared scenes. Returns the images `[n, y, x]`, or `None` if they were written to an

@@ -2,7 +2,7 @@
 
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
-use conv_core::{ConvReal, DroppedLight};
+use conv_core::{ConvReal, DroppedLight, PhotonReport};
 use psf_io::{Card, CardError, HeaderCards};
 
 use crate::error::{ErrorKind, PsfieldError};
@@ -17,6 +17,27 @@ pub const PSF_FILE_KEYWORD: &str = "PSFFILE";
 
 /// The keywords of [`Simulator::dropped_cards`].
 const DROPPED_KEYWORDS: [&str; 3] = ["PSFFLOOR", "PSFDROPM", "PSFDROPF"];
+
+/// The keywords of [`shot_cards`].
+const SHOT_KEYWORDS: [&str; 2] = ["PSFSHOT", "PSFSHOTN"];
+
+/// Cards that say how many sources were drawn photon by photon ([`Simulator::shoot`]), and of how many photons.
+pub fn shot_cards(shot: &PhotonReport) -> [Card; 2] {
+    let [sources, photons] = SHOT_KEYWORDS;
+    [
+        Card::new(
+            sources,
+            shot.sources,
+            "sources drawn photon by photon, not checked",
+        ),
+        Card::new(
+            photons,
+            shot.photons as usize,
+            "their photons, before the pixels' response",
+        ),
+    ]
+    .map(|card| card.expect("a valid card"))
+}
 
 /// Cards of a file's origin: the version of psfield, the date, and the `command` as a line of
 /// HISTORY.
@@ -216,7 +237,7 @@ impl<T: ConvReal> Simulator<T> {
         // apply to the new image.
         let others = [JOB_KEYWORD, PSF_FILE_KEYWORD];
         let keywords = SpotCheck::KEYWORDS.into_iter().chain(DROPPED_KEYWORDS);
-        for keyword in keywords.chain(others) {
+        for keyword in keywords.chain(others).chain(SHOT_KEYWORDS) {
             header.remove(keyword);
         }
         header

@@ -87,7 +87,9 @@ pub use readable::readable;
 pub use scene::{Layer, ProfileSource, Scene};
 pub use scene_light::SceneLight;
 pub use simulate_options::{Device, Method, ScenePixels, SimulateOptions};
-pub use simulator::{Preparation, SamplingErrors, SimulationWarning, Simulator, SimulatorBuilder};
+pub use simulator::{
+    ExposeOptions, Preparation, SamplingErrors, ShootBelow, SimulationWarning, Simulator, SimulatorBuilder,
+};
 pub use spot_check::SpotCheck;
 
 /// The names that most programs need.

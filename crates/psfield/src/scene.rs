@@ -149,6 +149,35 @@ impl<'a, T: Real> Scene<'a, T> {
         self
     }
 
+    /// Divides the scene in two, layer by layer: the images and the sources that `is_faint` refuses, and the
+    /// sources that it accepts. It takes a source and whether it is a star.
+    pub(crate) fn split(&self, is_faint: impl Fn(&PointSource, bool) -> bool) -> (Self, Self) {
+        let of_layer = |layer: &Layer<'a, T>| {
+            let (faint_stars, stars) = layer.stars.iter().partition(|star| is_faint(star, true));
+            let (faint_galaxies, galaxies) = layer.galaxies.iter().partition(|galaxy| {
+                let point = PointSource::new(galaxy.position(), galaxy.flux());
+                point.is_ok_and(|point| is_faint(&point, false))
+            });
+            let (faint_profiles, profiles): (Vec<_>, Vec<_>) = layer
+                .profiles
+                .iter()
+                .cloned()
+                .partition(|source| is_faint(&source.point, false));
+            let part = |pixels, stars: Vec<_>, galaxies: Vec<_>, profiles: Vec<_>| Layer {
+                pixels,
+                stars: stars.into(),
+                galaxies: galaxies.into(),
+                profiles: profiles.into(),
+            };
+            (
+                part(layer.pixels.clone(), stars, galaxies, profiles),
+                part(Pixels::None, faint_stars, faint_galaxies, faint_profiles),
+            )
+        };
+        let (bright, faint) = self.layers.iter().map(of_layer).unzip();
+        (Self { layers: bright }, Self { layers: faint })
+    }
+
     fn last(&mut self) -> &mut Layer<'a, T> {
         self.layers.last_mut().expect("a scene has a layer")
     }

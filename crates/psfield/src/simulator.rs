@@ -10,6 +10,7 @@ mod geometry;
 mod many;
 mod part;
 mod setup;
+mod shooting;
 mod sources;
 mod stamp_edges;
 mod stamp_sampling;
@@ -39,6 +40,7 @@ use stamp_edges::StampEdge;
 pub use builder::SimulatorBuilder;
 pub(crate) use part::Part;
 pub(crate) use setup::Setup;
+pub use shooting::{ExposeOptions, ShootBelow};
 pub use stamp_sampling::SamplingErrors;
 pub use warnings::SimulationWarning;
 

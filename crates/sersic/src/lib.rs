@@ -32,6 +32,7 @@
 mod elementary;
 mod half_light;
 mod profile;
+mod radii;
 mod transform;
 
 pub use profile::SersicLight;

@@ -1,12 +1,14 @@
 //! The surface brightness of one galaxy, and its Fourier transform.
 
+use std::cell::Cell;
 use std::sync::OnceLock;
 
-use psf_types::{LightProfile, Outskirts, SersicSource};
+use psf_types::{LightProfile, Outskirts, RadialLight, SersicSource};
 use statrs::function::gamma::{gamma_ur, ln_gamma};
 
 use crate::elementary::{exp, ln};
 use crate::half_light::half_light_constant;
+use crate::radii;
 use crate::transform::Transform;
 
 /// A half-light radius below this value is replaced by this value. Even for `n = 8`, almost all
@@ -52,18 +54,31 @@ impl SersicLight {
         let shape = galaxy.profile();
         let (n, q) = (shape.index(), shape.axis_ratio());
         let re = shape.half_light_radius_px().max(SMALLEST_RADIUS_PX);
-        let b = half_light_constant(n);
         let (sin, cos) = shape.angle_deg().to_radians().sin_cos();
-        let total =
-            (std::f64::consts::TAU * n * q).ln() + 2.0 * re.ln() - 2.0 * n * b.ln() + ln_gamma(2.0 * n);
+        let (b, central) = constants(n);
         Self {
-            central: (-total).exp(),
+            central: central / (q * re * re),
             index: n,
             b,
             re,
             q,
             step_x: [cos, -sin / q],
             step_y: [sin, cos / q],
+            transform: OnceLock::new(),
+        }
+    }
+
+    /// The light of a round galaxy with a half-light radius of 1 pixel.
+    pub(crate) fn of_index(n: f64) -> Self {
+        let (b, central) = constants(n);
+        Self {
+            central,
+            index: n,
+            b,
+            re: 1.0,
+            q: 1.0,
+            step_x: [1.0, 0.0],
+            step_y: [0.0, 1.0],
             transform: OnceLock::new(),
         }
     }
@@ -116,6 +131,23 @@ impl SersicLight {
             scale_px: nearest / along.max(across),
         }
     }
+}
+
+/// The constant `b` of an index, and the central brightness of a round galaxy of unit flux with a half-light
+/// radius of 1 pixel. Those of a thread's last index are kept.
+fn constants(n: f64) -> (f64, f64) {
+    thread_local! {
+        static LAST: Cell<(f64, f64, f64)> = const { Cell::new((0.0, 0.0, 0.0)) };
+    }
+    let (index, b, central) = LAST.get();
+    if index == n {
+        return (b, central);
+    }
+    let b = half_light_constant(n);
+    let total = (std::f64::consts::TAU * n).ln() - 2.0 * n * b.ln() + ln_gamma(2.0 * n);
+    let central = (-total).exp();
+    LAST.set((n, b, central));
+    (b, central)
 }
 
 /// Returns a closure that can be called once only. Any other closure would be called through a
@@ -214,6 +246,10 @@ impl LightProfile for SersicLight {
             return 1.0;
         }
         gamma_ur(2.0 * self.index, self.exponent(distance_px * distance_px))
+    }
+
+    fn radial_light(&self) -> RadialLight {
+        radii::of_index(self.index).scaled(self.re)
     }
 }
 

@@ -51,6 +51,7 @@ def batch(
     progress: Progress | None = None,
     frame: tuple[int, int, int, int] | None = None,
     tolerance_on: Literal["l2", "aperture"] = DEFAULTS.tolerance_on,
+    floor: float = DEFAULTS.floor,
     anchor: Literal["source", "output"] = DEFAULTS.anchor,
     method: Literal["auto", "lowrank"] = DEFAULTS.method,
     memory: int | None = DEFAULTS.memory,
@@ -106,7 +107,7 @@ def batch(
         worker, or ``RAYON_NUM_THREADS`` in its environment.
     progress : callable or tqdm bar, optional
         ``progress(done, total)``. For a generator, the total is the number of jobs taken so far.
-    frame, tolerance_on, anchor, method, memory, oversample, scene_pixels, stamp_size
+    frame, tolerance_on, floor, anchor, method, memory, oversample, scene_pixels, stamp_size
         As for `PsfModel.plan`.
     bandpass, sed, dispersion
         As for `PsfModel.plan`. Each plan keeps up to ``memory`` bytes, and a worker keeps the four

@@ -32,6 +32,7 @@ def simulate(
     catalog: Any = None,
     frame: tuple[int, int, int, int] | None = None,
     tolerance_on: Literal["l2", "aperture"] = DEFAULTS.tolerance_on,
+    floor: float = DEFAULTS.floor,
     anchor: Literal["source", "output"] = DEFAULTS.anchor,
     method: Literal["auto", "lowrank"] = DEFAULTS.method,
     memory: int | None = DEFAULTS.memory,
@@ -66,7 +67,7 @@ def simulate(
     frame : (int, int, int, int), optional
         Part of the scene that the image shows, as for `PsfModel.plan`. The chunks of the image are
         those of the scene, cut at its edges.
-    tolerance_on, anchor, method
+    tolerance_on, floor, anchor, method
         As for `PsfModel.plan`.
     memory : int
         Largest number of bytes that each plan keeps. A worker keeps the four plans that it used

@@ -220,7 +220,7 @@ pub(super) struct Outside {
 }
 
 /// Sets the values of a stamp to 0 that lie outside a square of `size` frame pixels.
-pub(super) fn truncate(mut stamp: ArrayViewMut1<'_, f64>, grid: StampGrid, size: usize) {
+pub(crate) fn truncate(mut stamp: ArrayViewMut1<'_, f64>, grid: StampGrid, size: usize) {
     let (s, from, to) = (
         grid.oversampling(),
         (size / 2) as f64,

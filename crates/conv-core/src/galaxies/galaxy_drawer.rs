@@ -418,12 +418,11 @@ impl<T: ConvReal> GalaxyDrawer<T> {
             // The values at the corners of cells begin with the flux, also without a reference.
             let values = modes.at_corners(&cells);
             // The least flux of a PSF that is scaled to a flux of 1.
-            let faintest = match self.psfs.model.needs_flux_scaling() {
-                true => values
-                    .column(0)
-                    .iter()
-                    .fold(f64::INFINITY, |least, &flux| least.min(flux)),
-                false => 1.0,
+            let fluxes = values.column(0);
+            let faintest = if self.psfs.model.needs_flux_scaling() {
+                fluxes.iter().fold(f64::INFINITY, |least, &flux| least.min(flux))
+            } else {
+                1.0
             };
             let values = values.slice(s![.., values.ncols() - directions.nrows()..]);
             let largest = values.map_axis(Axis(0), |values| values.fold(0.0_f64, |m, v| m.max(v.abs())));

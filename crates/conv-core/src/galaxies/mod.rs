@@ -26,5 +26,6 @@ mod spectrum;
 mod window;
 
 pub use all_components::GalaxyErrors;
+pub(crate) use extent::truncate;
 pub use galaxy_drawer::{ExtendedSources, Light};
 pub(crate) use galaxy_drawer::{ExtendedToDraw, GalaxyDrawer};

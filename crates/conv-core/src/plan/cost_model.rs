@@ -43,6 +43,18 @@ const DRAW_GATHERED: f64 = 6.0;
 const DRAW_STAR: f64 = 0.03e-9;
 /// Adding one tap of a star to a plane.
 const SPREAD_STAR: f64 = 1e-9;
+/// Preparing a source that is drawn photon by photon.
+const SHOOT_SOURCE: f64 = 3e-6;
+/// Drawing a photon of a source.
+const SHOOT_PHOTON: f64 = 40e-9;
+/// Sources of more photons are never drawn photon by photon to save time.
+const MOST_PHOTONS: f64 = 1e4;
+/// Making the table of the PSF at a corner of a cell, per pixel of the stamp.
+const MAKE_TABLE: f64 = 30e-9;
+/// Finding the PSF of a star that is drawn, and its weights.
+const PREPARE_STAR: f64 = 3e-6;
+/// Drawing a galaxy of a few pixels through stamps of 64 pixels, with a tolerance of 1e-3.
+const DRAW_GALAXY: f64 = 40e-6;
 /// Computing a local stamp, per stamp pixel and per stamp of the model.
 const MAKE_STAMP: f64 = 0.012e-9;
 /// Planning a block, without its stamps and cells.
@@ -130,6 +142,16 @@ impl CostModel {
     /// Drawing a star between pixels, by a number of products.
     pub(crate) fn draw_star(self, products: usize) -> f64 {
         self.width * DRAW_STAR * products as f64
+    }
+
+    /// The most photons of a star and of a small galaxy for which it is faster to draw the source photon by
+    /// photon than as light. A star takes `draw_star` seconds beside finding its PSF. Photons need a share of a
+    /// table for each source, in pixels of the stamp.
+    pub(crate) fn most_photons(draw_star: f64, share_of_table: f64) -> [f64; 2] {
+        [PREPARE_STAR + draw_star, DRAW_GALAXY].map(|draw| {
+            let left = draw - SHOOT_SOURCE - MAKE_TABLE * share_of_table;
+            (left / SHOOT_PHOTON).clamp(0.0, MOST_PHOTONS)
+        })
     }
 
     /// Spreading a star over a number of taps.

@@ -249,7 +249,7 @@ impl PsfSpace {
     }
 
     /// The index of the first direction that is a component.
-    fn first_component(&self) -> usize {
+    pub(crate) fn first_component(&self) -> usize {
         usize::from(self.rest_of_mean().is_some())
     }
 

@@ -2,6 +2,7 @@
 //! stars may light.
 
 use std::ops::Range;
+use std::slice::from_ref;
 
 use ndarray::Array2;
 use psf_types::{PixelRegion, Progress};
@@ -118,10 +119,10 @@ impl<T: ConvReal> DrawGroup<'_, T> {
                     star.columns.end - star.columns.start,
                     star.pixel.0 - star.columns.start,
                 );
-                let whole = [-offset..length - offset];
+                let whole = -offset..length - offset;
                 let segments = match star.level {
                     Some(level) => self.reach().level(level).segments(row - star.pixel.1),
-                    None => &whole,
+                    None => from_ref(&whole),
                 };
                 let first = star.columns.start - tile.first.0;
                 for segment in segments {

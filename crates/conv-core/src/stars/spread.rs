@@ -29,6 +29,9 @@ const LEAST_SIDE: usize = 224;
 /// stamps large ones.
 const MOST_BYTES: usize = 32 << 20;
 
+/// Local bases have about so many kernels.
+const USUAL_KERNELS: usize = 4;
+
 /// The number of arrays with the size of a whole transform in a workspace.
 const WHOLE_PLANES: usize = 4;
 
@@ -157,22 +160,45 @@ impl<T: ConvReal> Spreader<T> {
     /// Returns whether it is faster to spread stars of these fluxes than to draw them one by one. `drawn` returns
     /// the part of its pixels on which a star is drawn.
     pub(super) fn pays(&self, fluxes: &[f64], drawn: impl Fn(&f64) -> f64, kernels: usize) -> bool {
+        let Some((convolve, spread)) = self.seconds_to_spread(kernels) else {
+            return false;
+        };
+        let (stars, whole) = (fluxes.len() as f64, self.seconds_to_draw(kernels));
+        let draw = || fluxes.iter().map(|flux| whole * drawn(flux)).sum::<f64>();
+        convolve < stars * whole && convolve + stars * spread < draw()
+    }
+
+    /// The seconds to draw a star on all its pixels.
+    fn seconds_to_draw(&self, kernels: usize) -> f64 {
+        let ([x, y], taps) = (&self.axes, self.taps);
+        let products = x.kernel * y.kernel * taps * (x.oversampling.min(taps) * kernels + 1);
+        CostModel::of::<T>().draw_star(products)
+    }
+
+    /// The seconds to convolve the planes of a block, and those to spread a star. `None` if the planes need too
+    /// much memory.
+    fn seconds_to_spread(&self, kernels: usize) -> Option<(f64, f64)> {
         let planes = kernels * self.residues();
         let sums = planes * self.plane_len() * size_of::<f64>();
         let bytes = sums + WHOLE_PLANES * self.fft.plane_len() * size_of::<T>();
         if planes == 0 || bytes > MOST_BYTES {
-            return false;
+            return None;
         }
-        let ([x, y], taps) = (&self.axes, self.taps);
+        let [x, y] = &self.axes;
         let (cost, size) = (CostModel::of::<T>(), transform_size((x.lit(), y.lit())));
-        let stamp = (x.kernel, y.kernel);
         let convolve = cost.tile((x.length, y.length), size, planes as f64, 1)
-            + planes as f64 * cost.kernel(size, stamp);
-        let products = x.kernel * y.kernel * taps * (x.oversampling.min(taps) * kernels + 1);
-        let whole = cost.draw_star(products);
-        let may_pay = convolve < fluxes.len() as f64 * whole;
-        let draw = || fluxes.iter().map(|flux| whole * drawn(flux)).sum::<f64>();
-        may_pay && convolve + fluxes.len() as f64 * cost.spread_star(taps * taps * kernels) < draw()
+            + planes as f64 * cost.kernel(size, (x.kernel, y.kernel));
+        Some((convolve, cost.spread_star(self.taps * self.taps * kernels)))
+    }
+
+    /// The seconds that each of some stars takes on average, if so many of them lie in a block that has a usual
+    /// number of kernels.
+    pub(super) fn seconds_of_star(&self, stars_of_block: f64) -> f64 {
+        let draw = self.seconds_to_draw(USUAL_KERNELS);
+        let spread = self.seconds_to_spread(USUAL_KERNELS);
+        spread.map_or(draw, |(convolve, spread)| {
+            draw.min(convolve / stars_of_block + spread)
+        })
     }
 
     /// Spreads groups of stars of a block, and adds their light to an image, whose first pixel is

@@ -10,6 +10,7 @@ use super::painter::{StarPainter, StarStamps};
 use super::phases::PhasedAxis;
 use crate::dropped_light::DroppedLight;
 use crate::sources::SourcePsfs;
+use crate::stamp_interpolator::Kernel;
 use crate::{ConvError, ConvReal};
 
 /// Draws stars from local bases, and those beyond the tolerance from all components. A clone has the same
@@ -46,6 +47,11 @@ impl<T: ConvReal> StarDrawer<T> {
         }
     }
 
+    /// The interpolation of stamps, and the frame pixels that a star may light relative to its own.
+    pub(crate) fn kernel_and_window(&self) -> (Kernel, PixelRegion) {
+        (self.stamps.kernel, self.stamps.window())
+    }
+
     /// Draws single stars of a frame from all components.
     pub(crate) fn painter<'a>(&self, psfs: &'a SourcePsfs, frame: PixelRegion) -> StarPainter<'a> {
         StarPainter {
@@ -53,6 +59,13 @@ impl<T: ConvReal> StarDrawer<T> {
             frame,
             stamps: Arc::clone(&self.stamps),
         }
+    }
+
+    /// The seconds to draw one of so many stars on a frame. `None` if they are drawn from all components.
+    pub(crate) fn seconds_of_star(&self, stars: usize, frame: PixelRegion) -> Option<f64> {
+        let spreader = &self.phased.as_ref()?.spreader;
+        let blocks = frame.shape().pixel_count() as f64 / (spreader.side * spreader.side) as f64;
+        Some(spreader.seconds_of_star(stars as f64 / blocks))
     }
 
     /// Adds the light that stars drop at most, in the part of the frame that `dropped` covers.

@@ -3,11 +3,12 @@
 use std::ops::Range;
 use std::time::Instant;
 
-use conv_core::{ConvReal, DroppedLight, RowStream, TileCounts};
+use conv_core::{ConvReal, DroppedLight, PhotonReport, RowStream, TileCounts};
 use detector::ExposureReport;
 use ndarray::{ArrayView2, ArrayViewMut2};
 use psf_io::{Card, ImageReader, ImageWriter};
 use psf_types::{Image, NoProgress};
+use psfield::image_cards::shot_cards;
 use psfield::{Preparation, PsfieldError, Scene, Simulator, SpotCheck};
 
 use crate::context::Context;
@@ -21,6 +22,8 @@ pub(super) struct Outcome {
     pub(super) counts: TileCounts,
     /// The light that is dropped, if there is a floor.
     pub(super) dropped: Option<DroppedLight>,
+    /// The sources that were drawn photon by photon.
+    pub(super) shot: Option<PhotonReport>,
     pub(super) spot_check: Option<SpotCheck>,
     pub(super) exposure: Option<ExposureReport>,
     /// NaN pixels of the scene that were replaced.
@@ -46,10 +49,22 @@ impl SimulateArgs {
     ) -> anyhow::Result<Outcome> {
         let bar = context.bar("convolving");
         let clock = Instant::now();
-        let Ready { simulator, scene, .. } = ready;
+        let Ready {
+            simulator,
+            scene: all,
+            ..
+        } = ready;
+        let split = exposing
+            .map(|exposing| exposing.split(simulator, all))
+            .transpose()?
+            .flatten();
+        let scene = split.as_ref().map_or(*all, |(light, _)| light);
         let mut image = simulator.zeros();
         let counts = simulator.simulate_into(scene, image.view_mut(), &bar)?;
         let image = Image::new(image).map_err(PsfieldError::from)?;
+        let photons = split.as_ref().zip(exposing);
+        let photons = photons.map(|((_, faint), exposing)| exposing.shoot(simulator, faint, &bar));
+        let photons = photons.transpose()?;
         let dropped = simulator.dropped_light(scene)?;
         seconds.execute = clock.elapsed().as_secs_f64();
         drop(bar);
@@ -72,9 +87,13 @@ impl SimulateArgs {
                 ));
             }
         }
+        let shot = photons.as_ref().map(|(_, report)| *report);
+        cards.extend(shot.iter().flat_map(shot_cards));
         let header = simulator.carried_header(&read.header, self.scene.scene.is_some());
         let exposure = if let Some(exposing) = exposing {
-            Some(exposing.write(&image, &header, &cards)?)
+            let photons = photons.as_ref().map(|(photons, _)| photons.view());
+            let truth = || simulator.simulate(all);
+            Some(exposing.write((&image, photons), truth, (&header, &cards))?)
         } else {
             psf_io::write_image(&self.output, &image, &header, &cards, self.overwrite)?;
             None
@@ -83,6 +102,7 @@ impl SimulateArgs {
         Ok(Outcome {
             counts,
             dropped,
+            shot,
             spot_check,
             exposure,
             nan_pixels: read.nan_pixels,
@@ -140,6 +160,7 @@ impl SimulateArgs {
         Ok(Outcome {
             counts,
             dropped,
+            shot: None,
             spot_check,
             exposure: None,
             nan_pixels,

@@ -1,15 +1,20 @@
 //! The detector of `psfield simulate`.
 
+use std::borrow::Cow;
 use std::path::{Path, PathBuf};
 
+use conv_core::{ConvReal, PhotonReport};
 use detector::{Detector, DetectorParams, ExposureReport};
+use ndarray::{Array2, ArrayView2};
 use psf_io::{Card, HeaderCards};
-use psf_types::{Image, Real};
+use psf_types::{Image, Progress, Real};
 use psfield::exposure_files::ExposureFiles;
+use psfield::{PsfieldError, Scene, ShootBelow, Simulator};
 
 use super::super::context::Context;
 use super::super::expose::check_detector;
 use super::super::files::{OutputFile, beside};
+use super::super::values::shoot_below;
 
 /// A detector that exposes the image.
 #[derive(Debug, Clone, clap::Args)]
@@ -22,6 +27,14 @@ pub(super) struct ExposureArgs {
     /// noise-free image out.
     #[arg(long, value_name = "DETECTOR.toml")]
     pub(super) detector: Option<PathBuf>,
+    /// Draw sources of fewer than N expected photons photon by photon
+    ///
+    /// Such a source takes some tens of nanoseconds for each photon. Its photons are Poisson distributed, as
+    /// those of light in the image, so the statistics of the counts do not change. auto: the sources for which
+    /// it is predicted to be faster. Needs a detector with photon noise. --spot-check leaves these sources out.
+    /// The noise-free image is then written only with --truth, because it costs the time that was saved.
+    #[arg(long, value_name = "N|auto", requires = "detector", value_parser = shoot_below)]
+    pub(super) shoot_below: Option<ShootBelow>,
     /// Noise-free image to write with --detector [default: IMAGE_truth.fits next to the image]
     ///
     /// This image has the unit of the detector's counts. It includes sky, dark charge and bias.
@@ -45,9 +58,13 @@ pub(super) struct ExposureArgs {
     quality: Option<OutputFile>,
 }
 
+/// The light of a scene that is drawn, and its sources that are drawn photon by photon.
+type Split<'a, T> = (Scene<'a, T>, Scene<'a, T>);
+
 /// A detector and its output files.
 pub(super) struct Exposing {
     detector: Detector,
+    shoot_below: Option<ShootBelow>,
     pub(super) files: ExposureFiles,
     seed: u64,
 }
@@ -56,7 +73,8 @@ impl ExposureArgs {
     /// The default name of the noise-free image, next to `output`. `None` if a name is given or no
     /// such image is written.
     pub(super) fn default_truth(&self, output: &OutputFile) -> Option<PathBuf> {
-        let wanted = self.detector.is_some() && !self.no_truth && self.truth.is_none();
+        let wanted =
+            self.detector.is_some() && !self.no_truth && self.truth.is_none() && self.shoot_below.is_none();
         wanted.then(|| output.beside("truth"))
     }
 
@@ -85,8 +103,14 @@ impl ExposureArgs {
         };
         let detector = Detector::from_toml_file(path)?;
         check_detector(&detector, Some(path), true, context)?;
+        anyhow::ensure!(
+            self.shoot_below.is_none() || detector.params().photon_noise,
+            "{}: --shoot-below draws photons, so the detector needs photon_noise = true",
+            path.display()
+        );
         Ok(Some(Exposing {
             detector,
+            shoot_below: self.shoot_below,
             files,
             seed,
         }))
@@ -133,21 +157,53 @@ impl Exposing {
         };
         Ok(Self {
             detector: Detector::new(params)?,
+            shoot_below: self.shoot_below,
             files,
             seed,
         })
     }
 
-    /// Exposes an image and writes all files.
+    /// Divides a scene into the light that is drawn and the sources that are drawn photon by photon. `None` if
+    /// all is drawn as light.
+    pub(super) fn split<'a, T: ConvReal>(
+        &self,
+        simulator: &Simulator<T>,
+        scene: &Scene<'a, T>,
+    ) -> Result<Option<Split<'a, T>>, PsfieldError> {
+        let per_flux = self.detector.params().electrons_per_flux;
+        let split = |below| simulator.split_faint(scene, below, per_flux);
+        self.shoot_below.map(split).transpose()
+    }
+
+    /// Draws the sources of a scene photon by photon.
+    pub(super) fn shoot<T: ConvReal>(
+        &self,
+        simulator: &Simulator<T>,
+        faint: &Scene<'_, T>,
+        progress: &dyn Progress,
+    ) -> Result<(Array2<i32>, PhotonReport), PsfieldError> {
+        simulator.shoot(faint, (self.detector.photons_per_flux(), self.seed), progress)
+    }
+
+    /// Exposes an image, with photons that were drawn one by one, and writes all files. `truth` makes the image of
+    /// all light, if it is to be written.
     pub(super) fn write<T: Real>(
         &self,
-        image: &Image<T>,
-        header: &HeaderCards,
-        cards: &[Card],
+        (image, photons): (&Image<T>, Option<ArrayView2<'_, i32>>),
+        truth: impl FnOnce() -> Result<Image<T>, PsfieldError>,
+        (header, cards): (&HeaderCards, &[Card]),
     ) -> anyhow::Result<ExposureReport> {
-        let exposure = self.detector.expose(image, self.seed)?;
+        let mut exposer = self.detector.exposer(image.shape(), self.seed)?;
+        let mut light = Cow::Borrowed(image);
+        if let Some(photons) = photons {
+            exposer = exposer.with_photons(photons)?;
+            if self.files.truth.is_some() {
+                light = Cow::Owned(truth()?);
+            }
+        }
+        let exposure = exposer.expose(image)?;
         self.files
-            .write(&exposure, image, &self.detector, header, cards)?;
+            .write(&exposure, &light, &self.detector, header, cards)?;
         Ok(exposure.report().clone())
     }
 }

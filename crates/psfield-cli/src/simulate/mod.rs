@@ -433,6 +433,7 @@ impl SimulateArgs {
             seconds,
             peak_memory_bytes: peak_memory_bytes(),
             dropped: outcome.dropped,
+            shot: outcome.shot,
             spot_check: outcome.spot_check,
             exposure: outcome.exposure,
         }

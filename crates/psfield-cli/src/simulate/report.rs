@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use conv_core::{DroppedLight, PlanSummary, TileCounts};
+use conv_core::{DroppedLight, PhotonReport, PlanSummary, TileCounts};
 use detector::ExposureReport;
 use psf_types::{Anchor, Normalisation, ToleranceOn};
 use psfield::SpotCheck;
@@ -27,6 +27,9 @@ pub(crate) struct Report {
     /// Upper limits of the light that is dropped, if there is a floor.
     #[serde(serialize_with = "dropped_figures")]
     pub(super) dropped: Option<DroppedLight>,
+    /// The sources that were drawn photon by photon.
+    #[serde(serialize_with = "shot_figures")]
+    pub(super) shot: Option<PhotonReport>,
     /// The meaning of the values of the scene's image, if there is one.
     pub(super) scene_pixels: Option<String>,
     /// Components of the model, the mean not counted.
@@ -124,6 +127,17 @@ fn dropped_figures<S: Serializer>(dropped: &Option<DroppedLight>, serializer: S)
     figures.serialize(serializer)
 }
 
+#[allow(clippy::ref_option, reason = "serde passes a reference to the field")]
+fn shot_figures<S: Serializer>(shot: &Option<PhotonReport>, serializer: S) -> Result<S::Ok, S::Error> {
+    let figures = shot.map(|shot| {
+        object! {
+            sources: shot.sources,
+            photons: shot.photons,
+        }
+    });
+    figures.serialize(serializer)
+}
+
 /// Returns an error if the image in the file `written` failed its spot check.
 pub(crate) fn verdict(check: &SpotCheck, written: &Path) -> anyhow::Result<()> {
     anyhow::ensure!(
@@ -205,6 +219,17 @@ impl Report {
                 dropped.fraction()
             )
         });
+        let shot = self.shot.map_or_else(String::new, |shot| {
+            let unchecked = if self.spot_check.is_some() {
+                ", not in the spot check"
+            } else {
+                ""
+            };
+            format!(
+                "drawn photon by photon: {} sources, {} photons{unchecked}\n",
+                shot.sources, shot.photons
+            )
+        });
         let exposure = self.exposure.as_ref().map_or_else(String::new, |e| {
             format!(
                 "detector: sky {} e, dark {} e, seed {}; pixels: {} saturated, {} bad, {} below 0 before noise\n",
@@ -213,7 +238,7 @@ impl Report {
         });
         let streamed = if self.streamed { ", streamed" } else { "" };
         format!(
-            "{}: {nx} x {ny} pixels, rank {}, method {}, anchor {}, {}{streamed}\n{sources}{dropped}{replaced}{plan}{tiles}{exposure}\
+            "{}: {nx} x {ny} pixels, rank {}, method {}, anchor {}, {}{streamed}\n{sources}{dropped}{shot}{replaced}{plan}{tiles}{exposure}\
              device: {}\n\
              seconds: read {:.3}, fit {:.3}, plan {:.3}, convolve {:.3}, write {:.3}\n{check}",
             self.output.display(),

@@ -1,5 +1,6 @@
 //! `psfield expose`.
 
+use ndarray::s;
 use psfield::psf_io::{Card, CardValue};
 
 use crate::desk::{Desk, NX, NY, assert_keys, points};
@@ -425,4 +426,85 @@ fn bad_detectors_and_files() {
         1,
         &["there.fits", "exists", "--overwrite"],
     );
+}
+
+const FAINT: &str = "x,y,flux,re,n\n30.3,25.1,4000,0,\n12,40,30,0,\n50.5,9,25,1.5,1\n20,20,40,0,\n";
+
+/// Faint sources are drawn photon by photon, and the counts have the statistics of light.
+#[test]
+fn faint_sources_are_shot() {
+    let desk = Desk::new();
+    desk.write("stars.csv", FAINT);
+    desk.write(
+        "camera.toml",
+        "photon_noise = true\nresponse_rms = 0.02\nsky_e = 4.0\n",
+    );
+    let simulate = format!("simulate --catalog stars.csv --shape {NX},{NY} --psf samples.fits --overwrite");
+    let shot = format!("{simulate} --detector camera.toml --shoot-below 1000");
+    let report = desk
+        .run(&format!("{shot} -o image.fits --spot-check 200 --json"))
+        .json();
+    assert_eq!(report["shot"]["sources"], 3);
+    let photons = report["shot"]["photons"].as_f64().unwrap();
+    assert!((photons / (95.0 * 1.16) - 1.0).abs() < 0.4, "{photons}");
+    assert_eq!(report["spot_check"]["passed"], true);
+    let header = desk.header("image.fits");
+    let value = |key: &str| header.get(key).and_then(Card::value);
+    assert_eq!(value("PSFSHOT"), Some(CardValue::Integer(3)));
+    assert!(
+        !desk.path("image_truth.fits").exists(),
+        "the truth is made on request"
+    );
+
+    // The mean of many exposures is that of light, and so is the truth.
+    desk.run(&format!("{shot} -o image.fits --truth truth.fits"));
+    let truth = desk.image("truth.fits");
+    let mut mean = truth.mapv(|_| 0.0);
+    let mut of_faint = 0.0;
+    for seed in 0..30 {
+        desk.run(&format!("{shot} -o image.fits --seed {seed}"));
+        let image = desk.image("image.fits");
+        of_faint += image.slice(s![14..27, 14..24]).sum() / 30.0;
+        mean += &(image / 30.0);
+    }
+    let chi_square = mean
+        .iter()
+        .zip(&truth)
+        .map(|(mean, truth)| (mean - truth).powi(2) * 30.0 / truth);
+    let chi_square = chi_square.sum::<f64>() / truth.len() as f64;
+    assert!((chi_square - 1.0).abs() < 0.12, "{chi_square}");
+    let expected = truth.slice(s![14..27, 14..24]).sum();
+    assert!(
+        (of_faint - expected).abs() < 5.0 * (expected / 30.0).sqrt(),
+        "{of_faint} {expected}"
+    );
+
+    // A seed gives the same counts again, another one does not.
+    let counts = |seed: u32| {
+        desk.run(&format!("{shot} -o image.fits --seed {seed}"));
+        desk.image("image.fits")
+    };
+    assert_eq!(counts(1), counts(1));
+    assert_ne!(counts(1), counts(2));
+}
+
+#[test]
+fn shooting_needs_a_detector_with_photon_noise() {
+    let desk = Desk::new();
+    desk.write("stars.csv", FAINT);
+    desk.write("quiet.toml", "read_noise_e = 3.0\n");
+    let simulate = format!("simulate --catalog stars.csv --shape {NX},{NY} --psf samples.fits -o image.fits");
+    desk.refused(&format!("{simulate} --shoot-below 10"), 2, &["--detector"]);
+    desk.refused(
+        &format!("{simulate} --shoot-below auto --detector quiet.toml"),
+        1,
+        &["quiet.toml", "photon_noise"],
+    );
+    for below in ["-1", "nan", "some"] {
+        desk.refused(
+            &format!("{simulate} --shoot-below {below} --detector quiet.toml"),
+            2,
+            &["--shoot-below", "auto or a number"],
+        );
+    }
 }

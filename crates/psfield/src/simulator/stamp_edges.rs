@@ -9,13 +9,12 @@ use super::{SimulationWarning, Simulator};
 use crate::psf::get_or_make;
 use crate::scene::Scene;
 
-/// Light at a stamp's edge is not seen below this part of the frame's noise, or of its brightest pixel.
+/// Light at a stamp's edge is not seen below this part of the frame's noise.
 const UNSEEN: f64 = 1e-3;
 
 /// The light of a star of flux 1, in flux per pixel.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(super) struct StampEdge {
-    peak: f64,
     /// The largest value within a pixel of the stamp's edge.
     edge: f64,
     /// The distance of the edge from the star along x or y, in pixels of the frame.
@@ -40,7 +39,6 @@ impl StampEdge {
             for ((j, i), v) in psf.values().indexed_iter() {
                 let (x, y) = ((i as f64 - grid.centre_x()) / s, (j as f64 - grid.centre_y()) / s);
                 let distance = x.abs().max(y.abs());
-                found.peak = found.peak.max(v.abs());
                 if (radius - 1.0..=radius).contains(&distance) {
                     found.edge = found.edge.max(v.abs());
                 }
@@ -61,20 +59,19 @@ impl<T: ConvReal> Simulator<T> {
     }
 
     /// Returns a warning if stamps end while stars still have light above the floor. Without a floor, the limit
-    /// is a thousandth of the frame's noise or, if that is not known, of its brightest star's brightest pixel.
+    /// is a thousandth of the frame's noise. None if that is not known, either.
     pub(super) fn cut_stars(&self, scene: &Scene<'_, T>, noise: Option<f64>) -> Option<SimulationWarning> {
         let brightest = scene.stars().map(|star| star.flux().abs()).fold(0.0, f64::max);
+        let limit = match self.options().floor {
+            0.0 => UNSEEN * noise?,
+            floor => floor,
+        };
         if brightest == 0.0 {
             return None;
         }
         // Computed once, because every simulated scene asks for warnings.
         let edge = || Ok::<_, Infallible>(self.stamp_edge());
-        let Ok(&StampEdge { peak, edge, radius }) = get_or_make(&self.shared.stamp_edge, edge);
-        let limit = match (self.options().floor, noise) {
-            (0.0, None) => UNSEEN * brightest * peak,
-            (0.0, Some(noise)) => UNSEEN * noise,
-            (floor, _) => floor,
-        };
+        let Ok(&StampEdge { edge, radius }) = get_or_make(&self.shared.stamp_edge, edge);
         let count = scene
             .stars()
             .filter(|star| star.flux().abs() * edge > limit)

@@ -152,8 +152,7 @@ pub enum SimulationWarning {
         count: usize,
     },
     /// Stamps end where stars still have light above a limit: the floor
-    /// ([`SimulateOptions::floor`](crate::SimulateOptions::floor)) or, without one, a thousandth of the noise or,
-    /// if that is not known, of the brightest star's brightest pixel.
+    /// ([`SimulateOptions::floor`](crate::SimulateOptions::floor)) or, without one, a thousandth of the noise.
     CutStars {
         /// Number of stars.
         count: usize,

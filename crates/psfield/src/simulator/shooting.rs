@@ -1,0 +1,138 @@
+//! Faint sources, drawn photon by photon.
+
+use conv_core::{ConvReal, PhotonReport, PhotonSources};
+use detector::{BadPixelMask, Detector, Exposure};
+use ndarray::Array2;
+use psf_types::{Image, Progress};
+
+use super::Simulator;
+use super::sources::with_extended;
+use crate::error::PsfieldError;
+use crate::scene::{Layer, Scene};
+
+/// Which sources are drawn photon by photon.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
+pub enum ShootBelow {
+    /// Those of fewer expected photons, of whatever kind.
+    Photons(f64),
+    /// Those for which it is predicted to be faster than drawing.
+    Auto,
+}
+
+impl<T: ConvReal> Simulator<T> {
+    /// Divides a scene in two: the images and the sources that are drawn as light, and the faint sources that
+    /// are drawn photon by photon ([`shoot`](Self::shoot)). A source of flux 1 has `photons_per_flux` photons.
+    ///
+    /// # Errors
+    /// [`PsfieldError`] if the scene does not fit the simulator, and the errors of [`prepare`](Self::prepare).
+    pub fn split_faint<'a>(
+        &self,
+        scene: &Scene<'a, T>,
+        below: ShootBelow,
+        photons_per_flux: f64,
+    ) -> Result<(Scene<'a, T>, Scene<'a, T>), PsfieldError> {
+        self.check_scene(scene)?;
+        let most = match below {
+            ShootBelow::Photons(most) => [most; 2],
+            ShootBelow::Auto => match scene.layers().iter().position(Layer::has_sources) {
+                Some(layer) => {
+                    let plan = self.sources(layer)?;
+                    let counts = (scene.stars().count(), scene.points().count());
+                    plan.most_photons_to_shoot(counts, self.frame())
+                }
+                None => [0.0; 2],
+            },
+        };
+        Ok(scene.split(|point, is_star| {
+            let photons = point.flux().abs() * photons_per_flux;
+            photons < most[usize::from(!is_star)]
+        }))
+    }
+
+    /// Draws the sources of a scene photon by photon, and returns the counts `[y, x]` of the image. They are
+    /// independent Poisson deviates, whose means are `photons_per_flux` times the image of the scene
+    /// ([`SourcePlan::shoot_into`](conv_core::SourcePlan::shoot_into)). `seed` chooses them: neither threads nor
+    /// regions nor the order of sources matter.
+    ///
+    /// # Errors
+    /// [`PsfieldError`] if the scene does not fit the simulator or the image is output-anchored, and the errors
+    /// of [`prepare`](Self::prepare).
+    pub fn shoot(
+        &self,
+        scene: &Scene<'_, T>,
+        (photons_per_flux, seed): (f64, u64),
+        progress: &dyn Progress,
+    ) -> Result<(Array2<i32>, PhotonReport), PsfieldError> {
+        self.check_scene(scene)?;
+        let (frame, region) = (self.frame(), self.setup.geometry.region);
+        let shape = region.shape();
+        let mut counts = Array2::zeros((shape.ny(), shape.nx()));
+        let mut sum = PhotonReport::default();
+        let layers = scene.layers().iter().enumerate();
+        for (number, layer) in layers.filter(|(_, layer)| layer.has_sources()) {
+            let plan = self.sources(number)?;
+            let report = with_extended(layer, |extended| {
+                let sources = PhotonSources {
+                    stars: layer.stars(),
+                    extended,
+                    photons_per_flux,
+                    // Equal sources of several layers get different photons.
+                    seed: seed.wrapping_add((number as u64).wrapping_mul(OF_LAYER)),
+                };
+                plan.shoot_into(&sources, frame, region, counts.view_mut(), progress)
+            })?;
+            sum.sources += report.sources;
+            sum.mean += report.mean;
+            sum.photons += report.photons;
+            sum.counted += report.counted;
+        }
+        Ok((counts, sum))
+    }
+}
+
+/// How an exposure is made ([`Simulator::expose`]).
+#[derive(Debug, Clone, Copy)]
+pub struct ExposeOptions<'a> {
+    /// The detector.
+    pub detector: &'a Detector,
+    /// The seed of its noise and of the photons.
+    pub seed: u64,
+    /// The sources that are drawn photon by photon. None: no source.
+    pub shoot_below: Option<ShootBelow>,
+    /// Bad pixels beside those that the detector draws.
+    pub bad_pixels: Option<&'a BadPixelMask>,
+}
+
+impl<T: ConvReal> Simulator<T> {
+    /// Simulates a scene and exposes its image. Faint sources may be drawn photon by photon: their photons have
+    /// the statistics of those of light in the image.
+    ///
+    /// # Errors
+    /// The errors of [`simulate`](Self::simulate), of [`shoot`](Self::shoot), and of the detector.
+    pub fn expose(
+        &self,
+        scene: &Scene<'_, T>,
+        options: ExposeOptions<'_>,
+        progress: &dyn Progress,
+    ) -> Result<Exposure<T>, PsfieldError> {
+        let ExposeOptions { detector, seed, .. } = options;
+        let mut exposer = detector.exposer(self.image_shape(), seed)?;
+        if let Some(mask) = options.bad_pixels {
+            exposer = exposer.with_mask(mask)?;
+        }
+        let mut image = self.zeros();
+        let Some(below) = options.shoot_below else {
+            self.simulate_into(scene, image.view_mut(), progress)?;
+            return Ok(exposer.expose(&Image::new(image)?)?);
+        };
+        let (light, faint) = self.split_faint(scene, below, detector.params().electrons_per_flux)?;
+        let (photons, _) = self.shoot(&faint, (detector.photons_per_flux(), seed), progress)?;
+        let exposer = exposer.with_photons(photons.view())?;
+        self.simulate_into(&light, image.view_mut(), progress)?;
+        Ok(exposer.expose(&Image::new(image)?)?)
+    }
+}
+
+/// An odd number whose multiples differ in many bits.
+const OF_LAYER: u64 = 0x9E37_79B9_7F4A_7C15;
