@@ -65,8 +65,8 @@ impl DroppedLight {
         self.dropped_flux += flux.abs() * fraction;
     }
 
-    /// Adds what `add` adds for each source of a number of them, in parallel. The sum does not depend on the number of
-    /// threads.
+    /// Adds what `add` adds for ranges of so many sources, in parallel. The sum does not depend on the number
+    /// of threads.
     pub(crate) fn add_all(&mut self, count: usize, add: impl Fn(&mut Self, Range<usize>) + Sync) {
         let zero = Self {
             squares: Array2::zeros(self.squares.dim()),

@@ -105,20 +105,20 @@ pub(crate) enum Floor {
 
 /// Parses a floor: a number of at least 0, or `auto`.
 pub(crate) fn floor(text: &str) -> Result<Floor, String> {
-    if text == "auto" {
-        return Ok(Floor::Auto);
-    }
-    let is_valid = |value: &f64| *value >= 0.0 && value.is_finite();
-    number(text, is_valid, "auto or a number of at least 0").map(Floor::At)
+    auto_or_number(text, Floor::Auto, Floor::At)
 }
 
 /// Parses the number of photons below which sources are drawn photon by photon, or `auto`.
 pub(crate) fn shoot_below(text: &str) -> Result<ShootBelow, String> {
+    auto_or_number(text, ShootBelow::Auto, ShootBelow::Photons)
+}
+
+fn auto_or_number<V>(text: &str, auto: V, of_number: impl Fn(f64) -> V) -> Result<V, String> {
     if text == "auto" {
-        return Ok(ShootBelow::Auto);
+        return Ok(auto);
     }
     let is_valid = |value: &f64| *value >= 0.0 && value.is_finite();
-    number(text, is_valid, "auto or a number of at least 0").map(ShootBelow::Photons)
+    number(text, is_valid, "auto or a number of at least 0").map(of_number)
 }
 
 /// Parses a number of bytes: a whole number, optionally followed by K, M or G (powers of 1024).

@@ -35,12 +35,12 @@ const AROUND: usize = 7;
 ///    sources are independent.
 ///
 /// To each limit, rounding is added, and the light that the floor drops at most
-/// ([`Simulator::dropped_light`](crate::Simulator::dropped_light)). A galaxy is compared with an integral on the sky, which shares
-/// nothing with its drawing. Its limits are lower, because its light is spread over many pixels, and
-/// they include the error of its image (see [`conv_core::SourcePlan`]). In the r.m.s., galaxies add up
-/// as in single pixels. The check measures the error that the engine adds to the model. It does not
-/// measure the error of the model itself, nor the error of stamps that are too coarse to be
-/// interpolated.
+/// ([`Simulator::dropped_light`](crate::Simulator::dropped_light)). A galaxy is compared with an
+/// integral on the sky, which shares nothing with its drawing. Its limits are lower, because its
+/// light is spread over many pixels, and they include the error of its image (see
+/// [`conv_core::SourcePlan`]). In the r.m.s., galaxies add up as in single pixels. The check
+/// measures the error that the engine adds to the model. It does not measure the error of the model
+/// itself, nor the error of stamps that are too coarse to be interpolated.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct SpotCheck {

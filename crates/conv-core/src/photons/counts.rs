@@ -110,8 +110,7 @@ impl<'a> SharedCounts<'a> {
 }
 
 impl SourceCounts {
-    /// Counts a photon in a pixel of the region. An expected response of the pixel would be applied here: a
-    /// photon would then be counted with its probability.
+    /// Counts a photon in a pixel, if the pixel lies in the region.
     #[inline(always)]
     pub(super) fn count(&mut self, [x, y]: [i32; 2], sign: i32) {
         self.photons += 1;

@@ -67,7 +67,7 @@ impl<T: ConvReal> DrawGroup<'_, T> {
         };
         let (of_level, first) = (level.columns.clone(), columns.start);
         let start = (of_level.start + star.pixel.0 - first).max(0) / CHUNK as i64 * CHUNK as i64;
-        let rows_of_level = level.rows().start + star.pixel.1..level.rows().end + star.pixel.1;
+        let rows_of_level = level.rows.start + star.pixel.1..level.rows.end + star.pixel.1;
         (
             first + start..columns.end.min(of_level.end + star.pixel.0),
             rows.start.max(rows_of_level.start)..rows.end.min(rows_of_level.end),

@@ -48,7 +48,7 @@ pub(super) struct Reach {
 #[derive(Debug)]
 pub(super) struct Level {
     /// The rows `from..to`, relative to the star's own pixel, and in each row the segments.
-    rows: Range<i64>,
+    pub(super) rows: Range<i64>,
     /// For each row, the number of segments before it, and the number of all.
     starts: Vec<usize>,
     /// The columns `from..to` of each segment, relative to the star's own pixel.
@@ -123,10 +123,8 @@ impl Reach {
 
     /// Whether the limits hold for the coefficients of a star's PSF, times `scale`.
     pub(super) fn holds_for(&self, coefficients: &[f64], scale: f64) -> bool {
-        let pairs = coefficients.iter().zip(&self.largest);
-        pairs
-            .into_iter()
-            .all(|(c, largest)| (c * scale).abs() <= *largest)
+        let mut pairs = coefficients.iter().zip(&self.largest);
+        pairs.all(|(c, largest)| (c * scale).abs() <= *largest)
     }
 
     /// The part of the window's pixels that are drawn, for a star of a flux.
@@ -160,11 +158,6 @@ impl Reach {
 }
 
 impl Level {
-    /// The rows, relative to the star's own pixel.
-    pub(super) fn rows(&self) -> Range<i64> {
-        self.rows.clone()
-    }
-
     /// The columns that are drawn in a row, relative to the star's own pixel.
     pub(super) fn segments(&self, row: i64) -> &[Range<i64>] {
         if !self.rows.contains(&row) {
