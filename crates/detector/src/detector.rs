@@ -309,9 +309,14 @@ impl Detector {
         self.params.gain_e_per_adu.unwrap_or(1.0)
     }
 
-    /// Converts a charge to the count of the amplifier, `electrons / gain + bias`.
-    pub(crate) fn counts(&self, electrons: f64) -> f64 {
-        electrons / self.gain() + self.params.bias_adu.unwrap_or(0.0)
+    /// Converts charges to the counts of the amplifier, `electrons / gain + bias`.
+    pub(crate) fn amplify(&self, electrons: &mut [f64]) {
+        let (gain, bias) = (self.gain(), self.params.bias_adu.unwrap_or(0.0));
+        if (gain, bias) != (1.0, 0.0) {
+            for value in electrons {
+                *value = *value / gain + bias;
+            }
+        }
     }
 
     /// The largest count of the converter.
@@ -322,7 +327,11 @@ impl Detector {
     /// The count of a saturated pixel, if there is no read noise. This is the count of the full
     /// well or the largest count of the converter, whichever is lower. `None` if there is no limit.
     pub fn saturation(&self) -> Option<f64> {
-        let full = self.params.full_well_e.map(|electrons| self.counts(electrons));
+        let count = |mut electrons: f64| {
+            self.amplify(std::slice::from_mut(&mut electrons));
+            electrons
+        };
+        let full = self.params.full_well_e.map(count);
         match (full, self.highest_count()) {
             (Some(full), Some(highest)) => Some(full.min(highest)),
             (full, highest) => full.or(highest),

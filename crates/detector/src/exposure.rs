@@ -1,6 +1,6 @@
 //! Exposures: all steps of the [chain](crate#the-chain), applied to an image row by row.
 
-use ndarray::{Array2, ArrayView1, ArrayView2};
+use ndarray::{Array2, ArrayView1, ArrayView2, CowArray};
 use psf_types::{FrameShape, Image, Real};
 use rayon::prelude::*;
 use serde::Serialize;
@@ -242,12 +242,16 @@ impl<'a> Exposer<'a> {
                 frame: self.frame,
             });
         }
-        let rows = self.expose_rows(0, light.pixels())?;
-        Ok(Exposure {
-            counts: Image::new(rows.counts)?,
-            flags: rows.flags,
-            report: rows.report,
-        })
+        Exposure::of_rows(self.expose_rows(0, light.pixels())?)
+    }
+
+    /// Exposes a whole image without light, in parallel: only [photons](Self::with_photons), sky and dark charge.
+    ///
+    /// # Errors
+    /// The errors of [`expose`](Self::expose).
+    pub fn expose_photons<T: Real>(&self) -> Result<Exposure<T>, DetectorError> {
+        let dark = |_| None::<ArrayView1<'_, T>>;
+        Exposure::of_rows(self.expose_each_row((0, self.frame.ny()), dark)?)
     }
 
     /// Exposes rows `[y, x]` in parallel. The first of these rows is row `first_row` of the frame.
@@ -263,13 +267,25 @@ impl<'a> Exposer<'a> {
         light: ArrayView2<'_, T>,
     ) -> Result<ExposedRows<T>, DetectorError> {
         self.check_rows(first_row, light)?;
+        self.expose_each_row((first_row, light.nrows()), |k| Some(light.row(k)))
+    }
+
+    /// Exposes so many rows from a row of the frame on. `light` gives the light of a row, counted from the first of
+    /// them, or None if the row has no light.
+    fn expose_each_row<'l, T: Real>(
+        &self,
+        (first_row, rows): (usize, usize),
+        light: impl Fn(usize) -> Option<ArrayView1<'l, T>> + Sync,
+    ) -> Result<ExposedRows<T>, DetectorError> {
         let nx = self.frame.nx();
-        let mut counts = Array2::zeros(light.dim());
-        let mut flags = Array2::zeros(light.dim());
+        let mut counts = Array2::zeros((rows, nx));
+        let mut flags = Array2::zeros((rows, nx));
         let tallies: Vec<Result<ExposureReport, DetectorError>> = as_rows(&mut counts, nx)
             .zip(as_rows(&mut flags, nx))
             .enumerate()
-            .map(|(k, (counts, flags))| self.expose_row(first_row + k, light.row(k), counts, flags))
+            .map_init(Vec::new, |values, (k, (counts, flags))| {
+                self.expose_row(first_row + k, light(k), values, counts, flags)
+            })
             .collect();
         let mut report = self.report();
         for tally in tallies {
@@ -295,90 +311,105 @@ impl<'a> Exposer<'a> {
         let mut truth = Array2::zeros(light.dim());
         let done: Vec<Result<(), DetectorError>> = as_rows(&mut truth, self.frame.nx())
             .enumerate()
-            .map(|(k, truth)| {
+            .map_init(Vec::new, |electrons, (k, truth)| {
                 let row = first_row + k;
-                let mut electrons = self.collected(row, light.row(k))?;
-                for value in &mut electrons {
-                    *value = self.detector.counts(*value + self.dark_e);
+                self.collect(row, Some(light.row(k)), electrons)?;
+                for value in electrons.iter_mut() {
+                    *value += self.dark_e;
                 }
-                store(row, &electrons, truth)
+                self.detector.amplify(electrons);
+                store(row, electrons, truth)
             })
             .collect();
         done.into_iter().collect::<Result<(), _>>()?;
         Ok(truth)
     }
 
-    /// Applies the whole chain to a row.
+    /// Applies the whole chain to a row. Steps that are off do not read the row, and no flag is read or written
+    /// where none can be set.
     fn expose_row<T: Real>(
         &self,
         row: usize,
-        light: ArrayView1<'_, T>,
+        light: Option<ArrayView1<'_, T>>,
+        values: &mut Vec<f64>,
         counts: &mut [T],
         flags: &mut [u8],
     ) -> Result<ExposureReport, DetectorError> {
         let (detector, params) = (self.detector, self.detector.params());
         let mut report = self.report();
-        let mut values = self.collected(row, light)?;
+        self.collect(row, light, values)?;
         if params.response_rms > 0.0 {
-            apply_response(params.pattern_seed, row, params.response_rms, &mut values);
+            apply_response(params.pattern_seed, row, params.response_rms, values);
         }
-        self.mark(row, flags);
-        for (value, flag) in values.iter_mut().zip(&*flags) {
+        for value in values.iter_mut() {
             *value += self.dark_e;
-            if flag & PixelFlags::HOT != 0 {
-                *value += self.hot_dark_e;
-            }
-            if flag & PixelFlags::NO_CHARGE != 0 {
-                *value = 0.0;
-            }
-            report.count_expected(*value);
         }
+        let may_be_bad = self.mark(row, flags);
+        if may_be_bad {
+            for (value, flag) in values.iter_mut().zip(&*flags) {
+                if flag & PixelFlags::HOT != 0 {
+                    *value += self.hot_dark_e;
+                }
+                if flag & PixelFlags::NO_CHARGE != 0 {
+                    *value = 0.0;
+                }
+            }
+        }
+        report.count_expected(values);
         if params.photon_noise {
-            add_photon_noise(self.seed, row, &mut values);
+            add_photon_noise(self.seed, row, values);
         }
         if let Some(photons) = self.photons {
-            let mut detected = photons.row(row).to_vec();
+            let mut detected = CowArray::from(photons.row(row));
             if params.response_rms > 0.0 {
-                thin_by_response(
-                    (params.pattern_seed, self.seed),
-                    row,
-                    params.response_rms,
-                    &mut detected,
-                );
+                let seeds = (params.pattern_seed, self.seed);
+                thin_by_response(seeds, row, params.response_rms, detected.iter_mut());
             }
-            for ((value, count), flag) in values.iter_mut().zip(detected).zip(&*flags) {
-                if flag & PixelFlags::NO_CHARGE == 0 {
-                    *value += f64::from(count);
+            for (value, count) in values.iter_mut().zip(&detected) {
+                *value += f64::from(*count);
+            }
+            if may_be_bad {
+                for (value, flag) in values.iter_mut().zip(&*flags) {
+                    if flag & PixelFlags::NO_CHARGE != 0 {
+                        *value = 0.0;
+                    }
                 }
             }
         }
         if let Some(full_well_e) = params.full_well_e {
-            clip(full_well_e, &mut values, flags);
+            clip(full_well_e, values, flags);
         }
         if params.read_noise_e > 0.0 {
-            add_read_noise(self.seed, row, params.read_noise_e, &mut values);
+            add_read_noise(self.seed, row, params.read_noise_e, values);
         }
-        for value in &mut values {
-            *value = detector.counts(*value);
-        }
+        detector.amplify(values);
         if let Some(highest) = detector.highest_count() {
-            report.below_zero_pixels += convert(highest, &mut values, flags);
+            report.below_zero_pixels += convert(highest, values, flags);
         }
-        report.count_flags(flags);
-        store(row, &values, counts)?;
+        if may_be_bad || detector.saturation().is_some() {
+            report.count_flags(flags);
+        }
+        store(row, values, counts)?;
         Ok(report)
     }
 
-    /// Expected electrons from light and sky in a row of pixels with equal response.
-    fn collected<T: Real>(&self, row: usize, light: ArrayView1<'_, T>) -> Result<Vec<f64>, DetectorError> {
+    /// Computes the expected electrons from light and sky in a row of pixels with equal response, in place of what
+    /// `electrons` holds.
+    fn collect<T: Real>(
+        &self,
+        row: usize,
+        light: Option<ArrayView1<'_, T>>,
+        electrons: &mut Vec<f64>,
+    ) -> Result<(), DetectorError> {
         let per_flux = self.detector.params().electrons_per_flux;
-        let electrons: Vec<f64> = light
-            .iter()
-            .enumerate()
-            .map(|(x, flux)| per_flux * flux.as_f64() + self.sky.at(x, row))
-            .collect();
-        match electrons.iter().position(|value| !value.is_finite()) {
-            None => Ok(electrons),
+        electrons.clear();
+        match light {
+            Some(light) => electrons.extend(light.iter().map(|flux| per_flux * flux.as_f64())),
+            None => electrons.resize(self.frame.nx(), 0.0),
+        }
+        self.sky.add_to_row(row, electrons);
+        match first_not_finite(electrons) {
+            None => Ok(()),
             Some(x) => Err(DetectorError::NonFinite {
                 index: [row, x],
                 value: electrons[x],
@@ -386,15 +417,19 @@ impl<'a> Exposer<'a> {
         }
     }
 
-    /// Flags the bad pixels of a row.
-    fn mark(&self, row: usize, flags: &mut [u8]) {
-        flags.copy_from_slice(&self.columns);
+    /// Flags the bad pixels of a row, whose flags are 0. Returns whether there may be any.
+    fn mark(&self, row: usize, flags: &mut [u8]) -> bool {
+        let bad = self.detector.params().bad_pixels;
+        if bad.bad_column_fraction > 0.0 {
+            flags.copy_from_slice(&self.columns);
+        }
         mark_bad_pixels(self.detector.params(), row, flags);
         if let Some(mask) = self.mask {
             for (flag, more) in flags.iter_mut().zip(mask.flags().row(row)) {
                 *flag |= more;
             }
         }
+        self.mask.is_some() || bad.bad_column_fraction + bad.dead_fraction + bad.hot_fraction > 0.0
     }
 
     /// A report that counts no pixels yet.
@@ -434,17 +469,26 @@ fn as_rows<T: Send>(array: &mut Array2<T>, nx: usize) -> rayon::slice::ChunksMut
 
 /// Converts values to the type of the image and stores them.
 fn store<T: Real>(row: usize, values: &[f64], out: &mut [T]) -> Result<(), DetectorError> {
-    for (x, (value, out)) in values.iter().zip(out).enumerate() {
+    for (value, out) in values.iter().zip(&mut *out) {
         *out = T::nearest(*value);
-        if !out.is_finite() {
-            return Err(DetectorError::TooLarge {
-                index: [row, x],
-                value: *value,
-                precision: T::NAME,
-            });
-        }
     }
-    Ok(())
+    match first_not_finite(out) {
+        None => Ok(()),
+        Some(x) => Err(DetectorError::TooLarge {
+            index: [row, x],
+            value: values[x],
+            precision: T::NAME,
+        }),
+    }
+}
+
+/// The place of the first number of a row that is not finite. Reads the whole row, which is faster than to stop.
+fn first_not_finite<T: Real>(row: &[T]) -> Option<usize> {
+    let all_finite = row.iter().fold(true, |finite, v| finite & v.is_finite());
+    if all_finite {
+        return None;
+    }
+    row.iter().position(|v| !v.is_finite())
 }
 
 /// The counts of an exposure, with flags and a report.
@@ -456,6 +500,14 @@ pub struct Exposure<T = f32> {
 }
 
 impl<T: Real> Exposure<T> {
+    fn of_rows(rows: ExposedRows<T>) -> Result<Self, DetectorError> {
+        Ok(Self {
+            counts: Image::new(rows.counts)?,
+            flags: rows.flags,
+            report: rows.report,
+        })
+    }
+
     /// The counts, in the unit of [`Detector::unit`]. Digitised counts are whole numbers.
     pub fn counts(&self) -> &Image<T> {
         &self.counts
@@ -474,6 +526,11 @@ impl<T: Real> Exposure<T> {
     /// Returns the counts without a copy.
     pub fn into_counts(self) -> Image<T> {
         self.counts
+    }
+
+    /// Returns the counts and the flags without a copy.
+    pub fn into_counts_and_flags(self) -> (Image<T>, Array2<u8>) {
+        (self.counts, self.flags)
     }
 }
 
@@ -526,15 +583,27 @@ impl ExposureReport {
         self.bad_column_pixels += other.bad_column_pixels;
     }
 
-    /// Counts a pixel with its expected charge.
-    pub(crate) fn count_expected(&mut self, electrons: f64) {
-        self.lowest_expected_e = if self.pixels == 0 {
-            electrons
-        } else {
-            self.lowest_expected_e.min(electrons)
-        };
-        self.pixels += 1;
-        self.negative_pixels += usize::from(electrons < 0.0);
+    /// Counts the pixels of a row with their expected charges.
+    pub(crate) fn count_expected(&mut self, electrons: &[f64]) {
+        // Several minima at a time, one for each place in a chunk.
+        const TOGETHER: usize = 8;
+        let mut lowest = [f64::INFINITY; TOGETHER];
+        for chunk in electrons.chunks(TOGETHER) {
+            for (lowest, &value) in lowest.iter_mut().zip(chunk) {
+                *lowest = if value < *lowest { value } else { *lowest };
+            }
+        }
+        let lowest = lowest.into_iter().fold(f64::INFINITY, f64::min);
+        self.add(&Self {
+            pixels: electrons.len(),
+            lowest_expected_e: lowest,
+            negative_pixels: if lowest < 0.0 {
+                electrons.iter().filter(|value| **value < 0.0).count()
+            } else {
+                0
+            },
+            ..Self::default()
+        });
     }
 
     /// Counts the flags of pixels that `count_expected` has already counted.

@@ -35,6 +35,21 @@ impl FrameSky {
         Ok(sky)
     }
 
+    /// Adds the electrons from the sky in row `y`.
+    pub(crate) fn add_to_row(&self, y: usize, electrons: &mut [f64]) {
+        if self.gradient == SkyGradient::default() {
+            if self.at_origin_e != 0.0 {
+                for value in electrons {
+                    *value += self.at_origin_e;
+                }
+            }
+        } else {
+            for (x, value) in electrons.iter_mut().enumerate() {
+                *value += self.at(x, y);
+            }
+        }
+    }
+
     /// Electrons from the sky in pixel (`x`, `y`).
     pub(crate) fn at(&self, x: usize, y: usize) -> f64 {
         self.at_origin_e + self.gradient.x * x as f64 + self.gradient.y * y as f64
@@ -44,6 +59,10 @@ impl FrameSky {
 /// Clips the charges of a row at the full well, and flags pixels that are full. The excess charge
 /// is lost and does not flow into neighbouring pixels.
 pub(crate) fn clip(full_well_e: f64, electrons: &mut [f64], flags: &mut [u8]) {
+    // Most rows have no full pixel.
+    if electrons.iter().filter(|value| **value >= full_well_e).count() == 0 {
+        return;
+    }
     for (value, flag) in electrons.iter_mut().zip(flags) {
         if *value >= full_well_e {
             *value = full_well_e;

@@ -56,10 +56,15 @@ pub(crate) fn largest_response(rms: f64) -> f64 {
 
 /// Keeps each photon with the probability of the pixel's response over the largest one. A pixel's count may be
 /// negative: then its size is thinned.
-pub(crate) fn thin_by_response((pattern_seed, seed): (u64, u64), row: usize, rms: f64, counts: &mut [i32]) {
+pub(crate) fn thin_by_response<'a>(
+    (pattern_seed, seed): (u64, u64),
+    row: usize,
+    rms: f64,
+    counts: impl Iterator<Item = &'a mut i32>,
+) {
     let mut rng = noise_stream(seed, Step::Thinning, row);
     let largest = largest_response(rms);
-    for (count, response) in counts.iter_mut().zip(responses(pattern_seed, row, rms)) {
+    for (count, response) in counts.zip(responses(pattern_seed, row, rms)) {
         let kept = Binomial::new(count.unsigned_abs().into(), (response / largest).min(1.0));
         let kept = kept.expect("a probability").sample(&mut rng);
         *count = count.signum() * kept as i32;
@@ -69,24 +74,45 @@ pub(crate) fn thin_by_response((pattern_seed, seed): (u64, u64), row: usize, rms
 /// Replaces the expected charges of a row by Poisson deviates. A negative charge is replaced by minus a
 /// deviate of its size, so the mean stays what was expected.
 pub(crate) fn add_photon_noise(seed: u64, row: usize, electrons: &mut [f64]) {
+    // Dark pixels are skipped so many at a time: they draw no random numbers.
+    const TOGETHER: usize = 16;
     let mut rng = noise_stream(seed, Step::Photons, row);
-    for value in electrons {
-        let deviate = poisson(value.abs(), &mut rng);
-        *value = if *value < 0.0 { 0.0 - deviate } else { deviate };
+    let mut poisson = PoissonDeviates::default();
+    for values in electrons.chunks_mut(TOGETHER) {
+        if values.iter().filter(|value| **value != 0.0).count() == 0 {
+            continue;
+        }
+        for value in values {
+            let deviate = poisson.draw(value.abs(), &mut rng);
+            *value = if *value < 0.0 { 0.0 - deviate } else { deviate };
+        }
     }
 }
 
-/// Draws a Poisson deviate. The mean must be finite and not negative.
-fn poisson(mean: f64, rng: &mut impl Rng) -> f64 {
-    if mean <= 0.0 {
-        return 0.0;
+/// Draws Poisson deviates. It keeps the last distribution, because neighbouring dark pixels have equal means.
+#[derive(Default)]
+struct PoissonDeviates {
+    mean: f64,
+    /// None above a mean of 1.8e19, which the library refuses, and for the default.
+    distribution: Option<Poisson<f64>>,
+}
+
+impl PoissonDeviates {
+    /// Draws a deviate. The mean must be finite and not negative.
+    fn draw(&mut self, mean: f64, rng: &mut impl Rng) -> f64 {
+        if mean <= 0.0 {
+            return 0.0;
+        }
+        if mean != self.mean {
+            let distribution = Poisson::new(mean).ok();
+            *self = Self { mean, distribution };
+        }
+        if let Some(distribution) = &self.distribution {
+            return distribution.sample(rng);
+        }
+        let normal: f64 = StandardNormal.sample(rng);
+        (mean + mean.sqrt() * normal).round()
     }
-    if let Ok(distribution) = Poisson::new(mean) {
-        return distribution.sample(rng);
-    }
-    // The library refuses means above 1.8e19.
-    let normal: f64 = StandardNormal.sample(rng);
-    (mean + mean.sqrt() * normal).round()
 }
 
 /// Adds Gaussian read noise with a standard deviation of `sigma_e` electrons to every pixel.
@@ -126,12 +152,13 @@ mod tests {
     #[test]
     fn deviates_lie_near_their_mean_at_every_mean() {
         let mut rng = noise_stream(3, Step::Photons, 0);
+        let mut poisson = PoissonDeviates::default();
         for mean in [0.0, 1e-300, 1e-9] {
-            assert_eq!(poisson(mean, &mut rng), 0.0);
+            assert_eq!(poisson.draw(mean, &mut rng), 0.0);
         }
         // Means on both sides of the largest mean of the library's method, and a very large one.
         for mean in [1e3, 1e9, 1.8e19, 1.9e19, 1e30, 1e300] {
-            let off = (poisson(mean, &mut rng) - mean) / mean.sqrt();
+            let off = (poisson.draw(mean, &mut rng) - mean) / mean.sqrt();
             assert!(off.abs() < 6.0, "{mean}: {off} standard deviations");
         }
     }

@@ -448,6 +448,25 @@ fn shot_photons_have_the_statistics_of_light() {
 }
 
 #[test]
+fn photons_alone_are_exposed_as_those_on_a_dark_image() {
+    let dark = flat(0.0);
+    let photons = Array2::from_shape_fn((NY, NX), |(y, x)| ((y + 3 * x) % 5) as i32 - 1);
+    let without_sky = detector(|params| params.photon_noise = true);
+    let with_sky = detector(|params| {
+        params.photon_noise = true;
+        params.sky_e = 3.0;
+        params.read_noise_e = 2.0;
+        params.bad_pixels.dead_fraction = 0.1;
+        params.full_well_e = Some(8.0);
+    });
+    for ccd in [without_sky, with_sky] {
+        let exposer = ccd.exposer(dark.shape(), 1).unwrap();
+        let exposer = exposer.with_photons(photons.view()).unwrap();
+        assert_eq!(exposer.expose_photons().unwrap(), exposer.expose(&dark).unwrap());
+    }
+}
+
+#[test]
 fn photons_need_the_frames_shape_and_photon_noise() {
     fn exposer(ccd: &Detector) -> Exposer<'_> {
         ccd.exposer(flat(0.0).shape(), 1).unwrap()
