@@ -1,6 +1,6 @@
 //! The layout of images in memory.
 
-use ndarray::{Array2, ArrayViewMut2};
+use ndarray::{Array2, ArrayViewMut2, LinalgScalar};
 use psf_types::FrameShape;
 use rayon::prelude::*;
 
@@ -43,7 +43,7 @@ const PAGE: usize = 4096;
 /// programs share, and for the write it allocates a new page. It also interrupts every processor
 /// core, so that the core forgets the shared page. For a large image, these interrupts take several
 /// times as long as the convolution.
-pub fn zeros<T: ConvReal>((rows, columns): (usize, usize)) -> Array2<T> {
+pub fn zeros<T: LinalgScalar + Send>((rows, columns): (usize, usize)) -> Array2<T> {
     let mut image = Array2::zeros((rows, columns));
     let pixels: &mut [T] = image.as_slice_mut().expect("new arrays are row-major");
     pixels

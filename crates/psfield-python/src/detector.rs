@@ -98,7 +98,7 @@ impl Detector {
 /// Converts counts, flags and the report.
 pub(crate) fn exposure_in_python<T: Real + Element>(py: Python<'_>, exposure: Exposure<T>) -> Exposed<'_> {
     let report = serde_json::to_string(exposure.report()).expect("the report is plain numbers");
-    let flags = exposure.flags().to_owned().into_pyarray(py);
-    let counts = exposure.into_counts().into_pixels().into_pyarray(py).into_any();
-    (counts, flags, report)
+    let (counts, flags) = exposure.into_counts_and_flags();
+    let counts = counts.into_pixels().into_pyarray(py).into_any();
+    (counts, flags.into_pyarray(py), report)
 }

@@ -4,8 +4,7 @@ use ndarray::{Array1, Array2, Axis};
 use pulp::bytemuck::{cast_slice, cast_slice_mut};
 use rayon::prelude::*;
 
-use super::alias::{draw, write_alias};
-use super::random::PhotonRng;
+use super::alias::write_alias;
 use crate::galaxies::truncate;
 use crate::plan::psf_space::PsfSpace;
 use crate::simd::{Lanes, SimdReal, WithIsa, vectorized};
@@ -22,17 +21,17 @@ pub(super) struct PhotonStamps {
     count: usize,
     /// The flux of each direction.
     fluxes: Array1<f64>,
-    kernel: Kernel,
+    pub(super) kernel: Kernel,
     /// Columns, then rows.
-    axes: [Axis1; 2],
-    oversampling: f64,
+    pub(super) axes: [Axis1; 2],
+    pub(super) oversampling: f64,
     /// The inverse of the oversampling.
-    inverse: f64,
-    rule: Rule,
+    pub(super) inverse: f64,
+    pub(super) rule: Rule,
     /// The core has this power of 2 of coefficients along both axes of a class.
-    core_bits: u32,
+    pub(super) core_bits: u32,
     /// For Lanczos-3: the weights of the taps at fractions of a pixel.
-    weights: Vec<[f32; MOST_TAPS]>,
+    pub(super) weights: Vec<[f32; MOST_TAPS]>,
 }
 
 /// Neighbouring coefficients of a direction.
@@ -43,19 +42,19 @@ const TOGETHER: usize = 8;
 
 /// One axis of the coefficients.
 #[derive(Debug, Clone, Copy)]
-struct Axis1 {
-    length: usize,
+pub(super) struct Axis1 {
+    pub(super) length: usize,
     /// The coordinate of the PSF's centre, counted from the first coefficient.
-    centre: f64,
+    pub(super) centre: f64,
     /// The number of coefficients of a residue class.
-    per_class: usize,
+    pub(super) per_class: usize,
     /// The first coefficient of a class that lies in the core.
-    first_of_core: usize,
+    pub(super) first_of_core: usize,
 }
 
 /// How a photon finds a coefficient and a pixel.
 #[derive(Debug, Clone, Copy, PartialEq)]
-enum Rule {
+pub(super) enum Rule {
     /// The oversampling is a whole number, and all taps are positive. A tap is chosen first, then a
     /// coefficient of the tap's residue class.
     SplineClasses,
@@ -76,33 +75,35 @@ pub(super) struct CornerTable {
     /// The number of photons that are proposed for a flux of 1.
     pub(super) proposals: f64,
     /// For each class.
-    classes: Vec<Class>,
+    pub(super) classes: Vec<Class>,
     /// `[class, core row, core column]`: alias tables of the cores.
-    slots: Vec<u64>,
+    pub(super) slots: Vec<u64>,
     /// `[class, row]`: the sums of the sizes of coefficients outside the core, up to and with the row.
-    rows: Vec<f64>,
+    pub(super) rows: Vec<f64>,
     /// `[class, row, column]`: the same within the row, up to and with the column.
-    columns: Vec<f32>,
+    pub(super) columns: Vec<f32>,
     /// 1 for coefficients that may contribute to a pixel together with a negative one. Empty if there are none, or
     /// if each pixel needs its value.
-    marks: Vec<u8>,
+    pub(super) marks: Vec<u8>,
+    /// Whether a coefficient of a core is marked.
+    pub(super) marks_in_cores: bool,
     /// Empty if no pixel needs its value.
-    coefficients: Vec<f32>,
+    pub(super) coefficients: Vec<f32>,
 }
 
 /// A residue class of coefficients.
 #[derive(Debug, Clone, Copy)]
-struct Class {
+pub(super) struct Class {
     /// The probability of the core, as a fraction of the range of random words.
-    core: u64,
+    pub(super) core: u64,
     /// The sizes outside the core, filled up to the largest class.
-    others: f64,
+    pub(super) others: f64,
 }
 
 /// The number of different random words.
 const WORDS: f64 = 18_446_744_073_709_551_616.0;
 /// Steps of the table of Lanczos weights. Linear interpolation has an error of 1e-7.
-const WEIGHT_STEPS: usize = 2048;
+pub(super) const WEIGHT_STEPS: usize = 2048;
 /// Fractions of a pixel at which the sum of sizes of taps is tested, and a margin for those between.
 const TESTED: usize = 1024;
 const MARGIN: f64 = 1.01;
@@ -182,7 +183,7 @@ impl PhotonStamps {
     }
 
     #[inline(always)]
-    fn classes(&self) -> usize {
+    pub(super) fn classes(&self) -> usize {
         match self.rule {
             Rule::AnyPixel { .. } => 1,
             _ => self.oversampling as usize,
@@ -190,7 +191,7 @@ impl PhotonStamps {
     }
 
     #[inline(always)]
-    fn slots_of_core(&self) -> usize {
+    pub(super) fn slots_of_core(&self) -> usize {
         1 << (2 * self.core_bits)
     }
 
@@ -237,11 +238,13 @@ impl PhotonStamps {
             rows: Vec::with_capacity(classes * classes * self.axes[1].per_class),
             columns: Vec::with_capacity(classes * classes * self.axes[0].per_class * self.axes[1].per_class),
             marks: Vec::new(),
+            marks_in_cores: false,
             coefficients: Vec::new(),
         };
         let is_positive = values.iter().all(|&c| c >= 0.0);
         if !is_positive && !self.needs_all_values() {
             table.marks = marks(values, self.axes[0].length);
+            table.marks_in_cores = self.is_marked_in_cores(&table.marks);
         }
         if !is_positive || self.needs_all_values() {
             table.coefficients = values.to_vec();
@@ -271,8 +274,18 @@ impl PhotonStamps {
 
     /// Whether every pixel may have terms of both signs.
     #[inline(always)]
-    fn needs_all_values(&self) -> bool {
+    pub(super) fn needs_all_values(&self) -> bool {
         self.kernel == Kernel::Lanczos3
+    }
+
+    /// Whether a coefficient in the core of a class is marked.
+    fn is_marked_in_cores(&self, marks: &[u8]) -> bool {
+        let [columns, rows] = self.axes.map(|axis| {
+            let first = axis.first_of_core * self.classes();
+            first..(first + (self.classes() << self.core_bits)).min(axis.length)
+        });
+        let mut of_rows = rows.map(|j| &marks[j * self.axes[0].length..][columns.clone()]);
+        of_rows.any(|row| row.contains(&1))
     }
 
     /// Sums the sizes of the coefficients of a class outside its core, and copies those of the core.
@@ -322,173 +335,13 @@ impl PhotonStamps {
         }
         total
     }
+}
 
-    /// The coordinates, among the coefficients, of a frame pixel. `(dx, dy)` is the offset of the photon's
-    /// origin from the pixel's centre.
-    #[inline(always)]
-    pub(super) fn coordinates(&self, dx: f64, dy: f64) -> [f64; 2] {
-        [
-            self.axes[0].centre - self.oversampling * dx,
-            self.axes[1].centre - self.oversampling * dy,
-        ]
-    }
-
-    /// Proposes the pixel of a photon, relative to the pixel with these coordinates. The photon is accepted with
-    /// the probability of the PSF's size divided by that of the proposal. Returns the pixel and the sign of the
-    /// PSF. `None` if it is rejected.
-    #[inline(always)]
-    pub(super) fn photon(
-        &self,
-        table: &CornerTable,
-        at: [f64; 2],
-        rng: &mut PhotonRng,
-    ) -> Option<([i32; 2], i32)> {
-        let (pixel, needs_value) = match self.rule {
-            Rule::SplineClasses => {
-                let taps = [spline_tap(at[0], rng), spline_tap(at[1], rng)];
-                self.of_class(table, taps, rng)?
-            }
-            Rule::SignedClasses { most } => {
-                let taps = [
-                    self.signed_tap(at[0], most, rng)?,
-                    self.signed_tap(at[1], most, rng)?,
-                ];
-                self.of_class(table, taps, rng)?
-            }
-            Rule::AnyPixel { most } => {
-                let (column, row) = self.coefficient(table, 0, rng)?;
-                let needs_value = self.needs_value(table, column, row);
-                let x = self.any_pixel(at[0], column, most, rng)?;
-                ([x, self.any_pixel(at[1], row, most, rng)?], needs_value)
-            }
-        };
-        // All terms of other pixels are positive.
-        if needs_value {
-            let (value, size) = self.value(table, at, pixel);
-            let is_accepted = rng.uniform() as f32 * size < value.abs();
-            return is_accepted.then_some((pixel, if value < 0.0 { -1 } else { 1 }));
-        }
-        Some((pixel, 1))
-    }
-
-    /// Draws a coefficient of the residue class of a tap, which is the number of a coefficient that contributes
-    /// to pixel 0. Returns the pixel to which the coefficient contributes by this tap, and whether its value is
-    /// needed.
-    #[inline(always)]
-    fn of_class(&self, table: &CornerTable, taps: [i32; 2], rng: &mut PhotonRng) -> Option<([i32; 2], bool)> {
-        let ((qx, rx), (qy, ry)) = (self.divided(taps[0]), self.divided(taps[1]));
-        let class = ry as usize * self.classes() + rx as usize;
-        let (column, row) = self.coefficient(table, class, rng)?;
-        let pixel = [column as i32 - qx, row as i32 - qy];
-        let (column, row) = (
-            column * self.classes() + rx as usize,
-            row * self.classes() + ry as usize,
-        );
-        Some((pixel, self.needs_value(table, column, row)))
-    }
-
-    /// Whether a pixel to which a coefficient contributes may have terms of both signs.
-    #[inline(always)]
-    fn needs_value(&self, table: &CornerTable, column: usize, row: usize) -> bool {
-        let mark = || table.marks[row * self.axes[0].length + column] != 0;
-        self.needs_all_values() || !table.marks.is_empty() && mark()
-    }
-
-    /// Draws a coefficient of a class: its column and its row.
-    #[inline(always)]
-    fn coefficient(&self, table: &CornerTable, class: usize, rng: &mut PhotonRng) -> Option<(usize, usize)> {
-        let [columns, rows] = &self.axes;
-        let of_class = table.classes[class];
-        if rng.next() < of_class.core {
-            let of_core = self.slots_of_core();
-            let number = draw(&table.slots[class * of_core..][..of_core], rng.next());
-            let (row, column) = (number >> self.core_bits, number & ((1 << self.core_bits) - 1));
-            return Some((column + columns.first_of_core, row + rows.first_of_core));
-        }
-        let at = rng.uniform() * of_class.others;
-        let sums = &table.rows[class * rows.per_class..][..rows.per_class];
-        let row = sums.partition_point(|&sum| sum <= at);
-        if row == rows.per_class {
-            return None;
-        }
-        let before = if row == 0 { 0.0 } else { sums[row - 1] };
-        let in_row = (at - before) as f32;
-        let sums = &table.columns[(class * rows.per_class + row) * columns.per_class..][..columns.per_class];
-        let column = sums.partition_point(|&sum| sum <= in_row);
-        // Rounding may leave the row.
-        (column < columns.per_class).then_some((column, row))
-    }
-
-    /// The quotient and the remainder of a coefficient's number and the oversampling.
-    #[inline(always)]
-    fn divided(&self, tap: i32) -> (i32, i32) {
-        if self.oversampling == 1.0 {
-            return (tap, 0);
-        }
-        let quotient = floor((f64::from(tap) + 0.5) * self.inverse) as i32;
-        (quotient, tap - quotient * self.oversampling as i32)
-    }
-
-    /// The weights of the taps at a coordinate, and the first tap.
-    #[inline(always)]
-    fn taps(&self, t: f64) -> (i64, [f32; MOST_TAPS]) {
-        let below = floor(t);
-        let (first, part) = (below + self.kernel.first_tap(), t - below as f64);
-        if self.weights.is_empty() {
-            return (first, self.kernel.weights(part).map(|w| w as f32));
-        }
-        let place = part * WEIGHT_STEPS as f64;
-        let below = (place as usize).min(WEIGHT_STEPS - 1);
-        let part = (place - below as f64) as f32;
-        let (a, b) = (&self.weights[below], &self.weights[below + 1]);
-        (
-            first,
-            std::array::from_fn(|tap| a[tap] + part * (b[tap] - a[tap])),
-        )
-    }
-
-    /// Draws a tap by the sizes of the weights. `None` if it is rejected.
-    #[inline(always)]
-    fn signed_tap(&self, t: f64, most: f64, rng: &mut PhotonRng) -> Option<i32> {
-        let (first, weights) = self.taps(t);
-        let number = drawn(weights.iter().map(|w| w.abs()), most, rng)?;
-        Some(first as i32 + number as i32)
-    }
-
-    /// Draws one of the pixels to which a coefficient contributes.
-    #[inline(always)]
-    fn any_pixel(&self, t: f64, coefficient: usize, most: f64, rng: &mut PhotonRng) -> Option<i32> {
-        let half = self.kernel.tap_count() as f64 / 2.0;
-        let first = ((coefficient as f64 - half - t) / self.oversampling).ceil() as i32;
-        let last = ((coefficient as f64 + half - t) / self.oversampling).floor() as i32;
-        let weight = |pixel: i32| {
-            let (first, weights) = self.taps(t + self.oversampling * f64::from(pixel));
-            let tap = usize::try_from(coefficient as i64 - first).ok();
-            tap.and_then(|tap| weights.get(tap)).map_or(0.0, |w| w.abs())
-        };
-        let number = drawn((first..=last).map(weight), most, rng)?;
-        Some(first + number as i32)
-    }
-
-    /// The value of the PSF at a pixel, and the sum of the sizes of its terms.
-    fn value(&self, table: &CornerTable, at: [f64; 2], pixel: [i32; 2]) -> (f32, f32) {
-        let [x, y] = [0, 1].map(|axis| self.taps(at[axis] + self.oversampling * f64::from(pixel[axis])));
-        let count = self.kernel.tap_count();
-        let [columns, rows] = &self.axes;
-        let (mut value, mut size) = (0.0, 0.0);
-        for (wy, j) in y.1[..count].iter().zip(y.0..) {
-            let Some(j) = usize::try_from(j).ok().filter(|&j| j < rows.length) else {
-                continue;
-            };
-            for (wx, i) in x.1[..count].iter().zip(x.0..) {
-                if let Some(i) = usize::try_from(i).ok().filter(|&i| i < columns.length) {
-                    let term = wy * wx * table.coefficients[j * columns.length + i];
-                    value += term;
-                    size += term.abs();
-                }
-            }
-        }
-        (value, size)
+impl CornerTable {
+    /// Reads the tables that most photons use from end to end, so that the processor need not wait for each slot.
+    pub(super) fn read_ahead(&self) {
+        std::hint::black_box(self.slots.iter().fold(0, |sum, slot| sum ^ slot));
+        std::hint::black_box(self.rows.iter().fold(0, |sum, row| sum ^ row.to_bits()));
     }
 }
 
@@ -524,40 +377,6 @@ impl WithIsa<f32> for Combine<'_> {
         });
         all
     }
-}
-
-/// Draws a number in proportion to some weights, whose sum is at most `most`. `None` with the remaining
-/// probability.
-#[inline(always)]
-fn drawn(weights: impl Iterator<Item = f32>, most: f64, rng: &mut PhotonRng) -> Option<usize> {
-    let mut left = (rng.uniform() * most) as f32;
-    for (number, weight) in weights.enumerate() {
-        left -= weight;
-        if left < 0.0 {
-            return Some(number);
-        }
-    }
-    None
-}
-
-/// Draws one of the four coefficients around a coordinate by the weights of a cubic B-spline: the nearest one
-/// after a shift by the sum of three uniform deviates, because a cubic B-spline is the convolution of four boxes.
-#[inline(always)]
-fn spline_tap(t: f64, rng: &mut PhotonRng) -> i32 {
-    const BITS: u32 = 21;
-    const MASK: u64 = (1 << BITS) - 1;
-    let random = rng.next();
-    let sum = (random & MASK) + (random >> BITS & MASK) + (random >> (2 * BITS) & MASK);
-    // Each part is the middle of its step. Their sum has a mean of 3/2, and a half is added for rounding.
-    let shift = (sum as f64 + 1.5) / (1_u64 << BITS) as f64 - 1.0;
-    floor(t + shift) as i32
-}
-
-/// The largest integer that is not above a number. Without special instructions this is faster than the library's.
-#[inline(always)]
-fn floor(t: f64) -> i64 {
-    let whole = t as i64;
-    whole - i64::from(whole as f64 > t)
 }
 
 /// The largest sum of the sizes of the weights of coefficients that are `step` apart.

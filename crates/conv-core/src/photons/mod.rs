@@ -6,7 +6,7 @@
 //! coefficients times the weights of their taps, as for [stars](crate::stars): `h(u) = sum_t w_t c_{u,t}`.
 //!
 //! A photon chooses a corner, then a tap, then a coefficient of the tap's residue class, each in proportion to
-//! its size ([`corner_table`]). This proposes pixel `u` in proportion to `H(u) = sum_t |w_t c_{u,t}|`. It is
+//! its size ([`corner_table`], [`photon_draw`]). This proposes pixel `u` in proportion to `H(u) = sum_t |w_t c_{u,t}|`. It is
 //! accepted with the probability `|h(u)| / H(u)`, and counts with the sign of `h(u)`: thinning of a Poisson
 //! process (Lewis and Shedler 1979, Naval Research Logistics 26, 403). Where all terms are positive, nothing is
 //! rejected, and `h(u)` need not be computed. The number of proposals is a Poisson deviate.
@@ -22,8 +22,10 @@ mod alias;
 mod corner_table;
 mod corners;
 mod counts;
+mod photon_draw;
 mod photon_shooter;
 mod random;
+mod shot;
 
 pub(crate) use photon_shooter::PhotonShooter;
 pub use photon_shooter::{PhotonReport, PhotonSources};

@@ -35,9 +35,44 @@ impl PhotonRng {
     }
 
     #[inline(always)]
-    pub(super) fn next(&mut self) -> u64 {
+    fn next(&mut self) -> u64 {
         self.0 = self.0.wrapping_add(STEP);
         mixed(self.0)
+    }
+
+    /// Computes the next words, but does not count them as used.
+    #[inline(always)]
+    pub(super) fn look_ahead(&self, words: &mut [u64]) {
+        for (place, word) in (1..).zip(words) {
+            *word = mixed(self.0.wrapping_add(STEP.wrapping_mul(place)));
+        }
+    }
+
+    /// Counts some words as used.
+    #[inline(always)]
+    pub(super) fn skip(&mut self, words: usize) {
+        self.0 = self.0.wrapping_add(STEP.wrapping_mul(words as u64));
+    }
+}
+
+/// Random words that were computed together.
+pub(super) struct RandomWords<'a> {
+    words: &'a [u64],
+    /// The number of words that were used.
+    pub(super) used: usize,
+}
+
+impl<'a> RandomWords<'a> {
+    #[inline(always)]
+    pub(super) fn new(words: &'a [u64]) -> Self {
+        Self { words, used: 0 }
+    }
+
+    #[inline(always)]
+    pub(super) fn next(&mut self) -> u64 {
+        let word = self.words[self.used];
+        self.used += 1;
+        word
     }
 
     /// A number from 0 to 1, without 1.

@@ -1,6 +1,6 @@
 //! Faint sources, drawn photon by photon.
 
-use conv_core::{ConvReal, PhotonReport, PhotonSources};
+use conv_core::{ConvReal, PhotonReport, PhotonSources, zeros};
 use detector::{BadPixelMask, Detector, Exposure};
 use ndarray::Array2;
 use psf_types::{Image, Progress};
@@ -67,7 +67,7 @@ impl<T: ConvReal> Simulator<T> {
         self.check_scene(scene)?;
         let (frame, region) = (self.frame(), self.setup.geometry.region);
         let shape = region.shape();
-        let mut counts = Array2::zeros((shape.ny(), shape.nx()));
+        let mut counts = zeros((shape.ny(), shape.nx()));
         let mut sum = PhotonReport::default();
         let layers = scene.layers().iter().enumerate();
         for (number, layer) in layers.filter(|(_, layer)| layer.has_sources()) {
@@ -121,16 +121,21 @@ impl<T: ConvReal> Simulator<T> {
         if let Some(mask) = options.bad_pixels {
             exposer = exposer.with_mask(mask)?;
         }
-        let mut image = self.zeros();
-        let Some(below) = options.shoot_below else {
+        let image_of = |scene: &Scene<'_, T>| -> Result<_, PsfieldError> {
+            let mut image = self.zeros();
             self.simulate_into(scene, image.view_mut(), progress)?;
-            return Ok(exposer.expose(&Image::new(image)?)?);
+            Ok(Image::new(image)?)
+        };
+        let Some(below) = options.shoot_below else {
+            return Ok(exposer.expose(&image_of(scene)?)?);
         };
         let (light, faint) = self.split_faint(scene, below, detector.params().electrons_per_flux)?;
         let (photons, _) = self.shoot(&faint, (detector.photons_per_flux(), seed), progress)?;
         let exposer = exposer.with_photons(photons.view())?;
-        self.simulate_into(&light, image.view_mut(), progress)?;
-        Ok(exposer.expose(&Image::new(image)?)?)
+        if !light.has_image() && !light.layers().iter().any(Layer::has_sources) {
+            return Ok(exposer.expose_photons()?);
+        }
+        Ok(exposer.expose(&image_of(&light)?)?)
     }
 }
 
