@@ -88,7 +88,19 @@ class WholeBasis:
                 first, last = band[0], min(band[-1] + 1, size)
                 if first < last:
                     out = self.light[None, first:last]
-                    loops.weigh_bilinear(self.inputs.scene, first, last - first, 0, size, grid, y.cell, _f32(y.part), x.cell, _f32(x.part), out)
+                    loops.weigh_bilinear(
+                        self.inputs.scene,
+                        first,
+                        last - first,
+                        0,
+                        size,
+                        grid,
+                        y.cell,
+                        _f32(y.part),
+                        x.cell,
+                        _f32(x.part),
+                        out,
+                    )
 
             self.pool.each(self.bands, weigh)
             light = scipy.fft.rfft2(self.light, workers=self.pool.threads)
@@ -101,7 +113,9 @@ class WholeBasis:
                 loops.multiply_sum(one[None], two, index, out, keep)
 
             self.pool.each(self.bands, multiply)
-        image = scipy.fft.irfft2(self.total, s=self.shape, overwrite_x=True, workers=self.pool.threads)
+        image = scipy.fft.irfft2(
+            self.total, s=self.shape, overwrite_x=True, workers=self.pool.threads
+        )
         cy, cx = (n // 2 for n in self.modes.stamps.shape[1:])
         return image[cy : cy + size, cx : cx + size]
 
@@ -152,7 +166,19 @@ class TiledBasis:
         for first in range(0, count, self.TOGETHER):
             last = min(first + self.TOGETHER, count)
             grid = self.modes.grid[first:last]
-            loops.weigh_bilinear(self.inputs.scene, y0, rows, x0, columns, grid, y.cell, self.parts[0], x.cell, self.parts[1], forward.real)
+            loops.weigh_bilinear(
+                self.inputs.scene,
+                y0,
+                rows,
+                x0,
+                columns,
+                grid,
+                y.cell,
+                self.parts[0],
+                x.cell,
+                self.parts[1],
+                forward.real,
+            )
             forward.transform()
             light = as_reals(forward.spectrum)[None, : last - first]
             index = np.arange(first, last)[None]
@@ -161,7 +187,14 @@ class TiledBasis:
         inverse.transform()
         top, left = y0 - self.stamp[0] // 2, np.array([x0 - self.stamp[1] // 2])
         with self.locks.hold(top, top + rows + self.stamp[0] - 1):
-            loops.add(inverse.real, top, rows + self.stamp[0] - 1, left, np.array([columns + self.stamp[1] - 1]), self.image)
+            loops.add(
+                inverse.real,
+                top,
+                rows + self.stamp[0] - 1,
+                left,
+                np.array([columns + self.stamp[1] - 1]),
+                self.image,
+            )
 
     def describe(self):
         return f"{len(self.modes.stamps) - 1} modes, tile {self.side}, transform {self.length}"

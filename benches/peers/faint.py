@@ -77,7 +77,9 @@ class UFig:
         )
         from ivy.context import create_ctx
 
-        context = create_ctx(parameters=parameters, galaxies=columns, numgalaxies=count, image=self.image)
+        context = create_ctx(
+            parameters=parameters, galaxies=columns, numgalaxies=count, image=self.image
+        )
         self.context, self.plugin = context, Plugin(context)
 
     def run(self):
@@ -92,7 +94,11 @@ class Psfield:
 
     def __init__(self, galaxies, args):
         # The folder of this file has a module of the same name.
-        sys.path = [folder for folder in sys.path if Path(folder).resolve() != Path(__file__).parent.resolve()]
+        sys.path = [
+            folder
+            for folder in sys.path
+            if Path(folder).resolve() != Path(__file__).parent.resolve()
+        ]
         import psfield
 
         nodes = np.linspace(0, args.size - 1, args.grid)
@@ -116,23 +122,40 @@ class Photons(Psfield):
         from psfield.detector import Detector
 
         camera = Detector(photon_noise=True)
-        return self.plan.expose(None, self.galaxies, detector=camera, seed=1, shoot_below=1e7).counts
+        return self.plan.expose(
+            None, self.galaxies, detector=camera, seed=1, shoot_below=1e7
+        ).counts
 
 
 METHODS = {"ufig": UFig, "psfield": Psfield, "photons": Photons}
 
 
 def main():
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--method", choices=METHODS, required=True)
-    parser.add_argument("--size", type=int, default=4096, help="pixels along each side of the frame")
+    parser.add_argument(
+        "--size", type=int, default=4096, help="pixels along each side of the frame"
+    )
     parser.add_argument("--count", type=int, default=100_000, help="number of galaxies")
-    parser.add_argument("--median", type=float, default=12, help="median number of photons of a galaxy")
+    parser.add_argument(
+        "--median", type=float, default=12, help="median number of photons of a galaxy"
+    )
     parser.add_argument("--mean", type=float, default=89, help="mean number of photons of a galaxy")
-    parser.add_argument("--grid", type=int, default=71, help="samples of psfield's PSF along each side")
+    parser.add_argument(
+        "--grid", type=int, default=71, help="samples of psfield's PSF along each side"
+    )
     parser.add_argument("--tolerance", type=float, default=1e-3)
-    parser.add_argument("--threads", type=int, default=2, help="of UFig. psfield takes all cores (RAYON_NUM_THREADS)")
-    parser.add_argument("--repeat", type=int, default=3, help="runs after the first one, which is not timed")
+    parser.add_argument(
+        "--threads",
+        type=int,
+        default=2,
+        help="of UFig. psfield takes all cores (RAYON_NUM_THREADS)",
+    )
+    parser.add_argument(
+        "--repeat", type=int, default=3, help="runs after the first one, which is not timed"
+    )
     parser.add_argument("--seed", type=int, default=1)
     args = parser.parse_args()
     method = METHODS[args.method](catalogue(args), args)

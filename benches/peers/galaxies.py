@@ -41,11 +41,15 @@ class GalSim:
             # GalSim's half-light radius is that of the round profile of equal area.
             ratio = self.ratio[galaxy]
             radius = self.radius[galaxy] * np.sqrt(ratio)
-            light = galsim.Sersic(self.index[galaxy], half_light_radius=radius, flux=self.flux[galaxy])
+            light = galsim.Sersic(
+                self.index[galaxy], half_light_radius=radius, flux=self.flux[galaxy]
+            )
             light = light.shear(q=ratio, beta=self.angle[galaxy] * galsim.degrees)
             centre = galsim.PositionD(self.x[galaxy], self.y[galaxy])
             convolved = galsim.Convolve(light, psf)
-            drawn = convolved.drawImage(scale=1.0, method="no_pixel", dtype=np.float32, center=centre)
+            drawn = convolved.drawImage(
+                scale=1.0, method="no_pixel", dtype=np.float32, center=centre
+            )
             bounds = drawn.bounds & self.image.bounds
             if bounds.isDefined():
                 self.image[bounds] += drawn[bounds]

@@ -39,5 +39,8 @@ def benchmark(args):
     # psfield runs in its own process after the peers are removed: their plans fill the memory.
     entries.clear()
     results += psfield.beside(args, unit)
-    table.show(f"{args.size} x {args.size} pixels, {args.grid} x {args.grid} samples, {args.threads} threads", results)
+    table.show(
+        f"{args.size} x {args.size} pixels, {args.grid} x {args.grid} samples, {args.threads} threads",
+        results,
+    )
     return ok, results

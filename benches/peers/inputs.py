@@ -113,7 +113,13 @@ def optical_samples(grid):
     out = np.empty((grid * grid, STAMP, STAMP), dtype=np.float32)
     for s in range(grid * grid):
         fy, fx = (2 * np.array(divmod(s, grid)) / (grid - 1)) - 1
-        terms = [0.5 + 0.6 * (fx * fx + fy * fy), 0.8 * (fx * fx - fy * fy), 1.6 * fx * fy, 0.5 * fx, 0.5 * fy]
+        terms = [
+            0.5 + 0.6 * (fx * fx + fy * fy),
+            0.8 * (fx * fx - fy * fy),
+            1.6 * fx * fy,
+            0.5 * fx,
+            0.5 * fy,
+        ]
         phase = sum(a * z for a, z in zip(terms, modes))
         field = np.fft.fftshift(np.fft.fft2(np.fft.ifftshift(pupil * np.exp(1j * phase))))
         # Samples 2 i - 1 and 2 i make pixel i, so that the peak at n / 2 is in pixel n / 4.
@@ -134,7 +140,9 @@ def read_samples(path):
         table = file["POSITIONS"].data
         px, py = np.asarray(table["X"], dtype=np.float64), np.asarray(table["Y"], dtype=np.float64)
     if header.get("OVERSAMP", 1.0) != 1.0:
-        raise ValueError(f"{path}: OVERSAMP = {header['OVERSAMP']}, the peers need stamps at frame pixels")
+        raise ValueError(
+            f"{path}: OVERSAMP = {header['OVERSAMP']}, the peers need stamps at frame pixels"
+        )
     for key, size in (("CENX", cube.shape[2]), ("CENY", cube.shape[1])):
         if header.get(key, size // 2) != size // 2:
             raise ValueError(f"{path}: {key} = {header[key]}, expected {size // 2}")

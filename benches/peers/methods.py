@@ -66,9 +66,14 @@ class Cells:
             raise MemoryError("the spectra of the samples exceed the memory for every size of tile")
         ranked = sorted(candidates.values(), key=lambda c: c[0])[: self.TIMED]
         choices = [(*sizes, cache) for _, *sizes in ranked for cache in self.CACHES]
-        seconds = [_seconds_per_row(OverlapAdd(inputs, inputs.samples, ty, tx, length, pool, cache)) for ty, tx, length, cache in choices]
+        seconds = [
+            _seconds_per_row(OverlapAdd(inputs, inputs.samples, ty, tx, length, pool, cache))
+            for ty, tx, length, cache in choices
+        ]
         ty, tx, length, cache = choices[int(np.argmin(seconds))]
-        self.plan = OverlapAdd(inputs, inputs.samples, ty, tx, length, pool, cache, effort="FFTW_PATIENT")
+        self.plan = OverlapAdd(
+            inputs, inputs.samples, ty, tx, length, pool, cache, effort="FFTW_PATIENT"
+        )
         self.run, self.describe = self.plan.run, self.plan.describe
 
     def own(self, reference):

@@ -38,14 +38,20 @@ class OverlapAdd:
         fits = len(self.stamps) * length * self.half * 8 <= MEMORY
         self.spectra = as_reals(kernel_spectra(self.stamps, length)) if fits else None
         if not fits and self.components > 1:
-            raise MemoryError(f"spectra of {len(self.stamps)} kernels of length {length} take more than {MEMORY:.1e} bytes")
+            raise MemoryError(
+                f"spectra of {len(self.stamps)} kernels of length {length} take more than {MEMORY:.1e} bytes"
+            )
         one = (2 * self.components + 1) * length * self.half * 8
         self.batch = int(np.clip(cache // one, 1, len(tile_x))) if fits else 1
         self.out_rows = tile_y.side + self.stamp[0] - 1
         self.workers = [_Buffers(self, effort) for _ in range(pool.threads)]
         self.image = np.zeros_like(self.scene)
         self.locks = RowLocks(len(self.scene))
-        self.jobs = [self._job(row, first) for row in range(len(tile_y)) for first in range(0, len(tile_x), self.batch)]
+        self.jobs = [
+            self._job(row, first)
+            for row in range(len(tile_y))
+            for first in range(0, len(tile_x), self.batch)
+        ]
 
     def _job(self, row, first):
         ty, tx, (height, width) = self.tile_y, self.tile_x, self.stamp
@@ -53,10 +59,23 @@ class OverlapAdd:
         # A short last batch of a row is filled up with the tiles before it. These are not added.
         begin = max(0, last - self.batch)
         tiles = slice(begin, last)
-        index = (ty.kernel[row][:, None] * self.kernels_x + tx.kernel[tiles][:, None, :]).reshape(last - begin, -1)
-        light = (ty.start[row], ty.length[row], tx.start[tiles], tx.length[tiles], ty.weight[row], tx.weight[tiles], index, first - begin)
+        index = (ty.kernel[row][:, None] * self.kernels_x + tx.kernel[tiles][:, None, :]).reshape(
+            last - begin, -1
+        )
+        light = (
+            ty.start[row],
+            ty.length[row],
+            tx.start[tiles],
+            tx.length[tiles],
+            ty.weight[row],
+            tx.weight[tiles],
+            index,
+            first - begin,
+        )
         top, left = ty.start[row] - height // 2, tx.start[first:last] - width // 2
-        return _Job(row, light, (top, ty.length[row] + height - 1, left, tx.length[first:last] + width - 1))
+        return _Job(
+            row, light, (top, ty.length[row] + height - 1, left, tx.length[first:last] + width - 1)
+        )
 
     def run(self, rows=None):
         """The image, in a buffer that the next run overwrites. `rows` selects rows of tiles."""
@@ -79,7 +98,9 @@ class OverlapAdd:
             work.forward.transform_columns()
         spectra = self.spectra
         if spectra is None:
-            work.kernel.real[0, :, : self.stamp[1]] = self.stamps[index[0, 0]] * np.float32(1 / self.length**2)
+            work.kernel.real[0, :, : self.stamp[1]] = self.stamps[index[0, 0]] * np.float32(
+                1 / self.length**2
+            )
             work.kernel.transform()
             spectra, index = as_reals(work.kernel.spectrum), np.zeros_like(index)
         loops.multiply_sum(work.light, spectra, index, work.product, False)

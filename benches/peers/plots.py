@@ -43,7 +43,9 @@ def pixels(rows):
     figure, panels = plt.subplots(1, 2, figsize=(9, 5), sharey=True, layout="constrained")
     sides = sorted({row["size"][0] for row in rows})
     first = ("seconds_model", "seconds_plan", "seconds_first")
-    for axes, title, keys in zip(panels, ("first frame, with model and plan", "further frames"), (first, ("seconds",))):
+    for axes, title, keys in zip(
+        panels, ("first frame, with model and plan", "further frames"), (first, ("seconds",))
+    ):
         for psf, colour, marker in zip(unique(row["psf"] for row in rows), COLOURS, MARKERS):
             own = sorted((row["size"][0], total(row, keys)) for row in rows if row["psf"] == psf)
             axes.plot(*zip(*own), color=colour, marker=marker, label=f"psfield: {psf}")
@@ -69,7 +71,11 @@ def amounts(groups, rows_of):
         def line(*keys, rows=rows, amount=amount, axes=axes, **style):
             axes.plot(amount, [total(row, keys) for row in rows], **style)
 
-        first = {"label": "psfield, first frame, with model and plan", "linestyle": "-.", "mfc": "white"}
+        first = {
+            "label": "psfield, first frame, with model and plan",
+            "linestyle": "-.",
+            "mfc": "white",
+        }
         line("seconds_model", "seconds_plan", "seconds_first", **SCATTERED, **first)
         line("seconds", label="psfield, further frames", **SCATTERED)
         if rows[0]["seconds_single"] is not None:
@@ -116,7 +122,9 @@ def legend(figure, panels):
     for axes in panels:
         handles, labels = axes.get_legend_handles_labels()
         entries |= dict(zip(labels, handles))
-    figure.legend(entries.values(), entries.keys(), loc="outside lower center", ncols=3, frameon=False)
+    figure.legend(
+        entries.values(), entries.keys(), loc="outside lower center", ncols=3, frameon=False
+    )
 
 
 def save(figure, path):

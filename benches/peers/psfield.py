@@ -30,8 +30,23 @@ def bench(binary, scene, samples, threads, tolerances, unit, method):
     """Rows of the table, one per tolerance. `unit` is the time of `single` (s) or `None`."""
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "bench.json"
-        command = [binary, "bench", "--scene", scene, "--psf", samples, "--methods", method, "--tolerances", ",".join(tolerances)]
-        subprocess.run([*command, "--threads", str(threads), "--json", out], check=True, stdout=subprocess.DEVNULL)
+        command = [
+            binary,
+            "bench",
+            "--scene",
+            scene,
+            "--psf",
+            samples,
+            "--methods",
+            method,
+            "--tolerances",
+            ",".join(tolerances),
+        ]
+        subprocess.run(
+            [*command, "--threads", str(threads), "--json", out],
+            check=True,
+            stdout=subprocess.DEVNULL,
+        )
         found = json.loads(out.read_text())["rows"]
     # The row without a tolerance is psfield's own single PSF, the unit of its ratios.
     return [_row(entry, unit) for entry in found if entry["tolerance"] is not None]
@@ -72,5 +87,16 @@ def real(args):
 
 def sample(binary, preset, grid, out):
     """Samples one of psfield's telescopes on a uniform grid."""
-    command = [binary, "sample", "--preset", preset, "--uniform", f"{grid},{grid}", "-o", out, "--overwrite", "-q"]
+    command = [
+        binary,
+        "sample",
+        "--preset",
+        preset,
+        "--uniform",
+        f"{grid},{grid}",
+        "-o",
+        out,
+        "--overwrite",
+        "-q",
+    ]
     subprocess.run(command, check=True)

@@ -22,7 +22,18 @@ SOURCES_OF_FLOOR = 10_000
 """Stars, and as many galaxies, of the group `floor`."""
 STARS_OF_SERIES = 2000
 """Stars in each exposure of the group `starseries`."""
-ORDER = "pixels", "light", "stars", "galaxies", "floor", "frames", "fields", "colours", "series", "starseries"
+ORDER = (
+    "pixels",
+    "light",
+    "stars",
+    "galaxies",
+    "floor",
+    "frames",
+    "fields",
+    "colours",
+    "series",
+    "starseries",
+)
 
 
 class Peers:
@@ -165,7 +176,11 @@ def case(row):
         return f"{amount:.0f} frames of {frame}"
     if row["group"] == "fields":
         return f"{amount:.0f} fields, frames of {frame}"
-    return f"{frame}, {amount:g} {unit}" if amount < 1e4 else f"{frame}, {amount:.0e} {unit}".replace("e+0", "e")
+    return (
+        f"{frame}, {amount:g} {unit}"
+        if amount < 1e4
+        else f"{frame}, {amount:.0e} {unit}".replace("e+0", "e")
+    )
 
 
 def number(value):

@@ -50,7 +50,14 @@ class Matrix:
         height, width = stamps.shape[1:]
         for star in range(len(y)):
             left = x[star : star + 1] - width // 2
-            loops.add(stamps[star : star + 1], y[star] - height // 2, height, left, np.array([width]), self.image)
+            loops.add(
+                stamps[star : star + 1],
+                y[star] - height // 2,
+                height,
+                left,
+                np.array([width]),
+                self.image,
+            )
         return self.image
 
     def describe(self):
@@ -81,7 +88,10 @@ class GalSim:
         for star in range(len(y)):
             left, bottom = int(x[star]) - width // 2, int(y[star]) - height // 2
             # The star's part of the image, cut at the frame.
-            bounds = galsim.BoundsI(left, left + width - 1, bottom, bottom + height - 1) & self.image.bounds
+            bounds = (
+                galsim.BoundsI(left, left + width - 1, bottom, bottom + height - 1)
+                & self.image.bounds
+            )
             profile = galsim.InterpolatedImage(
                 galsim.ImageF(stamps[star], xmin=-(width // 2), ymin=-(height // 2)),
                 scale=1.0,
@@ -94,7 +104,11 @@ class GalSim:
             )
             profile = profile.withScaledFlux(float(flux[star]))
             profile.drawImage(
-                self.image[bounds], method="no_pixel", add_to_image=True, center=galsim.PositionD(int(x[star]), int(y[star])), scale=1.0
+                self.image[bounds],
+                method="no_pixel",
+                add_to_image=True,
+                center=galsim.PositionD(int(x[star]), int(y[star])),
+                scale=1.0,
             )
         return self.image.array
 
@@ -116,8 +130,12 @@ class Photutils:
         positions = list(zip(np.tile(inputs.x.nodes, ny), np.repeat(inputs.y.nodes, nx)))
         # The model's origin is (n - 1) / 2. A row and a column of zeros move it to n / 2.
         stamps = np.pad(inputs.stamps, [(0, 0), *((0, 1 - n % 2) for n in inputs.stamps.shape[1:])])
-        self.model = GriddedPSFModel(NDData(stamps, meta={"grid_xypos": positions, "oversampling": 1}))
-        self.table = Table({"x_0": x.astype(float), "y_0": y.astype(float), "flux": flux.astype(float)})
+        self.model = GriddedPSFModel(
+            NDData(stamps, meta={"grid_xypos": positions, "oversampling": 1})
+        )
+        self.table = Table(
+            {"x_0": x.astype(float), "y_0": y.astype(float), "flux": flux.astype(float)}
+        )
         self.shape, self.model_shape = inputs.scene.shape, stamps.shape[1:]
 
     def run(self):
@@ -164,7 +182,9 @@ def benchmark(args):
     write_scene(args.work, scene)
     names = args.methods.split(",") if args.methods else list(METHODS)
     warnings.filterwarnings("ignore", module="photutils")
-    entries = [timing.plan(name, lambda name=name: METHODS[name](inputs, catalogue)) for name in names]
+    entries = [
+        timing.plan(name, lambda name=name: METHODS[name](inputs, catalogue)) for name in names
+    ]
     exact = truth(inputs, catalogue)
 
     def check(entry, image):
@@ -175,7 +195,10 @@ def benchmark(args):
     results = table.rows(entries, args.size, args.grid)
     ok = all(row["relative_l2_own_model"] <= RIGHT for row in results)
     results += psfield.beside(args, unit=None, method="auto")
-    table.show(f"{COUNT} stars of one pixel, {args.size} x {args.size} pixels, {args.grid} x {args.grid} samples, {args.threads} threads", results)
+    table.show(
+        f"{COUNT} stars of one pixel, {args.size} x {args.size} pixels, {args.grid} x {args.grid} samples, {args.threads} threads",
+        results,
+    )
     return ok, results
 
 

@@ -26,7 +26,9 @@ def rows(entries, size, grid):
 
 def show(title, results):
     print(f"\n{title}")
-    print(f"{'method':<20} {'prepare s':>10} {'min s':>9} {'median s':>9} {'cpu s':>9} {'ratio':>8} {'rel. L2':>9} {'own model':>9}  detail")
+    print(
+        f"{'method':<20} {'prepare s':>10} {'min s':>9} {'median s':>9} {'cpu s':>9} {'ratio':>8} {'rel. L2':>9} {'own model':>9}  detail"
+    )
     for row in results:
         print(
             f"{row['method']:<20} {_number(row['seconds_prepare'], '10.2f')} {_number(row['seconds_min'], '9.4f')} "

@@ -57,7 +57,9 @@ class Tiling:
             kernels = np.arange(first_cell, last_cell + 1)
             for first, last in zip(cuts[:-1], cuts[1:]):
                 if last > first:
-                    pieces.append((first, last, kernels, axis.weights(first, last, first_cell, count)))
+                    pieces.append(
+                        (first, last, kernels, axis.weights(first, last, first_cell, count))
+                    )
         return cls._of(pieces)
 
     @classmethod

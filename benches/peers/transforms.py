@@ -85,9 +85,13 @@ class Inverse:
         self.spectrum = pyfftw.empty_aligned((count, length, half), "complex64")
         self.real = pyfftw.empty_aligned((count, rows, length), "float32")
         backward = {"direction": "FFTW_BACKWARD"}
-        self._columns = pyfftw.FFTW(self.spectrum, self.spectrum, axes=(1,), flags=(effort,), **backward)
+        self._columns = pyfftw.FFTW(
+            self.spectrum, self.spectrum, axes=(1,), flags=(effort,), **backward
+        )
         top = self.spectrum[:, :rows]
-        self._rows = pyfftw.FFTW(top, self.real, axes=(2,), flags=(effort, "FFTW_DESTROY_INPUT"), **backward)
+        self._rows = pyfftw.FFTW(
+            top, self.real, axes=(2,), flags=(effort, "FFTW_DESTROY_INPUT"), **backward
+        )
 
     def transform(self):
         self._columns.execute()

@@ -370,6 +370,24 @@ def bright_and_faint(program):
         draw(ax, plan.simulate(None, stars), name)
 
 
+def core_and_wings(program):
+    """One bright star through stamps of two sizes, and through a PSF with wings."""
+    y, x = np.mgrid[-700:701, -700:701].astype(float)
+    a, b = (x + y) / 2**0.5, (x - y) / 2**0.5
+    r2 = x**2 + y**2
+    spikes = sum(np.exp(-(u**2) / 3) / (1 + v**2 / 60) for u, v in ((x, y), (a, b), (b, a)))
+    rings = 1 + 0.6 * np.cos(np.sqrt(r2) / 12)
+    stamp = (1 + r2 / 3) ** -3 + 1e-4 * rings * (1 + r2 / 30) ** -1.4 + 1e-3 * spikes
+    model = psfield.PsfModel.from_samples(stamp, (0, 0))
+    star = {"x": [250.3], "y": [230.7], "flux": [3e8]}
+    _, axes = plt.subplots(1, 3, figsize=(9, 3.2), layout="constrained")
+    for ax, size in zip(axes, (63, 511, None)):
+        image = model.plan((600, 700), stamp_size=size).simulate(None, star)
+        ax.imshow(np.arcsinh(image), cmap="gray", vmin=0, vmax=12, origin="lower")
+        title = "with wings" if size is None else f"stamps of {size}"
+        ax.set(title=title, xticks=[], yticks=[])
+
+
 def migration(program):
     """The types of 0.1.0 and the types that replace them."""
     ax = canvas((-0.85, 5.65), (-0.25, 1.45))
@@ -388,6 +406,7 @@ def main(program, names):
     """Make pictures in a folder with the files of the demo, and store them next to this file."""
     makers = (index, python, guide, formats, cluster, gpu, coming_from, accuracy)
     makers += (stability, stages, api, contributing, migration, paths, bright_and_faint)
+    makers += (core_and_wings,)
     program = Path(program).resolve()
     with tempfile.TemporaryDirectory() as work:
         os.chdir(work)

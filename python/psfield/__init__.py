@@ -38,6 +38,7 @@ from psfield._reports import (
     PlanSummary,
     SamplingReport,
     VerificationReport,
+    WingsReport,
 )
 from psfield._series import Series, SeriesExposure, series
 from psfield._simulate import example, simulate
@@ -57,6 +58,7 @@ __all__ = [
     "SeriesExposure",
     "SpotCheck",
     "VerificationReport",
+    "WingsReport",
     "__version__",
     "detector",
     "example",

@@ -41,7 +41,13 @@ from psfield._html import size, table
 from psfield._own import Decomposition, Interpolation, basis_stamps, interpolated, split
 from psfield._plan import Plan
 from psfield._progress import Progress, as_callback
-from psfield._reports import FitReport, LeaveOneOutReport, SamplingReport, VerificationReport
+from psfield._reports import (
+    FitReport,
+    LeaveOneOutReport,
+    SamplingReport,
+    VerificationReport,
+    WingsReport,
+)
 from psfield._spelling import american, british
 
 if TYPE_CHECKING:
@@ -642,6 +648,7 @@ class PsfModel:
         oversampling: float | None = None,
         centre: Centre | None = None,
         pixel_response_included: bool | None = None,
+        wings: PathLike | None = None,
         rank: str | int | None = None,
         centring: Literal["mean", "none"] | None = None,
         noise: float | None = None,
@@ -686,6 +693,10 @@ class PsfModel:
             Positions of the stamps of a plain cube.
         oversampling, centre, pixel_response_included : optional
             Geometry of the stamps, for files that do not state it. As for `from_samples`.
+        wings : path or str, optional
+            Wings that are joined to the PSF: a PSF file with larger stamps, a radial profile (a
+            file ``.csv``, ``.txt`` or ``.dat`` of radius in pixels and light), or
+            ``'power=EXPONENT,RADIUS'``. They are scaled to the light of the PSF where both meet.
         rank, centring, noise, interpolation, table_error, outside, normalise, shift_copies
             Fit of the samples, as for `from_samples`. Only ``outside`` and ``normalise`` apply to
             models. By default STPSF and STDPSF libraries are interpolated bilinearly and not
@@ -714,6 +725,7 @@ class PsfModel:
         file = {
             **arguments("file", locals()),
             "extension": None if extension is None else str(extension),
+            "wings": None if wings is None else os.fspath(wings),
             "contexts": [
                 (name, real(value, f"contexts[{name!r}]"))
                 for name, value in (contexts or {}).items()
@@ -1103,6 +1115,7 @@ class PsfModel:
             return None
         found = json.loads(report)
         found["leave_one_out"] = LeaveOneOutReport(**found["leave_one_out"])
+        found["wings"] = found["wings"] and WingsReport(**found["wings"])
         for warning in found["warnings"]:
             warnings.warn(warning, PsfieldWarning, stacklevel=2)
         return FitReport(**found)

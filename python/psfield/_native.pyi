@@ -85,6 +85,7 @@ class PsfModel:
         field: _Shape | None,
         grid: dict[str, Any],
         choices: tuple[str, str, str, str | None],
+        wings: tuple[NDArray[np.float32], NDArray[np.float64], dict[str, Any]] | None = None,
     ) -> PsfModel: ...
     @staticmethod
     def read(path: str, file: dict[str, Any], fit: dict[str, Any]) -> PsfModel: ...

@@ -59,6 +59,38 @@ class LeaveOneOutReport(Report):
 
 
 @dataclass(frozen=True)
+class WingsReport(Report):
+    """The wings that a fit has split from large stamps. `FitReport.wings` is one.
+
+    Attributes
+    ----------
+    core_size : int
+        Columns and rows of the stamps of the core.
+    modes : int
+        Number of stamps of the wings.
+    error : float
+        Root mean square difference from the wings of the samples, relative to the light at the same
+        distance from the source.
+    flux : list of float
+        Least and largest part of the flux that the wings hold.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import psfield
+    >>> y, x = np.mgrid[-200:201, -200:201]
+    >>> model = psfield.PsfModel.from_samples((1 + x**2 + y**2) ** -1.5, (0, 0))
+    >>> model.fit_report().wings.modes
+    1
+    """
+
+    core_size: int
+    modes: int
+    error: float
+    flux: list[float]
+
+
+@dataclass(frozen=True)
 class FitReport(Report):
     """The errors and choices of the fit of a model. `PsfModel.fit_report` returns it.
 
@@ -93,6 +125,8 @@ class FitReport(Report):
     expected_error : float or None
         Error that kriging expects between the samples: relative L2, root mean square over the
         field, without the error of the truncated basis. None for other interpolations.
+    wings : WingsReport or None
+        Wings that were split from large stamps. The other errors are then those of the core.
     singular_values, cumulative_weights : list of float
         Singular values that were computed, from the largest on, and their cumulative weights.
     warnings : list of str
@@ -124,6 +158,7 @@ class FitReport(Report):
     circle_error: float | None
     leave_one_out: LeaveOneOutReport
     expected_error: float | None
+    wings: WingsReport | None
     singular_values: list[float] = field(repr=False)
     cumulative_weights: list[float] = field(repr=False)
     warnings: list[str]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pickle
+
 import numpy as np
 import pytest
 
@@ -117,3 +119,62 @@ def test_exposures_are_checked(model, catalog):
             plan.expose(None, catalog, detector=noisy, seed=1, shoot_below=below)
     with pytest.raises(ValueError, match="photon_noise"):
         plan.expose(None, catalog, detector=Detector(), seed=1, shoot_below=10)
+
+
+@pytest.fixture(scope="module")
+def spiky():
+    """Return a PSF whose stamps are large enough for wings, which change over the field."""
+    y, x = np.mgrid[-200:201, -200:201].astype(float)
+    spikes = np.exp(-(x**2) / 4) / (1 + y**2 / 100) + np.exp(-(y**2) / 4) / (1 + x**2 / 100)
+    corners = ((0, 0), (69, 0), (0, 59), (69, 59))
+    stamps = [(1 + (x**2 + y**2) / (3 + 0.02 * at[0])) ** -1.5 + 2e-3 * spikes for at in corners]
+    return psfield.PsfModel.from_samples(stamps, corners)
+
+
+def test_large_stamps_get_wings(spiky, tmp_path):
+    wings = spiky.fit_report().wings
+    assert wings.core_size == 191
+    assert 0.005 < wings.flux[0] < wings.flux[1] < 0.2
+    stamp = spiky.evaluate(34.0, 31.0)
+    assert stamp.shape == (401, 401)
+    assert abs(stamp.sum() - 1) < 1e-6
+    path = tmp_path / "model.fits"
+    spiky.write(path)
+    back = psfield.PsfModel.read(path)
+    assert np.array_equal(back.evaluate(34.0, 31.0), stamp)
+    assert np.array_equal(pickle.loads(pickle.dumps(back)).evaluate(34.0, 31.0), stamp)
+    with pytest.raises(ValueError, match=r"normalise=.*|has wings"):
+        psfield.PsfModel.read(path, normalise="unit")
+
+
+def test_wings_are_drawn_on_every_path(spiky, catalog):
+    scene = np.zeros(SHAPE)
+    scene[20, 30] = 1e4
+    plan = spiky.plan(SHAPE, precision="f64")
+    image = plan.simulate(scene, catalog)
+    assert plan.spot_check(scene, catalog, pixels=100).passed
+    part = plan.for_region((20, 10, 33, 25)).simulate(scene, catalog)
+    np.testing.assert_allclose(part, image[10:35, 20:53], rtol=1e-9)
+    rng = np.random.default_rng(3)
+    other = rng.random(SHAPE)
+    pairs = np.vdot(plan.simulate(scene), other), np.vdot(scene, plan.adjoint(other))
+    assert abs(pairs[0] - pairs[1]) < 1e-9 * abs(pairs[0])
+    # Beside the core, which ends 95 pixels from a star.
+    alone = plan.simulate(None, {"x": [-100.0], "y": [30.0], "flux": [1e6]})
+    assert alone.min() > 0
+
+
+def test_wings_are_joined(tmp_path):
+    y, x = np.mgrid[-30:31, -30:31]
+    small = tmp_path / "small.fits"
+    psfield.PsfModel.from_samples((1 + x**2 + y**2) ** -1.5, (0, 0)).write(small)
+    joined = psfield.PsfModel.read(small, wings="power=3,300")
+    stamp = joined.evaluate(0, 0)
+    assert stamp.shape == (601, 601)
+    assert abs(stamp.sum() - 1) < 1e-6
+    # The profile goes on as it began.
+    assert stamp[300, 300 + 200] / stamp[300, 300 + 20] == pytest.approx(1e-3, rel=0.05)
+    profile = tmp_path / "profile.csv"
+    profile.write_text("radius_px,light\n1,1\n300,0\n200,3\n")
+    with pytest.raises(ValueError, match=r"profile.csv, line 4: radii must increase"):
+        psfield.PsfModel.read(small, wings=profile)

@@ -57,6 +57,12 @@ def files(tmp_path_factory):
     model.write(folder / "colours.fits")
     model.at(wavelength_um=0.6).write(folder / "psf.fits")
     model.at(wavelength_um=0.5).write(folder / "other.fits")
+    stamps = [(1 + (x**2 + y**2) / (0.6 + 0.003 * at[0])) ** -2.5 for at in corners]
+    wide = psfield.PsfModel.from_samples(
+        stamps, corners, oversampling=2, interpolation="bilinear", field_shape=SHAPE
+    )
+    wide.write(folder / "core.fits")
+    psfield.PsfModel.read(folder / "core.fits", wings="power=3,40").write(folder / "wings.fits")
     rng = np.random.default_rng(5)
     for name in ("scene", "red"):
         lit = rng.random(SHAPE) > 0.95
@@ -76,6 +82,10 @@ def files(tmp_path_factory):
 FEATURES = {
     "image": ({"scene": "scene.fits"}, {}),
     "stars and galaxies": ({"catalog": "stars.csv"}, {}),
+    "wings of the PSF": (
+        {"scene": "scene.fits", "catalog": "stars.csv", "psf": "wings.fits"},
+        {},
+    ),
     "floor of sources": ({"catalog": "stars.csv", "floor": 0.05}, {"floor": 0.05}),
     "spectra of images": (
         {"scene": "scene.fits", "sed": BLUE, "layer": f"red.fits:sed={RED}", **COLOUR},

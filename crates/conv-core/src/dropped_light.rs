@@ -2,9 +2,11 @@
 
 use std::ops::Range;
 
-use ndarray::Array2;
-use psf_types::PixelRegion;
+use ndarray::{Array2, ArrayView2};
+use psf_types::{NoProgress, PixelRegion};
 use rayon::prelude::*;
+
+use crate::fft2::RealFft2;
 
 /// Columns and rows of the squares on which dropped light is added up, in pixels.
 pub(crate) const SQUARE: i64 = 16;
@@ -63,6 +65,42 @@ impl DroppedLight {
     pub(crate) fn count(&mut self, flux: f64, fraction: f64) {
         self.flux += flux.abs();
         self.dropped_flux += flux.abs() * fraction;
+    }
+
+    /// Counts flux that is dropped, of a source whose flux is already counted.
+    pub(crate) fn count_dropped(&mut self, flux: f64) {
+        self.dropped_flux += flux.abs();
+    }
+
+    /// Adds the light per pixel that sources drop at most. Each has the first column and row of its light, and a
+    /// factor. Times this factor, the square `d` columns and rows after the one that holds them loses
+    /// `limits[d]`.
+    pub(crate) fn add_convolved(
+        &mut self,
+        sources: impl Iterator<Item = ((i64, i64), f64)>,
+        limits: ArrayView2<'_, f64>,
+    ) {
+        let (ny, nx) = self.squares.dim();
+        let (height, width) = limits.dim();
+        let fft = RealFft2::<f64>::at_least(ny + 2 * height, nx + 2 * width, &NoProgress);
+        let mut factors = Array2::zeros((ny + height, nx + width));
+        let (below, left) = (self.first.0 - height as i64, self.first.1 - width as i64);
+        for ((x, y), factor) in sources {
+            let (row, column) = (y.div_euclid(SQUARE) - below, x.div_euclid(SQUARE) - left);
+            let within =
+                (0..(ny + height) as i64).contains(&row) && (0..(nx + width) as i64).contains(&column);
+            if within {
+                factors[[row as usize, column as usize]] += factor.abs();
+            }
+        }
+        let (mut of_factors, mut of_limits) = (fft.zeros(), fft.zeros());
+        fft.forward(factors.view(), (0, 0), &mut of_factors);
+        fft.forward(limits, (0, 0), &mut of_limits);
+        of_factors.zip_mut_with(&of_limits, |a, b| *a *= b);
+        let sums = fft.inverse(&mut of_factors, (width, height), (ny, nx));
+        let sums = sums.expect("nothing cancels") / fft.gain();
+        self.squares
+            .zip_mut_with(&sums, |square, sum| *square += sum.max(0.0));
     }
 
     /// Adds what `add` adds for ranges of so many sources, in parallel. The sum does not depend on the number

@@ -32,6 +32,11 @@ pub enum ConvError {
         "an image needs PSF stamps that include the pixel response, but these stamps do not: resample them to a grid that includes it"
     )]
     PixelResponse,
+    /// An output-anchored plan for a PSF with wings.
+    #[error(
+        "a PSF with wings can only be drawn with the PSF of the source's position: choose the anchor source"
+    )]
+    WingsAtOutput,
     /// The patch size is zero.
     #[error("the patch size must be at least 1 pixel")]
     PatchSize,

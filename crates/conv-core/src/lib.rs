@@ -67,6 +67,7 @@ mod cpu;
 mod dropped_light;
 mod engine;
 mod error;
+mod fft2;
 mod galaxies;
 #[cfg(feature = "gpu")]
 pub mod gpu;

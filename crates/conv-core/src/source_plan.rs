@@ -6,11 +6,11 @@ use psf_types::{Anchor, PixelRegion, PointSource, Position, Progress, PsfModel};
 use crate::dropped_light::DroppedLight;
 use crate::galaxies::{ExtendedSources, ExtendedToDraw, GalaxyDrawer, GalaxyErrors};
 use crate::image_memory::{check_shape, with_rows_in_memory};
-use crate::photons::{PhotonReport, PhotonShooter, PhotonSources};
+use crate::photons::{PhotonReport, PhotonShooter, PhotonSources, add_photons_of_light};
 use crate::plan::cost_model::CostModel;
 use crate::plan::{PlanOptions, check_layers, share_stamps};
 use crate::sources::SourcePsfs;
-use crate::stars::{StarDrawer, StarPainter, StarsToDraw};
+use crate::stars::{StarDrawer, StarPainter, StarsToDraw, WingDrawer, wing_points};
 use crate::{ConvError, ConvReal};
 
 /// A plan for drawing sources through one model: stars, which are points, and extended sources such as
@@ -80,6 +80,8 @@ pub struct SourcePlan<T> {
     stars: StarDrawer<T>,
     galaxies: GalaxyDrawer<T>,
     photons: PhotonShooter,
+    /// Draws the wings of stars and extended sources, if the PSF has wings.
+    wings: Option<WingDrawer<T>>,
 }
 
 /// The tolerance for extended sources of an exact plan.
@@ -128,8 +130,13 @@ impl<T: ConvReal> SourcePlan<T> {
     fn made(psfs: SourcePsfs, exactly: bool) -> Result<Self, ConvError> {
         let stars = StarDrawer::new(&psfs, exactly)?;
         let (kernel, window) = stars.kernel_and_window();
-        let tolerance = psfs.options().tolerance_in::<T>();
+        let (options, model) = (psfs.options(), &psfs.model);
+        let tolerance = options.tolerance_in::<T>();
+        if model.wings().is_some() && options.anchor() == Anchor::Output {
+            return Err(ConvError::WingsAtOutput);
+        }
         Ok(Self {
+            wings: WingDrawer::new(model, psfs.size(), options.floor(), !exactly)?,
             stars,
             galaxies: GalaxyDrawer::new(&psfs),
             photons: PhotonShooter::new(&psfs, kernel, window, tolerance),
@@ -142,15 +149,23 @@ impl<T: ConvReal> SourcePlan<T> {
     /// which is slow: see [`of_layers`](Self::of_layers). `None` if the model has other stamps or another
     /// scaling to unit flux.
     pub fn for_other_field(&self, model: &PsfModel) -> Option<Self> {
-        share_stamps(&self.psfs.model, model).then(|| {
-            let psfs = self.psfs.with_model(model);
-            Self {
-                stars: self.stars.clone(),
-                galaxies: self.galaxies.with_same_bases(&psfs),
-                photons: self.photons.for_other_field(),
-                psfs,
-            }
+        if !share_stamps(&self.psfs.model, model) {
+            return None;
+        }
+        let psfs = self.psfs.with_model(model);
+        Some(Self {
+            stars: self.stars.clone(),
+            galaxies: self.galaxies.with_same_bases(&psfs),
+            photons: self.photons.for_other_field(),
+            wings: self.wings_for(model),
+            psfs,
         })
+    }
+
+    /// The drawer of the wings of another model. It has wings if and only if this plan's model has.
+    fn wings_for(&self, model: &PsfModel) -> Option<WingDrawer<T>> {
+        let wings = model.wings()?;
+        Some(self.wings.as_ref()?.for_other_field(wings))
     }
 
     /// Returns a plan [of layers](Self::of_layers) for other models, with local bases of its own. It
@@ -158,15 +173,16 @@ impl<T: ConvReal> SourcePlan<T> {
     /// stamps up to which stars are drawn, which the edges of this plan's PSFs decide. `None` without
     /// models, or if they have other stamps or another scaling to unit flux.
     pub fn for_other_layers(&self, models: &[PsfModel]) -> Option<Self> {
-        let fits = check_layers(models).is_ok() && share_stamps(&self.psfs.model, &models[0]);
-        fits.then(|| {
-            let psfs = self.psfs.for_other_models(models);
-            Self {
-                stars: self.stars.with_own_bases(&psfs),
-                galaxies: self.galaxies.with_own_bases(&psfs),
-                photons: self.photons.for_other_field(),
-                psfs,
-            }
+        if !(check_layers(models).is_ok() && share_stamps(&self.psfs.model, &models[0])) {
+            return None;
+        }
+        let psfs = self.psfs.for_other_models(models);
+        Some(Self {
+            stars: self.stars.with_own_bases(&psfs),
+            galaxies: self.galaxies.with_own_bases(&psfs),
+            photons: self.photons.for_other_field(),
+            wings: self.wings_for(&models[0]),
+            psfs,
         })
     }
 
@@ -217,8 +233,48 @@ impl<T: ConvReal> SourcePlan<T> {
             progress,
         };
         check_shape(region.shape(), image.dim())?;
+        with_rows_in_memory(image, |mut image| {
+            self.stars
+                .draw_into(&self.psfs, catalogue, region, image.view_mut())
+        })
+    }
+
+    /// The points whose wings [`draw_wings_into`](Self::draw_wings_into) draws, for an exact sum.
+    ///
+    /// # Errors
+    /// [`ConvError`] for a position or a flux beyond the range of numbers.
+    pub fn wing_points(
+        &self,
+        stars: &[PointSource],
+        extended: ExtendedSources<'_>,
+    ) -> Result<Vec<PointSource>, ConvError> {
+        let points = wing_points(stars, extended)?;
+        Ok(points.into_iter().map(|point| point.source).collect())
+    }
+
+    /// Adds the wings of stars and extended sources to a part of an image, if the PSF has wings. The other
+    /// functions draw the core of the PSF. The wings of an extended source are those of 32 points, which
+    /// represent its light.
+    ///
+    /// The wings of all sources of a scene belong into one call, which chooses how they are drawn: one by one, or
+    /// together by transforms. The choice depends on all sources whose wings may reach the frame.
+    ///
+    /// # Errors
+    /// As for [`draw_stars_into`](Self::draw_stars_into).
+    #[inline(never)]
+    pub fn draw_wings_into(
+        &self,
+        (stars, extended): (&[PointSource], ExtendedSources<'_>),
+        frame: PixelRegion,
+        region: PixelRegion,
+        image: ArrayViewMut2<'_, T>,
+        progress: &dyn Progress,
+    ) -> Result<(), ConvError> {
+        let Some(wings) = &self.wings else { return Ok(()) };
+        check_shape(region.shape(), image.dim())?;
+        let points = wing_points(stars, extended)?;
         with_rows_in_memory(image, |image| {
-            self.stars.draw_into(&self.psfs, catalogue, region, image)
+            wings.draw_into(&points, (frame, region), image, progress)
         })
     }
 
@@ -250,13 +306,16 @@ impl<T: ConvReal> SourcePlan<T> {
     /// ([`PlanOptions::with_floor`]). `dropped` covers `region`, in pixels of the frame. Stars that are drawn
     /// together by transforms drop nothing, but are counted as if they did. Without a floor, only the flux is
     /// counted.
+    ///
+    /// # Errors
+    /// [`ConvError`] if the PSF has wings that are not known at a source.
     pub fn add_dropped_light(
         &self,
         (stars, extended): (&[PointSource], ExtendedSources<'_>),
         frame: PixelRegion,
         region: PixelRegion,
         dropped: &mut DroppedLight,
-    ) {
+    ) -> Result<(), ConvError> {
         let progress = &psf_types::NoProgress;
         let catalogue = StarsToDraw {
             stars,
@@ -270,6 +329,10 @@ impl<T: ConvReal> SourcePlan<T> {
             progress,
         };
         self.galaxies.add_dropped(catalogue, region, dropped);
+        match &self.wings {
+            Some(wings) => wings.add_dropped(&wing_points(stars, extended)?, frame, dropped),
+            None => Ok(()),
+        }
     }
 
     /// The most expected photons of a source for which [`shoot_into`](Self::shoot_into) is predicted to be faster
@@ -298,6 +361,9 @@ impl<T: ConvReal> SourcePlan<T> {
     /// extended source needs the distribution of its light
     /// ([`LightProfile::radial_light`](psf_types::LightProfile::radial_light)).
     ///
+    /// If the PSF has wings, their light is drawn ([`draw_wings_into`](Self::draw_wings_into)), as far as the
+    /// floor asks, and the photons of each pixel follow from it.
+    ///
     /// The photons of a source depend on the seed and on the source's position, flux and profile. So neither
     /// threads nor the region nor the order of the sources matter. Sources that are equal in everything get
     /// different photons. Tables of the PSFs are kept for the next call, as far as the memory limit allows.
@@ -314,12 +380,21 @@ impl<T: ConvReal> SourcePlan<T> {
         sources: &PhotonSources<'_>,
         frame: PixelRegion,
         region: PixelRegion,
-        counts: ArrayViewMut2<'_, i32>,
+        mut counts: ArrayViewMut2<'_, i32>,
         progress: &dyn Progress,
     ) -> Result<PhotonReport, ConvError> {
         check_shape(region.shape(), counts.dim())?;
-        self.photons
-            .shoot_into(&self.psfs, sources, frame, region, counts, progress)
+        let mut report =
+            self.photons
+                .shoot_into(&self.psfs, sources, frame, region, counts.view_mut(), progress)?;
+        if self.wings.is_some() {
+            let mut light = crate::zeros::<T>(counts.dim());
+            let of_sources = (sources.stars, sources.extended);
+            self.draw_wings_into(of_sources, frame, region, light.view_mut(), progress)?;
+            let chosen = (sources.photons_per_flux, sources.seed);
+            add_photons_of_light(light.view(), chosen, region, counts, &mut report);
+        }
+        Ok(report)
     }
 
     /// Computes the light of extended sources in single pixels `(column, row)` of the frame, in f64, with the

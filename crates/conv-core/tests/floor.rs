@@ -89,7 +89,8 @@ fn dropped_of<T: ConvReal>(
 ) -> DroppedLight {
     let mut dropped = DroppedLight::new(region);
     extended(galaxies, |sources| {
-        plan.add_dropped_light((stars, sources), frame(), region, &mut dropped);
+        plan.add_dropped_light((stars, sources), frame(), region, &mut dropped)
+            .unwrap();
     });
     dropped
 }

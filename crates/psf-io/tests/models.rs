@@ -167,8 +167,8 @@ fn edited(from: &str, to: &str) -> IoError {
 
 #[test]
 fn errors_describe_the_defect_of_a_model() {
-    let version = edited("PSFMODEL=                    1", "PSFMODEL=                    3");
-    let newer = ": this is a psf-model file of version 3, but the newest version that this psfield reads is 2: update psfield if the file is newer";
+    let version = edited("PSFMODEL=                    1", "PSFMODEL=                    4");
+    let newer = ": this is a psf-model file of version 4, but the newest version that this psfield reads is 3: update psfield if the file is newer";
     let refused = |error: IoError, kind, part| assert_error(Err::<(), _>(error), kind, part);
     refused(version, IoErrorKind::Format, newer);
     let missing = edited("PSFMODEL=", "PSFMODEX=");

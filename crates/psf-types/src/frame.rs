@@ -502,6 +502,11 @@ pub enum DataError {
         /// The tolerance applied.
         tolerance: f64,
     },
+    /// Wings that cannot be added to a core.
+    #[error(
+        "the wings of the PSF do not fit its core: their stamps must have the sampling of the core's stamps and the same centre, and be at least as large"
+    )]
+    WingsDoNotFit,
     /// A star or galaxy whose flux is NaN or infinite.
     #[error("the source at {position} has flux {flux}, but it must be a finite number")]
     SourceFlux {

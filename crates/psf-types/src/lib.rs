@@ -35,6 +35,7 @@ mod sources;
 mod stamp;
 mod table_row;
 mod text_file;
+mod wings;
 
 pub use basis::{PsfBasis, SampleCoefficients};
 pub use choices::{Anchor, Interpolation, Normalisation, OutsidePolicy, StampInterpolation, ToleranceOn};
@@ -53,3 +54,4 @@ pub use samples::{PsfSamples, PsfSource, SourceError};
 pub use sources::{PointSource, SersicProfile, SersicSource};
 pub use stamp::{Stamp, StampGrid};
 pub use text_file::read_text_file;
+pub use wings::{Wings, WingsRecord};

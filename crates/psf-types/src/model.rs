@@ -12,6 +12,7 @@ use crate::coefficient_field::{CoefficientField, FieldError};
 use crate::frame::{DataError, FrameShape, PixelRegion, Position};
 use crate::mean_parts::MeanParts;
 use crate::stamp::{Stamp, StampGrid};
+use crate::wings::{Wings, WingsRecord};
 
 /// A PSF at every position: `h(u; x) = [B_0(u) + sum_k a_k(x) B_k(u)] / s(x)`, at position `x` and
 /// offset `u` from it.
@@ -19,6 +20,9 @@ use crate::stamp::{Stamp, StampGrid};
 /// One array stores the stamps `B_0` (if the basis is mean-centred) and `B_1 ... B_K`, the mean
 /// first. The coefficient of the mean is 1 everywhere. `s(x)` is the flux of the sum in brackets
 /// for [`Normalisation::Unit`], and 1 for [`Normalisation::Keep`].
+///
+/// If the PSF has [`Wings`], this is its core, and the whole PSF is the sum of both
+/// ([`psf_at`](Self::psf_at)). All other functions concern the core.
 #[derive(Debug, Clone)]
 pub struct PsfModel {
     /// `[stamp, y, x]`, beginning with the mean if there is one.
@@ -31,6 +35,7 @@ pub struct PsfModel {
     field_shape: Option<FrameShape>,
     normalisation: Normalisation,
     needs_scaling: bool,
+    wings: Option<Wings>,
 }
 
 /// A PSF needs no scaling if its flux differs from 1 by at most this. Such a difference is a
@@ -80,10 +85,27 @@ impl PsfModel {
             field_shape,
             normalisation,
             needs_scaling: normalisation == Normalisation::Unit && !exact,
+            wings: None,
         })
     }
 
-    /// A model with the stamps of this one, which it shares, and another field.
+    /// This model with wings, which are added to its PSFs, or without.
+    ///
+    /// # Errors
+    /// [`DataError::WingsDoNotFit`] for wings with another sampling than the model's stamps, or smaller ones.
+    pub fn with_wings(self, wings: Option<Wings>) -> Result<Self, DataError> {
+        let fits = |wings: &Wings| self.grid.place_in(wings.grid()).is_some();
+        let fits = wings.as_ref().is_none_or(fits);
+        fits.then_some(Self { wings, ..self })
+            .ok_or(DataError::WingsDoNotFit)
+    }
+
+    /// The wings of the PSF.
+    pub fn wings(&self) -> Option<&Wings> {
+        self.wings.as_ref()
+    }
+
+    /// A model with the stamps of this one, which it shares, and another field. The wings stay.
     ///
     /// # Errors
     /// [`DataError::CountMismatch`] when the field does not return one coefficient per component.
@@ -285,12 +307,38 @@ impl PsfModel {
         Ok(())
     }
 
-    /// Returns the PSF at `position`, in double precision.
+    /// The pixel grid of whole PSFs: that of the wings if there are any.
+    pub fn whole_grid(&self) -> StampGrid {
+        self.wings.as_ref().map_or(self.grid, Wings::grid)
+    }
+
+    /// Returns the whole PSF at `position`, core and wings, in double precision.
+    ///
+    /// # Errors
+    /// As for [`core_at`](Self::core_at).
+    pub fn psf_at(&self, position: Position) -> Result<Stamp, FieldError> {
+        let core = self.core_at(position)?;
+        let Some(wings) = &self.wings else {
+            return Ok(core);
+        };
+        let mut values = wings.at(position)?;
+        let (column, row) = self.grid.place_in(wings.grid()).expect("checked by with_wings");
+        let (ny, nx) = self.grid.dim();
+        let mut inner = values.slice_mut(s![row..row + ny, column..column + nx]);
+        inner += &core.values();
+        Stamp::new(values, wings.grid()).map_err(|source| FieldError::External {
+            position,
+            source: Box::new(source),
+        })
+    }
+
+    /// Returns the core of the PSF at `position`, which is the whole PSF if there are no wings, in double
+    /// precision.
     ///
     /// # Errors
     /// [`FieldError`] if the field has no value there, a value of the PSF is not finite, or the PSF
     /// must be scaled to unit flux but its flux is not positive.
-    pub fn psf_at(&self, position: Position) -> Result<Stamp, FieldError> {
+    pub fn core_at(&self, position: Position) -> Result<Stamp, FieldError> {
         let mut coefficients = vec![0.0; self.stamp_count()];
         self.scaled_coefficients_into(position, &mut coefficients)?;
         // The loop adds stamp by stamp, over contiguous memory. A product of a vector and a
@@ -335,6 +383,8 @@ pub struct PsfModelRecord {
     circle_error: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
     table_of: Option<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    wings: Option<Box<WingsRecord>>,
 }
 
 #[derive(Deserialize)]
@@ -348,6 +398,8 @@ struct RawPsfModelRecord {
     circle_error: Option<f64>,
     #[serde(default)]
     table_of: Option<String>,
+    #[serde(default)]
+    wings: Option<WingsRecord>,
 }
 
 impl TryFrom<RawPsfModelRecord> for PsfModelRecord {
@@ -361,9 +413,10 @@ impl TryFrom<RawPsfModelRecord> for PsfModelRecord {
             raw.outside,
             raw.normalisation,
         )?;
-        Ok(record
+        record
             .with_circle_error(raw.circle_error)
-            .with_table_of(raw.table_of))
+            .with_table_of(raw.table_of)
+            .with_wings(raw.wings)
     }
 }
 
@@ -388,11 +441,34 @@ impl PsfModelRecord {
             normalisation,
             circle_error: None,
             table_of: None,
+            wings: None,
         })
     }
 
-    /// A record with the choices of this one, but another basis and other coefficients. The error of the
-    /// flux in circles is then not known.
+    /// This record with wings, or without.
+    ///
+    /// # Errors
+    /// [`DataError::WingsDoNotFit`] for wings with another sampling than the basis, or smaller stamps, and
+    /// [`DataError::CountMismatch`] for another number of samples.
+    pub fn with_wings(self, wings: Option<WingsRecord>) -> Result<Self, DataError> {
+        if let Some(wings) = &wings {
+            let what = "rows of coefficients of the wings, one for each sample";
+            let samples = self.coefficients.values().nrows();
+            DataError::check_count(what, samples, wings.coefficients().values().nrows())?;
+            let place = self.basis.grid().place_in(wings.grid());
+            place.ok_or(DataError::WingsDoNotFit)?;
+        }
+        let wings = wings.map(Box::new);
+        Ok(Self { wings, ..self })
+    }
+
+    /// The wings of the PSF. The basis and the coefficients are then those of its core.
+    pub fn wings(&self) -> Option<&WingsRecord> {
+        self.wings.as_deref()
+    }
+
+    /// A record with the choices of this one, but another basis and other coefficients, and no wings. The
+    /// error of the flux in circles is then not known.
     ///
     /// # Errors
     /// As for [`new`](Self::new).
@@ -483,7 +559,8 @@ impl PsfModelRecord {
         )?;
         let values = self.coefficients.values().slice(s![.., ..rank]).to_owned();
         let coefficients = SampleCoefficients::new(values, self.coefficients.positions().clone())?;
-        self.with_parts(basis, coefficients)
+        self.with_parts(basis, coefficients)?
+            .with_wings(self.wings().cloned())
     }
 
     /// Combines the record with `field`, the caller's interpolation of [`Self::coefficients`], into

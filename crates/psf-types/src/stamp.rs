@@ -216,6 +216,22 @@ impl StampGrid {
             .then_some((self.centre_x as usize, self.centre_y as usize))
     }
 
+    /// The column and the row of larger stamps at which these begin, with the centres of both on each other.
+    /// None if the larger stamps have another sampling, or these do not lie within them on whole pixels.
+    pub fn place_in(self, larger: Self) -> Option<(usize, usize)> {
+        let same = larger.oversampling == self.oversampling
+            && larger.pixel_response_included == self.pixel_response_included
+            && larger.interpolation == self.interpolation;
+        let first = |centre: f64, own: f64, room: usize, pixels: usize| {
+            let first = centre - own;
+            let fits = first >= 0.0 && first.fract() == 0.0 && first + pixels as f64 <= room as f64;
+            fits.then_some(first as usize)
+        };
+        let column = first(larger.centre_x, self.centre_x, larger.nx, self.nx)?;
+        let row = first(larger.centre_y, self.centre_y, larger.ny, self.ny)?;
+        same.then_some((column, row))
+    }
+
     /// The flux (fraction of the source's light) of a stamp whose values sum to `sum`:
     /// `sum / oversampling^2`.
     pub fn flux_of_sum(self, sum: f64) -> f64 {

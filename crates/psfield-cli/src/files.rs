@@ -9,6 +9,7 @@ use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 use clap::ArgMatches;
+use psfield::WingsSource;
 use serde::Serialize;
 
 use crate::UsageError;
@@ -80,7 +81,7 @@ pub(crate) struct FileType {
 }
 
 impl FileType {
-    const ALL: [Self; 7] = [
+    const ALL: [Self; 8] = [
         Self::of::<PathBuf>(),
         Self::of::<OutputFile>(),
         Self::of::<OutputFolder>(),
@@ -88,6 +89,7 @@ impl FileType {
         Self::of::<BandpassName>(),
         Self::of::<SpectrumName>(),
         Self::of::<Layer>(),
+        Self::of::<WingsSource>(),
     ];
 
     const fn of<T: NamesFile>() -> Self {
@@ -151,6 +153,22 @@ impl NamesFile for SpectrumName {
     }
     fn within(folder: &Path, text: &str) -> OsString {
         psfield::colours::spectrum_in(folder, text).into()
+    }
+}
+
+impl NamesFile for WingsSource {
+    const USE: Use = Use::Input;
+    fn files(&self) -> Vec<PathBuf> {
+        match self {
+            Self::File(path) => vec![path.clone()],
+            _ => Vec::new(),
+        }
+    }
+    fn within(folder: &Path, text: &str) -> OsString {
+        match text.parse() {
+            Ok(Self::File(path)) => folder.join(path).into(),
+            _ => text.into(),
+        }
     }
 }
 
@@ -472,12 +490,13 @@ mod tests {
     /// if it stands in a file of settings.
     #[test]
     fn every_option_with_files_is_collected() {
-        let texts: [(FileType, &str, &[&str]); 7] = [
+        let texts: [(FileType, &str, &[&str]); 8] = [
             (FileType::of::<PathBuf>(), "a.fits", &["a.fits"]),
             (FileType::of::<OutputFile>(), "a.fits", &["a.fits"]),
             (FileType::of::<OutputFolder>(), "a.fits", &["a.fits"]),
             (FileType::of::<JsonTo>(), "a.fits", &["a.fits"]),
             (FileType::of::<BandpassName>(), "a.fits:nm", &["a.fits"]),
+            (FileType::of::<WingsSource>(), "a.fits", &["a.fits"]),
             (
                 FileType::of::<SpectrumName>(),
                 "a.fits:nm:photons@z=1",

@@ -213,9 +213,17 @@ fn text(report: &FitReport, output: &str) -> String {
     let expected = report.expected_error.map_or_else(String::new, |error| {
         format!("expected:       {error:.2e} (relative L2, r.m.s. over the field, as kriging predicts)\n")
     });
+    let wings = report.wings.as_ref().map_or_else(String::new, |wings| {
+        let [least, most] = wings.flux.map(|part| 100.0 * part);
+        format!(
+            "wings:          {} stamps around a core of {} pixels hold {least:.2} to {most:.2} % of the flux, error {:.1e} (relative \
+             to the light at the same distance, r.m.s.)\n",
+            wings.modes, wings.core_size, wings.error
+        )
+    });
     format!(
         "{output}: {} samples{of_states}, {} components (elbow at {}), {} interpolation\n\
-         {reason}\
+         {reason}{wings}\
          noise:          {noise}\n\
          fit error:      largest {:.2e}, r.m.s. {:.2e} (relative L2 of a sample), in circles {} of the flux\n\
          leave-one-out:  {interpolation_error} (relative L2; each sample is predicted from the others, over about twice the spacing)\n\

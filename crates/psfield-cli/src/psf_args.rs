@@ -6,7 +6,7 @@ use clap::builder::{PossibleValuesParser, TypedValueParser};
 use psf_basis::{Centring, PixelNoise, RankSelection};
 use psf_io::{HduChoice, PlaneOrder};
 use psf_types::{Interpolation, Normalisation, OutsidePolicy, Position};
-use psfield::{ErrorKind, FitChoices, FitOptions, Psf, PsfFileOptions, PsfieldError};
+use psfield::{ErrorKind, FitChoices, FitOptions, Psf, PsfFileOptions, PsfieldError, WingsSource};
 
 use crate::UsageError;
 use crate::context::{Context, with_option, without_option};
@@ -202,6 +202,13 @@ pub(crate) struct PsfFileArgs {
     /// If it is missing, psfield integrates the PSF over each pixel.
     #[arg(long, value_name = "included|missing", value_parser = pixel_response(), hide_short_help = true)]
     pixel_response: Option<bool>,
+    /// Join wings to the PSF: FILE, or power=EXPONENT,RADIUS (pixels of the frame)
+    ///
+    /// FILE: a PSF of any format, such as an image with a large stamp or an STPSF library with a large
+    /// field of view, or a radial profile (.csv, .txt, .dat: radius in pixels, and the light there in any
+    /// unit). The wings are scaled to the light of the PSF where both meet, and PSFs keep their flux.
+    #[arg(long, value_name = "WINGS", hide_short_help = true)]
+    wings: Option<WingsSource>,
 }
 
 /// The parser of `--pixel-response`. True if it is included.
@@ -254,6 +261,7 @@ impl PsfFileArgs {
             oversampling: self.psf_oversampling,
             centre: self.psf_centre,
             pixel_response_included: self.pixel_response,
+            wings: self.wings.clone(),
         })
     }
 }

@@ -15,7 +15,7 @@ use psfield::psf_basis::GivenStamps;
 use psfield::psf_io::Precision;
 use psfield::psf_types::{
     FrameShape, Position, PsfBasis, PsfModelRecord, PsfSamples, SampleCoefficients, SamplePositions,
-    SampleStates, StateKind,
+    SampleStates, StateKind, WingsRecord,
 };
 use psfield::stack_size::MAX_STACK_BYTES;
 use psfield::{FitChoices, FitOptions, Psf, PsfieldError};
@@ -135,8 +135,10 @@ impl PsfModel {
     }
 
     /// Makes a model from a mean stamp, components `[component, y, x]` and their coefficients
-    /// `[sample, component]` at positions.
+    /// `[sample, component]` at positions, perhaps with wings: their stamps `[mode, y, x]`, their coefficients
+    /// `[sample, mode]` and the grid of the stamps.
     #[staticmethod]
+    #[pyo3(signature = (mean, components, coefficients, x, y, states, field, grid, choices, wings=None))]
     fn from_basis(
         mean: Option<PyReadonlyArray2<'_, f64>>,
         components: PyReadonlyArray3<'_, f64>,
@@ -147,6 +149,7 @@ impl PsfModel {
         field: Option<(usize, usize)>,
         grid: &Bound<'_, PyMapping>,
         choices: Choices,
+        wings: Option<GivenWings<'_>>,
     ) -> PyResult<Self> {
         let (_, ny, nx) = components.as_array().dim();
         let grid = from_python::<GridSettings>(grid)?.grid((ny, nx))?;
@@ -156,10 +159,14 @@ impl PsfModel {
         let table_of = choices.3;
         let mean = mean.map(|mean| mean.as_array().to_owned());
         let basis = PsfBasis::new(mean, components.as_array().to_owned(), grid).map_err(Failure::from)?;
+        let wings = wings
+            .map(|wings| wings_of(&wings, positions.clone()))
+            .transpose()?;
         let coefficients = SampleCoefficients::new(coefficients.as_array().to_owned(), positions);
         let coefficients = coefficients.map_err(Failure::from)?;
         let record = PsfModelRecord::new(basis, coefficients, interpolation, outside, normalise);
         let record = record.map_err(Failure::from)?.with_table_of(table_of);
+        let record = record.with_wings(wings).map_err(Failure::from)?;
         Ok(Self(Psf::from(record)))
     }
 
@@ -217,7 +224,8 @@ impl PsfModel {
     /// The name of a constructor and the arguments with which it makes an equal model.
     fn state<'py>(&self, py: Python<'py>) -> PyResult<(&'static str, Bound<'py, PyAny>)> {
         let (x, y) = self.positions(py);
-        let (field, grid) = (self.field(), self.grid(py)?);
+        let field = self.field();
+        let grid = to_python(py, &GridSettings::of(self.0.grid())?)?;
         if let Some((samples, options)) = self.0.samples() {
             let stamps = samples.stamps().to_owned().into_pyarray(py);
             let fit = to_python(py, &FitChoices::from(*options))?;
@@ -239,7 +247,28 @@ impl PsfModel {
         let (mean, components, coefficients) = arrays_of(py, record);
         let choices = choices_of(record);
         let states = self.states();
-        let state = (mean, components, coefficients, x, y, states, field, grid, choices);
+        let wings = record.wings().map(|wings| -> PyResult<_> {
+            let stamps = wings.stamps().to_owned().into_pyarray(py);
+            let coefficients = wings.coefficients().values().to_owned().into_pyarray(py);
+            Ok((
+                stamps,
+                coefficients,
+                to_python(py, &GridSettings::of(wings.grid())?)?,
+            ))
+        });
+        let wings = wings.transpose()?;
+        let state = (
+            mean,
+            components,
+            coefficients,
+            x,
+            y,
+            states,
+            field,
+            grid,
+            choices,
+            wings,
+        );
         Ok(("from_basis", state.into_pyobject(py)?.into_any()))
     }
 
@@ -248,14 +277,14 @@ impl PsfModel {
         self.0.samples().is_some()
     }
 
-    /// The grid of the stamps, in the form that the constructors accept.
+    /// The grid of whole stamps, in the form that the constructors accept.
     fn grid<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
-        to_python(py, &GridSettings::of(self.0.grid())?)
+        to_python(py, &GridSettings::of(self.0.whole_grid())?)
     }
 
     /// (ny, nx) of the stamps.
     fn stamp_shape(&self) -> (usize, usize) {
-        self.0.grid().dim()
+        self.0.whole_grid().dim()
     }
 
     /// Positions of the samples. For a model without samples, these are the positions at which its
@@ -326,7 +355,7 @@ impl PsfModel {
         sub_pixel: bool,
     ) -> PyResult<(Cube<'py>, Option<String>)> {
         let at = positions(&x, &y)?;
-        let grid = self.0.grid();
+        let grid = self.0.whole_grid();
         let stamp = size.map_or(grid.pixel_count(), |size| size.saturating_mul(size));
         let bytes = at
             .len()
@@ -408,6 +437,24 @@ fn choices_of(record: &PsfModelRecord) -> Choices {
         record.normalisation().to_string(),
         record.table_of().map(str::to_owned),
     )
+}
+
+/// Stamps `[mode, y, x]` of wings, their coefficients `[sample, mode]`, and their grid.
+type GivenWings<'py> = (
+    PyReadonlyArray3<'py, f32>,
+    PyReadonlyArray2<'py, f64>,
+    Bound<'py, PyMapping>,
+);
+
+fn wings_of(
+    (stamps, coefficients, grid): &GivenWings<'_>,
+    positions: SamplePositions,
+) -> PyResult<WingsRecord> {
+    let (_, ny, nx) = stamps.as_array().dim();
+    let grid = from_python::<GridSettings>(grid)?.grid((ny, nx))?;
+    let coefficients = SampleCoefficients::new(coefficients.as_array().to_owned(), positions);
+    let coefficients = coefficients.map_err(Failure::from)?;
+    Ok(WingsRecord::new(stamps.as_array().to_owned(), coefficients, grid).map_err(Failure::from)?)
 }
 
 fn arrays_of<'py>(py: Python<'py>, record: &PsfModelRecord) -> Basis<'py> {

@@ -176,7 +176,8 @@ impl Psf {
     ) -> Result<Self, PsfieldError> {
         dispersion.check()?;
         let wavelengths = self.wavelengths()?;
-        let (record, grid) = (self.record()?, self.grid());
+        let undivided = self.undivided()?;
+        let (record, grid) = (undivided.record_without_wings()?, undivided.grid());
         let reference = dispersion.reference(bandpass)?;
         let shifted: Vec<Shifted> = spectra
             .iter()

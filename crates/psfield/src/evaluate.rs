@@ -162,10 +162,10 @@ pub fn evaluate_stamps(
             } else {
                 (0.0, 0.0)
             };
-            Ok(if target == model.grid() && shift == (0.0, 0.0) {
+            Ok(if target == model.whole_grid() && shift == (0.0, 0.0) {
                 psf.into_values()
             } else {
-                StampInterpolator::new(psf.values(), model.grid()).resample(shift, target)
+                StampInterpolator::new(psf.values(), model.whole_grid()).resample(shift, target)
             })
         })
         .collect();
@@ -177,10 +177,13 @@ pub fn evaluate_stamps(
 }
 
 fn target_grid(model: &PsfModel, options: EvaluateOptions) -> Result<StampGrid, PsfieldError> {
-    let grid = model.grid();
+    let grid = model.whole_grid();
     let base = match options.grid {
         OutputGrid::Model => grid,
-        OutputGrid::Native => native_grid_of(grid, 1.0, 0.0, || edge_reach_of(model))?,
+        OutputGrid::Native => native_grid_of(grid, 1.0, 0.0, || match model.wings() {
+            Some(_) => 0,
+            None => edge_reach_of(model),
+        })?,
     };
     let Some(size) = options.size else { return Ok(base) };
     // A centre between pixels stays between pixels, so that values need no interpolation.

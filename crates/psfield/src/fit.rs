@@ -3,6 +3,7 @@
 mod comparison;
 mod models;
 mod report;
+mod split;
 mod tables;
 
 use std::path::Path;
@@ -26,6 +27,9 @@ pub use comparison::{InterpolationErrors, compare_interpolations};
 pub use models::model_of;
 pub(crate) use models::{models_of, models_on};
 pub use report::{FitReport, LeaveOneOutReport};
+use split::Split;
+pub use split::WingsReport;
+pub(crate) use split::{Window, joined, radius, splits};
 pub use tables::OwnInterpolation;
 pub(crate) use tables::{table_of, tabulated};
 
@@ -96,12 +100,16 @@ pub struct Fit {
     left_out: Option<LeaveOneOutReport>,
     /// The error that kriging expects between the samples: L2 of the PSF, r.m.s. over the field.
     expected_error: Option<f64>,
+    /// The wings that were split from the samples.
+    wings: Option<WingsReport>,
 }
 
 /// Fits a model to samples. Computes the basis by SVD, and interpolates the coefficients by a
 /// method of `coeff-field`.
 ///
-/// Samples of several states, such as wavelengths or frames, get one basis.
+/// Samples of several states, such as wavelengths or frames, get one basis. Large stamps are divided into a core
+/// and wings, if at most 4 stamps represent the wings of all samples ([`FitReport::wings`]). The
+/// errors of the fit are then those of the core.
 ///
 /// # Errors
 /// [`ErrorKind::Fit`] when the basis cannot be computed, for example because
@@ -109,6 +117,31 @@ pub struct Fit {
 /// if the shifted copies would fill too much memory. An interpolation that does not suit the positions is
 /// an error of [`Fit::into_model`] and [`Fit::report`], not of the fit.
 pub fn fit(samples: PsfSamples, options: &FitOptions) -> Result<Fit, PsfieldError> {
+    if !splits(samples.grid()) {
+        return fit_undivided(samples, options);
+    }
+    let samples = normalised(samples, options.normalisation);
+    let Some(Split { core, wings, report }) = split::split(&samples)? else {
+        return fit_undivided(samples, options);
+    };
+    let fluxes: Vec<f64> = (0..samples.len()).map(|sample| samples.flux(sample)).collect();
+    let normalisation = Normalisation::Keep;
+    let of_core = fit_undivided(
+        core,
+        &FitOptions {
+            normalisation,
+            ..*options
+        },
+    )?;
+    Ok(Fit {
+        record: split::joined(&of_core.record, wings, fluxes.into_iter())?,
+        wings: Some(report),
+        ..of_core
+    })
+}
+
+/// Fits a model to samples without dividing large stamps.
+pub(crate) fn fit_undivided(samples: PsfSamples, options: &FitOptions) -> Result<Fit, PsfieldError> {
     let copies = shifted_copies(&samples, options.shift_copies)?;
     fit_trained(samples, copies, options)
 }
@@ -361,6 +394,7 @@ impl Fit {
             reason: choice.reason,
             left_out,
             expected_error: choice.expected_error,
+            wings: None,
         })
     }
 

@@ -82,7 +82,7 @@ pub use dispersion::Dispersion;
 pub use error::{ErrorKind, PsfieldError};
 pub use fit::FitOptions;
 pub use light_on_pixels::light_on_pixels;
-pub use psf::{Extrapolation, FitChoices, Motion, Psf, PsfFileOptions};
+pub use psf::{Extrapolation, FitChoices, Motion, Psf, PsfFileOptions, WingsSource};
 pub use readable::readable;
 pub use scene::{Layer, ProfileSource, Scene};
 pub use scene_light::SceneLight;

@@ -2,11 +2,13 @@
 
 mod extrapolation;
 mod format_records;
+mod join;
 mod motion;
 mod moving_native;
 mod open;
 mod resample;
 mod states;
+mod wings;
 
 use std::path::PathBuf;
 use std::sync::{Arc, OnceLock};
@@ -16,7 +18,7 @@ use psf_io::{FileKind, PsfexModel};
 use psf_sample::{SamplingMethod, SamplingReport};
 use psf_types::{
     FrameShape, Position, Progress, PsfModel, PsfModelRecord, PsfSamples, PsfSource, SamplePositions,
-    StampGrid,
+    StampGrid, WingsRecord,
 };
 
 use crate::error::PsfieldError;
@@ -24,6 +26,7 @@ use crate::fit::{Fit, FitOptions, OwnInterpolation, fit, models_of, table_of, ta
 
 pub use extrapolation::Extrapolation;
 pub use format_records::record_of_psfex;
+pub use join::WingsSource;
 pub use motion::Motion;
 pub(crate) use motion::QUADRATURE;
 pub(crate) use moving_native::MovingNative;
@@ -238,13 +241,19 @@ impl Psf {
         self.0.source.psfex.as_ref()
     }
 
-    /// The pixel grid of the stamps.
+    /// The pixel grid of the stamps. If a model has wings, that of its core.
     pub fn grid(&self) -> StampGrid {
         match &self.0.origin {
             Origin::Samples(samples, _) => samples.grid(),
             Origin::Record(record) => record.basis().grid(),
             Origin::Model(model, _) => model.grid(),
         }
+    }
+
+    /// The pixel grid of whole PSFs: that of the wings if a model has them.
+    pub fn whole_grid(&self) -> StampGrid {
+        let wings = self.record_if_fitted().and_then(PsfModelRecord::wings);
+        wings.map_or(self.grid(), WingsRecord::grid)
     }
 
     /// Positions of the samples, or of the model's nodes. Returns only pixel (0, 0) for a model
@@ -293,8 +302,9 @@ impl Psf {
     /// [`ErrorKind::Setting`](crate::ErrorKind::Setting) for a limit of the table's error that is not above
     /// 0.
     pub fn interpolated_by(&self, own: OwnInterpolation<'_>) -> Result<Self, PsfieldError> {
-        let record = self.record()?;
-        Ok(match self.fit()? {
+        let undivided = self.undivided()?;
+        let record = undivided.record()?;
+        Ok(match undivided.fit()? {
             Some(fit) => Self::from(fit.interpolated_by(own)?),
             None => Self::from(tabulated(record, own)?),
         })
@@ -356,7 +366,7 @@ impl Psf {
     /// longer side of a stamp plus one. If stamps are cut or padded to
     /// [`stamp_size`](crate::SimulateOptions::stamp_size), the bound is `stamp_size` plus one.
     pub fn reach(&self, stamp_size: Option<usize>) -> usize {
-        let grid = self.grid();
+        let grid = self.whole_grid();
         let own = grid.nx().max(grid.ny()) as f64 / grid.oversampling();
         stamp_size.unwrap_or(own.ceil() as usize).saturating_add(1)
     }

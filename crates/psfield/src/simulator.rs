@@ -18,11 +18,12 @@ mod stream;
 #[cfg(test)]
 mod tests;
 mod warnings;
+mod wings;
 
 use std::sync::{Arc, Mutex, OnceLock};
 
 use conv_core::{ConvError, ConvReal, ConvolutionMethod, Operation, PlanSummary, TileCounts};
-use ndarray::{Array2, ArrayViewMut2};
+use ndarray::{Array2, ArrayViewMut2, s};
 use psf_types::{
     DataError, FrameShape, Image, ImageView, NoProgress, PixelRegion, Progress, PsfModel, SampleStates,
     StateKind,
@@ -36,6 +37,7 @@ use crate::simulate_options::SimulateOptions;
 
 use convolver::OfLayers;
 use stamp_edges::StampEdge;
+use wings::part_of_light;
 
 pub use builder::SimulatorBuilder;
 pub(crate) use part::Part;
@@ -91,6 +93,10 @@ pub struct Simulator<T: ConvReal> {
     setup: Setup,
     /// Convolve the images of some layers, made when a scene first needs them. The latest few are kept.
     convolvers: Mutex<Vec<OfLayers<T>>>,
+    /// Convolves images with the wings of the PSF, if it has any. Made when first needed.
+    wings: OnceLock<Option<Box<Self>>>,
+    /// Whether this simulator is one of wings.
+    of_wings: bool,
 }
 
 /// The PSFs and what the simulators of all regions of a frame share.
@@ -227,10 +233,14 @@ impl<T: ConvReal> Simulator<T> {
         self.check_scene(scene)?;
         self.check_image(image.dim())?;
         let mut counts = TileCounts::default();
+        let of_wings = self.light_of_wings(scene, progress)?;
         if scene.has_image() {
             counts = self.convolve_into(scene, image.view_mut(), progress)?;
         }
-        self.draw_sources_into(scene, self.setup.geometry.region, image, progress)?;
+        self.draw_sources_into(scene, self.setup.geometry.region, image.view_mut(), progress)?;
+        if let Some(of_wings) = of_wings {
+            image += &of_wings;
+        }
         Ok(counts)
     }
 
@@ -267,6 +277,8 @@ impl<T: ConvReal> Simulator<T> {
         let (layers, geometry) = (self.shared.layers_of_images(), &self.setup.geometry);
         let convolver = self.convolver(&layers, progress)?;
         let engine = convolver.engine_for("the adjoint can be computed")?;
+        let wings = self.wings()?;
+        let of_wings = wings.map(|wings| wings.adjoint(image, progress)).transpose()?;
         let shape = if geometry.is_whole() {
             geometry.shape
         } else {
@@ -280,7 +292,26 @@ impl<T: ConvReal> Simulator<T> {
             .transpose()?;
         let fine = spread.as_ref().map_or_else(|| image.view(), Image::view);
         engine.execute(Operation::Adjoint, &[fine], into, progress)?;
-        light.into_iter().map(|light| Ok(Image::new(light)?)).collect()
+        let mut sums: Vec<Array2<T>> = match of_wings {
+            Some(of_wings) => of_wings.into_iter().map(Image::into_pixels).collect(),
+            None => return light.into_iter().map(|light| Ok(Image::new(light)?)).collect(),
+        };
+        // The light that reaches the region through the wings comes from a larger part of the scene.
+        let (inner, outer) = (
+            engine.plan().light_region(),
+            self.light_region_of(&layers, progress)?,
+        );
+        let first = if geometry.is_whole() {
+            (0, 0)
+        } else {
+            (inner.x0() - outer.x0(), inner.y0() - outer.y0())
+        };
+        for (sum, light) in sums.iter_mut().zip(&light) {
+            let ((x, y), (ny, nx)) = ((first.0 as usize, first.1 as usize), light.dim());
+            let mut part = sum.slice_mut(s![y..y + ny, x..x + nx]);
+            part += light;
+        }
+        sums.into_iter().map(|sum| Ok(Image::new(sum)?)).collect()
     }
 
     /// The part of the scene whose light reaches the computed region, in pixels of the scene. For
@@ -326,6 +357,10 @@ impl<T: ConvReal> Simulator<T> {
             let new_model = self.shared.image_models.get().is_none();
             let new_convolver = self.kept_convolver(&layers).is_none();
             let convolver = self.convolver(&layers, progress)?;
+            if let Some(wings) = self.wings()? {
+                let new = wings.kept_convolver(&layers).is_none();
+                plan_seconds += spent(new, wings.convolver(&layers, progress)?.seconds);
+            }
             let (models, seconds) = self.image_models()?;
             fit_seconds += spent(new_model, *seconds);
             plan_seconds += spent(new_convolver, convolver.seconds);
@@ -459,27 +494,47 @@ impl<T: ConvReal> Simulator<T> {
         Ok((image.view(), first))
     }
 
-    /// Convolves the images of a scene's layers and adds the result to `image`.
+    /// Convolves the images of a scene's layers with the core of the PSF and adds the result to `image`.
     fn convolve_into(
         &self,
         scene: &Scene<'_, T>,
-        mut image: ArrayViewMut2<'_, T>,
+        image: ArrayViewMut2<'_, T>,
         progress: &dyn Progress,
     ) -> Result<TileCounts, PsfieldError> {
         let layers = scene.layers_with_image();
-        let convolver = self.convolver(&layers, progress)?;
-        let (light, geometry) = (self.lights(scene, progress)?, &self.setup.geometry);
+        let lights = self.lights(scene, progress)?;
+        let are_whole = lights.iter().all(|light| light.shape() == self.scene_shape());
+        if are_whole || self.wings()?.is_none() {
+            return self.convolve_lights_into((&layers, &lights), image, progress);
+        }
+        let given = self.light_region_of(&layers, progress)?;
+        let needed = self.core_light_region(&layers, progress)?;
+        let first = (given.x0(), given.y0());
+        let parts = lights.iter().map(|light| part_of_light(light, first, needed));
+        let parts: Vec<ImageView<'_, T>> = parts.collect::<Result<_, _>>()?;
+        self.convolve_lights_into((&layers, &parts), image, progress)
+    }
+
+    /// Convolves the images of some layers with the core of the PSF and adds the result to `image`.
+    pub(super) fn convolve_lights_into(
+        &self,
+        (layers, lights): (&[usize], &[ImageView<'_, T>]),
+        mut image: ArrayViewMut2<'_, T>,
+        progress: &dyn Progress,
+    ) -> Result<TileCounts, PsfieldError> {
+        let convolver = self.convolver(layers, progress)?;
+        let geometry = &self.setup.geometry;
         let Some(engine) = &convolver.engine else {
             let (method, frame) = (&self.shared.method, geometry.fine(geometry.frame)?);
             let method = method.as_ref().expect("a simulator without a plan has a method");
-            for (&layer, light) in layers.iter().zip(&light) {
+            for (&layer, light) in layers.iter().zip(lights) {
                 let model = &self.image_models()?.0[layer];
                 let fine = method.convolve(model, light, frame, progress)?;
                 geometry.add_sampled(fine.pixels(), image.view_mut());
             }
             return Ok(TileCounts::default());
         };
-        let execute = |image| engine.execute(Operation::Convolve, &light, vec![image], progress);
+        let execute = |image| engine.execute(Operation::Convolve, lights, vec![image], progress);
         if geometry.oversample == 1 {
             return Ok(execute(image)?);
         }

@@ -258,7 +258,7 @@ impl CellPsf<'_> {
 
     fn coefficients(&self) -> Result<&Array2<f64>, FieldError> {
         let make = || {
-            let psf = self.integrator.model.psf_at(self.position)?;
+            let psf = self.integrator.model.core_at(self.position)?;
             Ok(self.integrator.coefficients(psf.values()))
         };
         match self.coefficients.get_or_init(make) {

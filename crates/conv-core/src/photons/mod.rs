@@ -26,6 +26,8 @@ mod photon_draw;
 mod photon_shooter;
 mod random;
 mod shot;
+mod wing_photons;
 
 pub(crate) use photon_shooter::PhotonShooter;
 pub use photon_shooter::{PhotonReport, PhotonSources};
+pub(crate) use wing_photons::add_photons_of_light;

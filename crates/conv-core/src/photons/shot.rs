@@ -10,7 +10,7 @@ use super::counts::SourceCounts;
 use super::photon_draw::WORDS_OF_PHOTON;
 use super::photon_shooter::PhotonSources;
 use super::random::{PhotonRng, RandomWords, hash};
-use crate::galaxies::ExtendedSources;
+use crate::galaxies::{ExtendedSources, Isophotes};
 use crate::simd::vectorized;
 use crate::sources::{BlockKey, block_of};
 use crate::{ConvError, view};
@@ -47,12 +47,9 @@ pub(super) struct Shot<'a> {
     pub(super) stamps: &'a PhotonStamps,
 }
 
-/// The light of an extended source: the map from offsets of a round profile to the sky, and the radii.
+/// The light of an extended source.
 struct Shape {
-    /// The offset is `(xx a + xy b, yy b)`.
-    xx: f64,
-    xy: f64,
-    yy: f64,
+    isophotes: Isophotes,
     radii: RadialLight,
 }
 
@@ -260,24 +257,15 @@ const ONE: f64 = (1_u64 << 63) as f64;
 
 impl Shape {
     fn new(light: &dyn LightProfile) -> Self {
-        // The squared radius of an isophote is a quadratic form. Its Cholesky factor maps the isophote to a
-        // circle, and the inverse of its transpose maps back.
-        let square = |dx: f64, dy: f64| light.radius(dx, dy).powi(2);
-        let (xx, yy) = (square(1.0, 0.0), square(0.0, 1.0));
-        let xy = 0.5 * (square(1.0, 1.0) - xx - yy);
-        let first = xx.sqrt();
-        let along = xy / first;
-        let second = (yy - along * along).sqrt();
         Self {
-            xx: 1.0 / first,
-            xy: -along / (first * second),
-            yy: 1.0 / second,
+            isophotes: Isophotes::of(light),
             radii: light.radial_light(),
         }
     }
 
     fn hash(&self) -> u64 {
-        let map = [self.xx, self.xy, self.yy].map(f64::to_bits);
+        let Isophotes { xx, xy, yy } = self.isophotes;
+        let map = [xx, xy, yy].map(f64::to_bits);
         hash(map.into_iter().chain(self.radii.fingerprint()))
     }
 
@@ -285,7 +273,6 @@ impl Shape {
     #[inline(always)]
     fn offset(&self, rng: &mut PhotonRng) -> (f64, f64) {
         let (a, b) = (StandardNormal.sample(rng), StandardNormal.sample(rng));
-        let (a, b) = self.radii.offset(a, b);
-        (self.xx * a + self.xy * b, self.yy * b)
+        self.isophotes.offset(self.radii.offset(a, b))
     }
 }

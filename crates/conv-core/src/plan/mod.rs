@@ -52,7 +52,11 @@ use crate::{ConvError, ConvReal};
 
 /// Returns whether models have the same stamps and the same scaling to unit flux.
 pub(crate) fn share_stamps(a: &PsfModel, b: &PsfModel) -> bool {
-    a.has_basis_of(b) && a.needs_flux_scaling() == b.needs_flux_scaling()
+    let of_wings = match (a.wings(), b.wings()) {
+        (Some(a), Some(b)) => a.has_stamps_of(b),
+        (a, b) => a.is_none() && b.is_none(),
+    };
+    of_wings && a.has_basis_of(b) && a.needs_flux_scaling() == b.needs_flux_scaling()
 }
 
 /// Checks that models can be layers of one plan.

@@ -1,6 +1,6 @@
 //! Options of a plan.
 
-use psf_types::{Anchor, FrameShape, PsfModel, ToleranceOn};
+use psf_types::{Anchor, FrameShape, PsfModel, ToleranceOn, Wings};
 
 use crate::{ConvError, ConvReal};
 
@@ -92,6 +92,17 @@ impl PlanOptions {
             Ok(Self { floor, ..self })
         } else {
             Err(ConvError::Floor { got: floor })
+        }
+    }
+
+    /// These options for the core of a PSF with wings, so that the errors of both together are within the
+    /// tolerance. Its wings have at most the part [`Wings::LARGEST_NORM`] of the core's norm, and a plan of their
+    /// own with the whole tolerance.
+    #[must_use]
+    pub fn beside_wings(self) -> Self {
+        Self {
+            tolerance: self.tolerance * (1.0 - Wings::LARGEST_NORM),
+            ..self
         }
     }
 

@@ -8,7 +8,7 @@ use psf_types::{
 use rustfft::num_traits::Zero;
 
 use super::ConvolutionMethod;
-use super::fft2::RealFft2;
+use crate::fft2::RealFft2;
 use crate::image_memory::check_shape;
 use crate::view::{self, Reach, View};
 use crate::working_range::{Rescaling, take_back};

@@ -3,7 +3,6 @@
 
 mod basis;
 mod direct;
-mod fft2;
 mod patch;
 
 pub use basis::BasisConvolution;

@@ -5,7 +5,7 @@ use psf_types::{Anchor, Image, ImageView, PixelRegion, Position, Progress, PsfMo
 use rustfft::num_traits::Zero;
 
 use super::ConvolutionMethod;
-use super::fft2::RealFft2;
+use crate::fft2::RealFft2;
 use crate::overlap::{Piece, add_in_order, shared};
 use crate::view::{Reach, View, region};
 use crate::working_range::{Rescaling, take_back};
@@ -131,7 +131,7 @@ impl<T: ConvReal> Work<'_, T> {
         if light.iter().all(Zero::is_zero) {
             return Ok(None);
         }
-        let psf = self.model.psf_at(self.centre(patch))?;
+        let psf = self.model.core_at(self.centre(patch))?;
         let [mut spectrum, mut kernel] = [self.fft.zeros(), self.fft.zeros()];
         self.fft.forward(light, corner, &mut spectrum);
         self.fft.kernel(psf.values(), self.reach, &mut kernel);

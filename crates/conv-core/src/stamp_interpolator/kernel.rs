@@ -1,7 +1,8 @@
 //! Interpolation kernels of stamps along one axis, and the weights with which coefficients
 //! contribute to interpolated values.
 
-use ndarray::{Array2, ArrayView2, Axis, s};
+use ndarray::parallel::prelude::*;
+use ndarray::{Array2, ArrayView2, ArrayViewMut2, Axis, s};
 use psf_types::StampInterpolation;
 use psf_types::maths::{gauss_legendre, sinc, spline_weights};
 
@@ -30,6 +31,11 @@ pub(crate) const MOST_TAPS: usize = 6;
 /// is rounding.
 const EDGE: f64 = 1e-9;
 
+/// Lines of a stamp that are filtered together.
+const LINES: usize = 64;
+/// Stamps with fewer coefficients are filtered on one thread, because callers process many of them in parallel.
+const PARALLEL_FROM: usize = 1 << 20;
+
 impl Kernel {
     /// The kernel of an interpolation. `reach` is that of a spline.
     pub(crate) fn of(interpolation: StampInterpolation, reach: usize) -> Self {
@@ -41,23 +47,31 @@ impl Kernel {
 
     /// Computes, from the values of a stamp, the coefficients that the weights multiply. On every
     /// side there are [`margin`](Self::margin) more coefficients than pixels.
-    pub(crate) fn coefficients(self, values: ArrayView2<'_, f64>) -> Array2<f64> {
+    pub(crate) fn coefficients<V: Copy + Into<f64> + Sync>(self, values: ArrayView2<'_, V>) -> Array2<f64> {
         let margin = self.margin();
-        if margin == 0 {
-            return values.to_owned();
-        }
         let (ny, nx) = values.dim();
         let mut coefficients = Array2::zeros((ny + 2 * margin, nx + 2 * margin));
         coefficients
             .slice_mut(s![margin..margin + ny, margin..margin + nx])
-            .assign(&values);
-        for axis in [Axis(0), Axis(1)] {
-            for mut lane in coefficients.lanes_mut(axis) {
-                let mut line = lane.to_vec();
-                spline_filter(&mut line, margin);
-                lane.iter_mut().zip(line).for_each(|(c, v)| *c = v);
-            }
+            .zip_mut_with(&values, |c, &v| *c = v.into());
+        if margin == 0 {
+            return coefficients;
         }
+        let at_once = if coefficients.len() < PARALLEL_FROM {
+            usize::MAX
+        } else {
+            1
+        };
+        let columns = coefficients.axis_chunks_iter_mut(Axis(1), LINES).into_par_iter();
+        columns
+            .with_min_len(at_once)
+            .for_each(|columns| filter_columns(columns, margin));
+        let rows = coefficients.axis_chunks_iter_mut(Axis(0), LINES).into_par_iter();
+        rows.with_min_len(at_once).for_each(|mut rows| {
+            for mut row in rows.outer_iter_mut() {
+                spline_filter(row.as_slice_mut().expect("row-major"), margin);
+            }
+        });
         coefficients
     }
 
@@ -150,6 +164,37 @@ fn spline_filter(line: &mut [f64], margin: usize) {
     for k in 0..margin {
         line[from - 1 - k] = POLE * line[from - k];
         line[to + k] = POLE * line[to + k - 1];
+    }
+}
+
+/// As [`spline_filter`], for all columns of an array together.
+fn filter_columns(mut columns: ArrayViewMut2<'_, f64>, margin: usize) {
+    let (from, to) = (margin, columns.nrows() - margin);
+    let mut before = vec![0.0; columns.ncols()];
+    for row in from..to {
+        let mut values = columns.row_mut(row);
+        for (c, before) in values.iter_mut().zip(&mut before) {
+            *before = *c + POLE * *before;
+            *c = *before;
+        }
+    }
+    // The sum over the zeros beyond the last pixel, as for a line.
+    let mut after: Vec<f64> = before
+        .iter()
+        .map(|v| POLE * POLE / (POLE * POLE - 1.0) * v)
+        .collect();
+    for row in (from..to).rev() {
+        let mut values = columns.row_mut(row);
+        for (c, after) in values.iter_mut().zip(&mut after) {
+            *after = POLE * (*after - *c);
+            *c = 6.0 * *after;
+        }
+    }
+    for k in 0..margin {
+        for [to, from] in [[from - 1 - k, from - k], [to + k, to + k - 1]] {
+            let (mut to, from) = columns.multi_slice_mut((s![to, ..], s![from, ..]));
+            to.zip_mut_with(&from, |to, from| *to = POLE * from);
+        }
     }
 }
 

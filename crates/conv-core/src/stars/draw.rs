@@ -1,4 +1,4 @@
-//! Draws the stars of a block together, row by row, into a tile: an array of the pixels that these
+//! Draws stars together that share kernels, row by row, into a tile: an array of the pixels that these
 //! stars may light.
 
 use std::ops::Range;
@@ -11,13 +11,12 @@ use pulp::bytemuck::{cast_slice, cast_slice_mut};
 use super::phases::{PhasedAxis, PhasedStar};
 use super::reach::Reach;
 use super::row_layout::{CHUNK, RowLayout};
-use super::star_block::StarBlock;
 use crate::overlap::Piece;
 use crate::simd::{Aligned, Lanes, vectorized};
 use crate::stamp_interpolator::MOST_TAPS;
 use crate::{ConvError, ConvReal};
 
-/// Stars of one block.
+/// Stars that share kernels, such as those of one block.
 pub(super) struct Group<T> {
     pub(super) stars: Vec<PhasedStar<T>>,
     /// `[star, row tap, kernel]`.
@@ -28,7 +27,11 @@ pub(super) struct Group<T> {
 pub(super) struct DrawGroup<'a, T> {
     pub(super) axes: &'a [PhasedAxis; 2],
     pub(super) layout: RowLayout,
-    pub(super) block: &'a StarBlock<T>,
+    /// The kernels' coefficients `[row, kernel, value of a row]`.
+    pub(super) values: &'a [T],
+    pub(super) kernels: usize,
+    /// `None` if all stars are drawn on all pixels.
+    pub(super) reach: Option<&'a Reach>,
     /// Only rows of this region of the frame are drawn.
     pub(super) region: PixelRegion,
     pub(super) progress: &'a dyn Progress,
@@ -49,14 +52,24 @@ impl<T: ConvReal> DrawGroup<'_, T> {
             first: (columns.start, rows.start),
             values: Array2::zeros((length(&rows), length(&columns))),
         };
+        self.draw_on(simd, group, &mut tile)?;
+        Ok(tile)
+    }
+
+    /// Adds a group to a tile. Only the pixels of the tile are drawn. Its first [`CHUNK`] columns may lack light.
+    pub(super) fn draw_on<S: Lanes<T>>(
+        &self,
+        simd: S,
+        group: &Group<T>,
+        tile: &mut Piece<T>,
+    ) -> Result<(), ConvError> {
         vectorized!(
             simd,
             match self.axes[0].kernel.tap_count() {
-                4 => self.draw::<S, 4>(simd, group, &mut tile),
-                _ => self.draw::<S, MOST_TAPS>(simd, group, &mut tile),
+                4 => self.draw::<S, 4>(simd, group, tile),
+                _ => self.draw::<S, MOST_TAPS>(simd, group, tile),
             }
-        )?;
-        Ok(tile)
+        )
     }
 
     /// The rectangle on which a star is drawn: columns, and rows.
@@ -75,10 +88,10 @@ impl<T: ConvReal> DrawGroup<'_, T> {
     }
 
     fn reach(&self) -> &Reach {
-        self.block.reach.as_ref().expect("only a reach gives levels")
+        self.reach.expect("only a reach gives levels")
     }
 
-    /// Adds the stars to a tile that holds all their columns. Adds row `j` of every star before row
+    /// Adds the stars to a tile. Adds row `j` of every star before row
     /// `j + 1` of any star. The rows `j` of all stars are computed from the same few rows of
     /// coefficients, which therefore stay in the first-level cache.
     ///
@@ -95,7 +108,7 @@ impl<T: ConvReal> DrawGroup<'_, T> {
         let (height, width) = tile.values.dim();
         let rows = tile.first.1..tile.first.1 + height as i64;
         let values = tile.values.as_slice_mut().expect("new arrays are row-major");
-        let row_of_kernels = self.block.modes.kernel_count() * self.layout.kernel;
+        let row_of_kernels = self.kernels * self.layout.kernel;
         let mut sums = Aligned::zeros(self.layout.kernel + S::LANES);
         for j in 0..longest.unwrap_or(0) {
             if stars.len() >= STARS_PER_POLL {
@@ -108,7 +121,7 @@ impl<T: ConvReal> DrawGroup<'_, T> {
                 }
                 let kept = star.first_row + j as usize * self.axes[0].oversampling;
                 let of_star = StarRow {
-                    values: &self.block.values()[kept * row_of_kernels..],
+                    values: &self.values[kept * row_of_kernels..],
                     weights: &weights[star.weights.clone()],
                     layout: self.layout,
                     first: star.first_column,
@@ -125,9 +138,11 @@ impl<T: ConvReal> DrawGroup<'_, T> {
                     None => from_ref(&whole),
                 };
                 let first = star.columns.start - tile.first.0;
+                let least = (-first).max(0) as usize;
+                let (least, most) = (least.next_multiple_of(CHUNK) as i64, width as i64 - first);
                 for segment in segments {
                     let from = (segment.start + offset).max(0) / S::LANES as i64 * S::LANES as i64;
-                    let to = (segment.end + offset).min(length);
+                    let (from, to) = (from.max(least), (segment.end + offset).min(length).min(most));
                     if from < to {
                         let pixels = &mut tile_row[(first + from) as usize..(first + to) as usize];
                         of_star.add_to(simd, sums.get_mut(), from as usize, pixels);
@@ -151,7 +166,7 @@ fn hull(ranges: impl Iterator<Item = Range<i64>>) -> Range<i64> {
 /// coefficients that contribute to a pixel).
 #[derive(Clone, Copy)]
 struct StarRow<'a, T, const TAPS: usize> {
-    /// The block's coefficients `[row, kernel, chunk, residue, pixel]`, from the first row tap on.
+    /// The coefficients `[row, kernel, chunk, residue, pixel]`, from the first row tap on.
     values: &'a [T],
     /// `[row tap, kernel]`.
     weights: &'a [T],

@@ -304,7 +304,9 @@ impl<T: ConvReal> BlockDrawer<'_, T> {
         let draw = DrawGroup {
             axes: &phased.axes,
             layout: phased.layout,
-            block,
+            values: block.values(),
+            kernels: block.modes.kernel_count(),
+            reach: block.reach.as_ref(),
             region: self.region,
             progress: self.catalogue.progress,
         };

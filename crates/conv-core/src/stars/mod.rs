@@ -9,7 +9,8 @@
 //! coefficients apart and have equal weights. So coefficients are stored by their *residue*, which
 //! is their index modulo `s`. A row of a star is then a linear combination of contiguous values.
 //! The sum runs over the block's kernels, the rows of coefficients that contribute to the row of
-//! the star, and the taps along the row. Where stars are many, [`spread`] is faster.
+//! the star, and the taps along the row. Where stars are many, [`spread`] is faster. Stars of a PSF with wings
+//! are drawn in two parts, the core and the [`wings`].
 
 mod draw;
 mod draw_blocks;
@@ -22,7 +23,10 @@ mod row_layout;
 mod spread;
 mod star_block;
 mod star_drawer;
+mod wing_transform;
+mod wings;
 
 pub(crate) use draw_blocks::StarsToDraw;
 pub use painter::StarPainter;
 pub(crate) use star_drawer::StarDrawer;
+pub(crate) use wings::{WingDrawer, wing_points};

@@ -3,7 +3,9 @@
 use std::sync::{Arc, OnceLock};
 
 use ndarray::{Array1, Array2, Array3, ArrayViewMut2, Axis, s};
-use psf_types::{Anchor, PixelRegion, PointSource, Position, Progress, PsfModel, StampGrid, Uncounted};
+use psf_types::{
+    Anchor, DataError, PixelRegion, PointSource, Position, Progress, PsfModel, StampGrid, Uncounted,
+};
 use rayon::prelude::*;
 
 use super::phases::Star;
@@ -49,13 +51,9 @@ impl StarStamps {
         check_stamps(grid, size)?;
         let beyond = models.iter().map(edge_reach_of).max();
         let kernel = Kernel::of(grid.interpolation(), beyond.unwrap_or(0));
-        let reach = |room: f64, side: usize| {
-            let reach = ((room + kernel.reach()) / grid.oversampling() + 0.5).ceil() as usize;
-            size.map_or(reach, |size| reach.min([size / 2, size - 1 - size / 2][side]))
-        };
         Ok(Self {
             kernel,
-            target: grid_reaching(grid, reach).map_err(ConvError::Result)?,
+            target: target_of(grid, kernel, size).map_err(ConvError::Result)?,
             splines: (anchor == Anchor::Output).then(OnceLock::new),
         })
     }
@@ -66,6 +64,19 @@ impl StarStamps {
         let first = [target.centre_x(), target.centre_y()].map(|centre| -(centre as i64));
         region(first[0], first[1], (target.nx(), target.ny()))
     }
+}
+
+/// A grid at the frame's scale that holds a stamp for any position of the source in its pixel, truncated to the
+/// size of stars if there is one.
+pub(super) fn target_of(
+    grid: StampGrid,
+    kernel: Kernel,
+    size: Option<usize>,
+) -> Result<StampGrid, DataError> {
+    grid_reaching(grid, |room, side| {
+        let reach = ((room + kernel.reach()) / grid.oversampling() + 0.5).ceil() as usize;
+        size.map_or(reach, |size| reach.min([size / 2, size - 1 - size / 2][side]))
+    })
 }
 
 impl<'a> StarPainter<'a> {
@@ -307,7 +318,7 @@ impl<'a> StarPainter<'a> {
             let (x, y) = star.position;
             let psf = self
                 .model
-                .psf_at(Position::new(x, y).map_err(ConvError::Result)?)?;
+                .core_at(Position::new(x, y).map_err(ConvError::Result)?)?;
             interpolator(psf.values()).resample(star.shift, target)
         };
         values.mapv_inplace(|v| v * source.flux());

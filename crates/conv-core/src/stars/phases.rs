@@ -165,8 +165,8 @@ pub(super) struct Star {
     pub(super) flux: f64,
 }
 
-/// A star with its phases and the coefficients of its block's kernels.
-#[derive(Debug)]
+/// A star with its phases and the coefficients of its kernels.
+#[derive(Debug, Clone)]
 pub(super) struct PhasedStar<T> {
     /// Its own pixel.
     pub(super) pixel: (i64, i64),

@@ -5,6 +5,7 @@
 //! A star is drawn where its flux times this limit is above the floor.
 
 use std::ops::Range;
+use std::sync::OnceLock;
 
 use ndarray::{Array2, ArrayView2};
 use psf_types::PixelRegion;
@@ -28,7 +29,7 @@ const PER_OCTAVE: f64 = 2.0;
 /// The most levels. Brighter stars are drawn on all pixels.
 const MOST_LEVELS: usize = 96;
 /// A star is drawn at least within the radius of this part of its light.
-const LEAST_LIGHT: f64 = 0.9;
+pub(super) const LEAST_LIGHT: f64 = 0.9;
 
 /// The pixels on which the stars of a block are drawn, by their brightness.
 #[derive(Debug)]
@@ -39,9 +40,9 @@ pub(super) struct Reach {
     /// The largest limit of any pixel.
     peak: f64,
     /// From faint to bright: level `l` is for stars whose flux times `peak` is at most
-    /// `floor * 2^(l / PER_OCTAVE)`.
-    levels: Vec<Level>,
-    window: PixelRegion,
+    /// `floor * 2^(l / PER_OCTAVE)`. Each is made when a star first needs it.
+    levels: Vec<OnceLock<Level>>,
+    limits: Limits,
 }
 
 /// The pixels on which stars of a similar brightness are drawn.
@@ -71,10 +72,10 @@ pub(super) struct AtCorners<'a> {
 }
 
 impl Reach {
-    /// `values` are the kernels' coefficients `[row, kernel, value of a row]`. `None` if all stars are drawn
-    /// on all pixels.
+    /// `values` are the kernels' coefficients `[row, kernel, value of a row]`. All stars are drawn within the
+    /// radius of the part `least_light` of the light. `None` if all stars are drawn on all pixels.
     pub(super) fn new<T: ConvReal>(
-        floor: f64,
+        (floor, least_light): (f64, f64),
         values: &[T],
         corners: &AtCorners<'_>,
         (axes, layout): (&[PhasedAxis; 2], RowLayout),
@@ -90,23 +91,20 @@ impl Reach {
                 *mean += c * scale / corners.scales.len() as f64;
             }
         }
-        let limits = Limits::new(values, (&largest, &mean), (axes, layout, window));
+        let limits = Limits::new(values, (&largest, &mean), least_light, (axes, layout, window));
         let peak = f64::from(limits.of_runs.iter().fold(0.0_f32, |peak, &v| peak.max(v)));
         if floor <= 0.0 || peak <= 0.0 || !peak.is_finite() {
             return None;
         }
-        let level = |number: usize| {
-            let faintest = peak * 2.0_f64.powf(-(number as f64) / PER_OCTAVE);
-            limits.level(faintest as f32)
-        };
-        let is_partial = |level: &Level| level.brightest.iter().any(|&v| v > 0.0);
-        let levels = (0..MOST_LEVELS).map(level).take_while(is_partial).collect();
+        let least = limits.least();
+        let is_partial = |&level: &usize| least <= faintest_of(peak, level);
+        let levels = (0..MOST_LEVELS).take_while(is_partial).map(|_| OnceLock::new());
         Some(Self {
             floor,
             largest,
             peak,
-            levels,
-            window,
+            levels: levels.collect(),
+            limits,
         })
     }
 
@@ -118,30 +116,56 @@ impl Reach {
     }
 
     pub(super) fn level(&self, number: usize) -> &Level {
-        &self.levels[number]
+        self.levels[number].get_or_init(|| self.limits.level(faintest_of(self.peak, number)))
+    }
+
+    /// The factor by which the limits must grow to hold for the coefficients of a star's PSF, times `scale`. At
+    /// least 1.
+    pub(super) fn excess(&self, coefficients: &[f64], scale: f64) -> f64 {
+        let pairs = coefficients.iter().zip(&self.largest);
+        let over = pairs
+            .filter(|(c, _)| **c != 0.0)
+            .map(|(c, largest)| (c * scale).abs() / largest);
+        over.fold(1.0, f64::max)
     }
 
     /// Whether the limits hold for the coefficients of a star's PSF, times `scale`.
     pub(super) fn holds_for(&self, coefficients: &[f64], scale: f64) -> bool {
-        let mut pairs = coefficients.iter().zip(&self.largest);
-        pairs.all(|(c, largest)| (c * scale).abs() <= *largest)
+        self.excess(coefficients, scale) <= 1.0
     }
 
     /// The part of the window's pixels that are drawn, for a star of a flux.
     pub(super) fn part_of(&self, flux: f64) -> f64 {
-        let drawn = |level: &Level| level.segments.iter().map(|s| s.end - s.start).sum::<i64>() as f64;
-        let all = self.window.shape().pixel_count() as f64;
-        self.level_of(flux)
-            .map_or(1.0, |level| drawn(self.level(level)) / all)
+        self.level_of(flux).map_or(1.0, |level| self.part(level))
+    }
+
+    /// The part of the window's pixels that are drawn, for the stars of a level.
+    pub(super) fn part(&self, level: usize) -> f64 {
+        let segments = &self.level(level).segments;
+        let drawn: i64 = segments.iter().map(|s| s.end - s.start).sum();
+        drawn as f64 / self.limits.window.shape().pixel_count() as f64
     }
 
     /// Adds the light that a star drops at most. `pixel` is the star's own pixel.
     pub(super) fn add_dropped(&self, (column, row): (i64, i64), flux: f64, dropped: &mut DroppedLight) {
-        let level = self.level_of(flux).map(|number| self.level(number));
-        dropped.count(flux, level.map_or(0.0, |level| level.dropped));
-        let Some(level) = level else { return };
-        let (x0, y0) = (column + self.window.x0(), row + self.window.y0());
-        let rectangle = PixelRegion::new(x0, y0, self.window.shape());
+        let level = self.level_of(flux);
+        dropped.count(flux, level.map_or(0.0, |number| self.level(number).dropped));
+        if let Some(level) = level {
+            self.add_dropped_of_level((column, row), flux, level, dropped);
+        }
+    }
+
+    /// Adds the light that a star of a level drops at most, in squares.
+    fn add_dropped_of_level(
+        &self,
+        (column, row): (i64, i64),
+        flux: f64,
+        level: usize,
+        dropped: &mut DroppedLight,
+    ) {
+        let (level, window) = (self.level(level), self.limits.window);
+        let (x0, y0) = (column + window.x0(), row + window.y0());
+        let rectangle = PixelRegion::new(x0, y0, window.shape());
         let index = |at: i64, first: i64| ((at - first).div_euclid(SQUARE) + 1) as usize;
         dropped.add(rectangle, |x, y| {
             let limit = f64::from(level.brightest[[index(y, y0), index(x, x0)]]);
@@ -149,12 +173,51 @@ impl Reach {
         });
     }
 
-    pub(super) fn bytes(&self) -> usize {
-        let of_level = |level: &Level| {
-            size_of_val(&level.segments[..]) + size_of_val(&level.starts[..]) + 4 * level.brightest.len()
-        };
-        self.levels.iter().map(of_level).sum()
+    /// Adds the light that the wings of a star of a level drop at most. The star's flux is already counted.
+    pub(super) fn add_dropped_beside_core(
+        &self,
+        pixel: (i64, i64),
+        flux: f64,
+        level: usize,
+        dropped: &mut DroppedLight,
+    ) {
+        let light = f64::from(self.limits.light.sum());
+        dropped.count_dropped(flux * light * self.level(level).dropped);
+        self.add_dropped_of_level(pixel, flux, level, dropped);
     }
+
+    /// As [`add_dropped_beside_core`](Self::add_dropped_beside_core), for many stars `(pixel, flux)` of one level
+    /// together. Each star counts for all pixels of the square in which it lies.
+    pub(super) fn add_dropped_of_all(
+        &self,
+        stars: &[((i64, i64), f64)],
+        level: usize,
+        dropped: &mut DroppedLight,
+    ) {
+        let (light, level) = (f64::from(self.limits.light.sum()), self.level(level));
+        let flux: f64 = stars.iter().map(|(_, flux)| flux).sum();
+        dropped.count_dropped(flux * light * level.dropped);
+        let window = self.limits.window;
+        let first = |&((column, row), _): &((i64, i64), f64)| (column + window.x0(), row + window.y0());
+        let lit = stars.iter().map(|star| (first(star), star.1));
+        // The first column of a star's window may be any of a square, so each limit counts for two squares.
+        let (ny, nx) = level.brightest.dim();
+        let of_two = Array2::from_shape_fn((ny, nx), |(j, i)| {
+            let at = |j: usize, i: usize| level.brightest.get((j, i)).copied().unwrap_or(0.0);
+            at(j, i).max(at(j + 1, i)).max(at(j, i + 1)).max(at(j + 1, i + 1))
+        });
+        dropped.add_convolved(lit, of_two.mapv(f64::from).view());
+    }
+
+    pub(super) fn bytes(&self) -> usize {
+        // A level is about as large as the limits.
+        (1 + self.levels.len()) * size_of::<f32>() * self.limits.of_runs.len()
+    }
+}
+
+/// The least limit of pixels that stars of a level light.
+fn faintest_of(peak: f64, level: usize) -> f32 {
+    (peak * 2.0_f64.powf(-(level as f64) / PER_OCTAVE)) as f32
 }
 
 impl Level {
@@ -169,6 +232,7 @@ impl Level {
 }
 
 /// The light of stars of flux 1, in runs of pixels.
+#[derive(Debug)]
 struct Limits {
     window: PixelRegion,
     /// Upper limits of the light of a pixel, `[row, run]` of the window.
@@ -186,6 +250,7 @@ impl Limits {
     fn new<T: ConvReal>(
         values: &[T],
         (largest, mean): (&[f64], &[f64]),
+        least_light: f64,
         ([columns, rows], layout, window): (&[PhasedAxis; 2], RowLayout, PixelRegion),
     ) -> Self {
         let (nx, ny) = (window.shape().nx(), window.shape().ny());
@@ -247,14 +312,27 @@ impl Limits {
             of_runs,
             light,
         };
-        let radius = made.radius();
+        let radius = made.radius(least_light);
         let near = Array2::from_shape_fn(made.light.dim(), |(row, run)| made.distance(row, run) <= radius);
         made.is_near = near;
         made
     }
 
-    /// A radius within which lies the least light to draw, in pixels.
-    fn radius(&self) -> f64 {
+    /// The least limit above 0 of the pixels that are not always drawn. Infinite if there are none.
+    fn least(&self) -> f32 {
+        let far = self
+            .of_runs
+            .iter()
+            .zip(&self.is_near)
+            .filter(|(v, near)| **v > 0.0 && !**near);
+        far.fold(f32::INFINITY, |least, (&v, _)| least.min(v))
+    }
+
+    /// A radius within which lies a part of the light, in pixels. Negative for no light.
+    fn radius(&self, part: f64) -> f64 {
+        if part <= 0.0 {
+            return -1.0;
+        }
         let mut runs: Vec<(f64, f64)> = self
             .light
             .indexed_iter()
@@ -265,7 +343,7 @@ impl Limits {
         let mut sum = 0.0;
         let within = runs.iter().find(|(_, light)| {
             sum += light;
-            total > 0.0 && sum >= LEAST_LIGHT * total
+            total > 0.0 && sum >= part * total
         });
         within.map_or(f64::INFINITY, |(distance, _)| *distance)
     }

@@ -6,7 +6,7 @@ use psf_types::PixelRegion;
 use super::phase_norms::{AlongMean, PhaseNorms};
 use super::phased_stamps::PhasedStamps;
 use super::phases::PhasedAxis;
-use super::reach::{AtCorners, Reach};
+use super::reach::{AtCorners, LEAST_LIGHT, Reach};
 use super::row_layout::RowLayout;
 use crate::ConvReal;
 use crate::plan::local_modes::LocalModes;
@@ -61,7 +61,7 @@ impl<T: ConvReal> StarBlock<T> {
                 coefficients: at_corners.slice(s![.., first..]),
                 scales: &fluxes.iter().map(scale).collect::<Vec<f64>>(),
             };
-            Reach::new(floor, values.get(), &corners, (axes, layout))
+            Reach::new((floor, LEAST_LIGHT), values.get(), &corners, (axes, layout))
         });
         Self {
             values,

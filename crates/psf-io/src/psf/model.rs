@@ -7,10 +7,12 @@
 //! | 0, primary | double cube `[plane, y, x]`: the mean stamp if `CENTRED` is `T`, then the `NCOMP` orthonormal basis stamps |
 //! | `COEFFS`, binary table | columns `X`, `Y` (doubles, 0-based pixels of the frame) and `A` (`NCOMP` doubles; absent for `NCOMP = 0`): one row per sample. Version 2: a column `WAVELENGTH`, `TIME`, `FRAME` or `SPECTRUM` as in [`psf-samples`](crate::samples), after `Y` |
 //! | `SINGULAR`, binary table | optional: column `S`, the leading singular values of the fit (doubles) |
+//! | `WINGS`, image | version 3: single-precision cube `[mode, y, x]`, the stamps of the wings, with the keywords `OVERSAMP`, `CENX`, `CENY`, `PIXCONV` and `STAMPINT` of their own |
+//! | `WINGCOEF`, binary table | version 3: column `B`, one double for each of these stamps: the coefficients of the wings at the samples, in the order of `COEFFS` |
 //!
 //! | keyword of HDU 0 | meaning |
 //! |---|---|
-//! | `PSFMODEL` | version of the layout: 1, or 2 if the PSF depends on more than the position |
+//! | `PSFMODEL` | version of the layout: 1, 2 if the PSF depends on more than the position, or 3 if it has wings |
 //! | `NCOMP` | number of components `K` |
 //! | `CENTRED` | `T` if plane 0 is the mean stamp, `F` (default) if there is none |
 //! | `INTERPOL` | `auto`, `delaunay`, `natural-neighbour`, `idw`, `idw=POWER` (the last three on a tree of cells, see the crate `coeff-field`), `bilinear`, `bicubic`, `kriging=KERNEL,LENGTH_X,LENGTH_Y,TREND,NUGGET`, `polynomial=DEGREE`, `nearest` or `table=COLUMNS,ROWS` (the rows of `COEFFS` are the nodes of a table) |
@@ -20,7 +22,10 @@
 //! | `CIRCERR` | optional: largest error of the flux in circles about the source at the samples, relative to the total flux, that the components left out cause |
 //! | `OVERSAMP`, `CENX`, `CENY`, `PIXCONV`, `STAMPINT`, `FIELDNX`, `FIELDNY` | as in [`psf-samples`](crate::samples) |
 //!
-//! A model whose PSF depends on the position only is always written as version 1.
+//! A model without wings whose PSF depends on the position only is always written as version 1.
+//!
+//! If there are wings, `basis[k]` is the basis of the PSF's core, and the wings, `sum_k B[k] * wings[k]`, are
+//! added to the core with the centres of both on each other.
 //!
 //! The PSF at a sample is `mean + sum_k A[k] * basis[k]`, scaled to unit flux if `NORMALIS` is
 //! `unit`. Without a mean stamp, `mean` is 0. Every number is read back bit by bit, because doubles
@@ -41,11 +46,12 @@
 use std::path::Path;
 
 use ndarray::{Array2, Axis, s};
-use psf_types::{Interpolation, PsfBasis, PsfModelRecord, SampleCoefficients};
+use psf_types::{Interpolation, PsfBasis, PsfModelRecord, SampleCoefficients, SamplePositions, WingsRecord};
 
 use crate::error::{IoError, IoErrorKind, Row, invalid};
 use crate::fits::card::{Card, CardValue};
 use crate::fits::columns::{Table, bad_value};
+use crate::fits::hdu::Hdu;
 use crate::fits::header_cards::HeaderCards;
 use crate::fits::image::{read_stack, stack_shape};
 use crate::fits::image_out::{cards, write_fits, write_image_hdu};
@@ -56,11 +62,13 @@ use crate::psf::samples::{field, grid_cards, stamp_grid};
 /// The keyword that identifies a PSF model.
 const VERSION_KEYWORD: &str = "PSFMODEL";
 /// The newest version of the layout that this crate can read.
-pub const MODEL_VERSION: i64 = 2;
+pub const MODEL_VERSION: i64 = 3;
 const CIRCLE_ERROR: &str = "CIRCERR";
 const TABLE_OF: &str = "TABLEOF";
 const COEFFICIENTS: &str = "COEFFS";
 const SINGULAR_VALUES: &str = "SINGULAR";
+const WINGS: &str = "WINGS";
+const WING_COEFFICIENTS: &str = "WINGCOEF";
 
 /// The content of a `psf-model` file.
 #[derive(Debug, Clone, PartialEq)]
@@ -159,10 +167,13 @@ pub fn read_model_file(path: impl AsRef<Path>) -> Result<ModelFile, IoError> {
     // planes, which fails ndarray's debug assertions.
     let components = planes.slice_move(s![usize::from(centred).., .., ..]);
     let basis = PsfBasis::new(mean, components, grid).map_err(invalid(path))?;
+    let wings = read_wings(&structure, coefficients.positions())?;
     let record = PsfModelRecord::new(basis, coefficients, interpolation, outside, normalisation)
         .map_err(invalid(path))?
         .with_circle_error(circle_error)
-        .with_table_of(table_of);
+        .with_table_of(table_of)
+        .with_wings(wings)
+        .map_err(invalid(path))?;
     let singular_values = match structure.table(SINGULAR_VALUES) {
         Some(table) => Table::new(table)?.read("S", 1)?,
         None => Vec::new(),
@@ -172,6 +183,27 @@ pub fn read_model_file(path: impl AsRef<Path>) -> Result<ModelFile, IoError> {
         singular_values,
         header: hdu.header.carried(),
     })
+}
+
+/// Reads the wings of a model, if it has any. `positions` are those of its samples.
+fn read_wings(
+    structure: &FitsStructure,
+    positions: &SamplePositions,
+) -> Result<Option<WingsRecord>, IoError> {
+    let is_wings = |hdu: &&Hdu| hdu.name().is_some_and(|name| name == WINGS);
+    let Some(hdu) = structure.hdus.iter().find(is_wings) else {
+        return Ok(None);
+    };
+    let path = &structure.path;
+    let shape = stack_shape(hdu, "a cube of the wings' stamps [mode, y, x]")?;
+    let grid = stamp_grid(hdu, shape.2, shape.1)?;
+    let needed = "binary table WINGCOEF with the coefficients B of the wings";
+    let table = Table::new(structure.needed_table(WING_COEFFICIENTS, needed)?)?;
+    let values = Array2::from_shape_vec((table.rows, shape.0), table.read("B", shape.0)?);
+    let values = values.expect("a row has a value for each stamp");
+    let coefficients = SampleCoefficients::new(values, positions.clone()).map_err(invalid(path))?;
+    let wings = WingsRecord::new(read_stack(hdu, shape)?, coefficients, grid);
+    wings.map(Some).map_err(invalid(path))
 }
 
 /// Writes a PSF model in the [`psf-model` layout](self).
@@ -210,7 +242,11 @@ pub fn write_model(
     };
     let centred = basis.mean().is_some();
     // Older versions of psfield read version 1.
-    let version = if positions.states().is_some() { 2 } else { 1 };
+    let version = match (record.wings(), positions.states()) {
+        (Some(_), _) => 3,
+        (None, Some(_)) => 2,
+        (None, None) => 1,
+    };
     let own = [
         (VERSION_KEYWORD, version.into(), "version of this layout"),
         ("NCOMP", rank.into(), "number of components"),
@@ -254,6 +290,19 @@ pub fn write_model(
         if !singular_values.is_empty() {
             fits.create_table(SINGULAR_VALUES, singular_values.len(), &[("S", "D".to_owned())])?;
             fits.write_column(1, singular_values)?;
+        }
+        if let Some(wings) = record.wings() {
+            let (modes, ny, nx) = wings.stamps().dim();
+            let name = cards(path, [("EXTNAME", WINGS.into(), "wings of the PSF")])?;
+            let header = HeaderCards::new()
+                .with(&name)
+                .with(&grid_cards(wings.grid(), None));
+            let stamps = wings.stamps();
+            let pixels = stamps.as_slice().expect("stamps are row-major");
+            write_image_hdu(fits, &[modes, ny, nx], pixels, &header)?;
+            let coefficients = wings.coefficients().values();
+            fits.create_table(WING_COEFFICIENTS, positions.len(), &[("B", format!("{modes}D"))])?;
+            fits.write_column(1, coefficients.as_slice().expect("coefficients are row-major"))?;
         }
         Ok(())
     })

@@ -126,7 +126,7 @@ pub(super) fn constant(model: &PsfModel, position: Position) -> Result<PsfModel,
     let psf = model.psf_at(position)?;
     let norm = psf.values().iter().map(|v| v * v).sum::<f64>().sqrt();
     let stamp = psf.values().mapv(|v| v / norm).insert_axis(Axis(0));
-    let basis = PsfBasis::new(None, stamp, model.grid())?;
+    let basis = PsfBasis::new(None, stamp, model.whole_grid())?;
     let at = SamplePositions::new(vec![position], model.field_shape())?;
     let coefficient = SampleCoefficients::new(Array2::from_elem((1, 1), norm), at)?;
     let field = Nearest.interpolate(&coefficient, OutsidePolicy::Nearest)?;

@@ -57,7 +57,8 @@ impl Validation {
     /// include the pixel response and the samples lack it.
     pub fn of_samples(model: &PsfModel, truth: &PsfSamples) -> Result<Self, LabError> {
         let grid = truth.grid();
-        if model.grid().pixel_response_included() && !grid.pixel_response_included() {
+        let own = model.whole_grid();
+        if own.pixel_response_included() && !grid.pixel_response_included() {
             return Err(LabError::TruthWithoutPixels);
         }
         let unit = model.normalisation() == Normalisation::Unit;
@@ -67,10 +68,10 @@ impl Validation {
             .par_iter()
             .map(|&at| {
                 let psf = model.psf_at(at)?;
-                let stamp = if grid == model.grid() {
+                let stamp = if grid == own {
                     psf.into_values()
                 } else {
-                    StampInterpolator::new(psf.values(), model.grid()).resample((0.0, 0.0), grid)
+                    StampInterpolator::new(psf.values(), own).resample((0.0, 0.0), grid)
                 };
                 // The grid of the model may reach further than the grid of the truth. Both PSFs
                 // therefore get unit flux on the grid of the truth.

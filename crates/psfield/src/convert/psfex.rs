@@ -85,7 +85,9 @@ pub fn to_psfex(psf: &Psf, degree: Option<usize>) -> Result<PsfexConversion, Psf
     }
     let notes = notes(psf);
     let samples = match psf.stored() {
-        Some(record) if own_degree.is_some_and(|own| own <= degree) => polynomial_samples(record, degree)?,
+        Some(record) if record.wings().is_none() && own_degree.is_some_and(|own| own <= degree) => {
+            polynomial_samples(record, degree)?
+        }
         _ => to_samples(psf, &SamplesAt::Own)?,
     };
     let samples = with_centre_in_the_middle(samples, FORMAT)?;

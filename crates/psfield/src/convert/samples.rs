@@ -54,7 +54,7 @@ pub fn to_samples(psf: &Psf, at: &SamplesAt) -> Result<PsfSamples, PsfieldError>
 fn grid_positions(psf: &Psf, nx: usize, ny: usize) -> Result<Vec<Position>, PsfieldError> {
     // Check the size of the stack of stamps now: for a huge grid, the positions alone would fill
     // the memory.
-    check_stack(nx.saturating_mul(ny), psf.grid())?;
+    check_stack(nx.saturating_mul(ny), psf.whole_grid())?;
     let known = psf.positions();
     let [x, y] = match known.field() {
         Some(field) => [(0.0, (field.nx() - 1) as f64), (0.0, (field.ny() - 1) as f64)],

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use psf_types::{CoefficientField, PsfModel, PsfModelRecord, SampleCoefficients};
+use psf_types::{CoefficientField, PsfModel, PsfModelRecord, SampleCoefficients, Wings, WingsRecord};
 
 use crate::error::PsfieldError;
 
@@ -14,7 +14,20 @@ use crate::error::PsfieldError;
 /// several states.
 pub fn model_of(record: PsfModelRecord) -> Result<PsfModel, PsfieldError> {
     let field = field_of(&record, record.coefficients())?;
-    Ok(record.into_model(field)?)
+    let wings = record
+        .wings()
+        .map(|wings| wings_of(&record, wings, wings.coefficients()));
+    let wings = wings.transpose()?;
+    Ok(record.into_model(field)?.with_wings(wings)?)
+}
+
+/// The wings of a model with some of their coefficients.
+fn wings_of(
+    record: &PsfModelRecord,
+    wings: &WingsRecord,
+    coefficients: &SampleCoefficients,
+) -> Result<Wings, PsfieldError> {
+    Ok(wings.with_field(field_of(record, coefficients)?)?)
 }
 
 /// Makes the models of all states of a record, in the order of their values. They share their
@@ -24,7 +37,7 @@ pub fn model_of(record: PsfModelRecord) -> Result<PsfModel, PsfieldError> {
 /// The errors of [`model_of`].
 pub(crate) fn models_of(record: &PsfModelRecord) -> Result<Vec<PsfModel>, PsfieldError> {
     let first = state_field(record, 0)?;
-    let first = record.clone().into_model(first)?;
+    let first = with_state_wings(record.clone().into_model(first)?, record, 0)?;
     let mut others = models_on(record, &first, 1)?;
     others.insert(0, first);
     Ok(others)
@@ -38,8 +51,22 @@ pub(crate) fn models_on(
 ) -> Result<Vec<PsfModel>, PsfieldError> {
     let states = from..record.coefficients().positions().state_count();
     states
-        .map(|state| Ok(stamps.with_field(state_field(record, state)?)?))
+        .map(|state| {
+            let model = stamps.with_field(state_field(record, state)?)?;
+            with_state_wings(model, record, state)
+        })
         .collect()
+}
+
+/// A model with the wings of a state of its record.
+fn with_state_wings(
+    model: PsfModel,
+    record: &PsfModelRecord,
+    state: usize,
+) -> Result<PsfModel, PsfieldError> {
+    let of_state = |wings: &WingsRecord| wings_of(record, wings, &wings.coefficients().of_state(state));
+    let wings = record.wings().map(of_state).transpose()?;
+    Ok(model.with_wings(wings)?)
 }
 
 /// The coefficient field of a state. 0 if the PSF depends on the position only.

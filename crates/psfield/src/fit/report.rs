@@ -5,7 +5,7 @@ use metrics::Summary;
 use psf_types::{Interpolation, Normalisation, OutsidePolicy};
 use serde::Serialize;
 
-use super::Fit;
+use super::{Fit, WingsReport};
 use crate::error::PsfieldError;
 
 /// The errors of a fit, and the choices that it made. Errors are relative L2 errors of stamps.
@@ -20,7 +20,7 @@ pub struct FitReport {
     /// The values of this quantity that samples have, ascending (micrometres, seconds, or numbers of
     /// frames).
     pub states: Vec<f64>,
-    /// Number of components kept, without the mean.
+    /// Number of components kept, without the mean. If there are wings, one more may carry the flux.
     pub rank: usize,
     /// Number of components at the elbow of the cumulative weights ([`psf_basis`] defines it).
     pub elbow: Option<usize>,
@@ -51,6 +51,9 @@ pub struct FitReport {
     /// The error that kriging expects between the samples: relative L2, r.m.s. over the field, without the
     /// truncation error. None for other interpolations.
     pub expected_error: Option<f64>,
+    /// The wings that were split from the samples. None if the stamps are too small for it, or if a few stamps
+    /// do not represent their wings.
+    pub wings: Option<WingsReport>,
     /// The singular values that were computed, in descending order ([`psf_basis::Spectrum`]).
     pub singular_values: Vec<f64>,
     /// The cumulative weights of the singular values.
@@ -126,6 +129,7 @@ impl Fit {
             warnings: self.warnings_of(&left_out),
             leave_one_out: left_out,
             expected_error: self.expected_error.map(|error| error / self.mean_norm()),
+            wings: self.wings.clone(),
             singular_values: self.singular_values().to_vec(),
             cumulative_weights: spectrum.map(|s| s.cumulative_weights.clone()).unwrap_or_default(),
         })

@@ -85,6 +85,7 @@ pub(crate) fn tabulated(
     record: &PsfModelRecord,
     own: OwnInterpolation<'_>,
 ) -> Result<PsfModelRecord, PsfieldError> {
+    refuse_wings(record.wings().is_some())?;
     if !(own.table_error > 0.0 && own.table_error.is_finite()) {
         let message = format!("table_error must be above 0, got {}", own.table_error);
         return Err(PsfieldError::of_setting("table_error", message));
@@ -123,6 +124,15 @@ pub(crate) fn tabulated(
     Ok(table.with_table_of(Some(own.name.to_owned())))
 }
 
+/// Refuses the wings of a PSF, for which no table is made.
+fn refuse_wings(has_wings: bool) -> Result<(), PsfieldError> {
+    if has_wings {
+        let message = "a PSF with wings cannot have an interpolation of your own: take a PSF without wings";
+        return Err(PsfieldError::new(ErrorKind::Setting, message));
+    }
+    Ok(())
+}
+
 /// A table of a model whose coefficient field may be the caller's own.
 pub(crate) fn table_of(model: &PsfModel) -> Result<PsfModelRecord, PsfieldError> {
     let frame = model.field_shape().ok_or_else(|| {
@@ -130,6 +140,7 @@ pub(crate) fn table_of(model: &PsfModel) -> Result<PsfModelRecord, PsfieldError>
                                 PsfModel";
         PsfieldError::new(ErrorKind::Format, NO_FRAME)
     })?;
+    refuse_wings(model.wings().is_some())?;
     let stamps = model.stamps();
     let first = usize::from(model.is_mean_centred());
     let mean = model.is_mean_centred().then(|| model.stamp(0).to_owned());

@@ -58,7 +58,7 @@ impl MovingNative {
         let native = native_grid_of(moving.target, 1.0, 0.0, || 0)?;
         let step = moving.oversampling as usize;
         let [ny, nx] = moving.plane.shape().map(|n| n / step);
-        let record = psf.record()?;
+        let record = psf.record_without_wings()?;
         let basis = record.basis();
         let fits = |stamps: usize| check_stack(2 * (stamps + 1), moving.target).is_ok();
         // For fewer exposures than states, to make the stamps of all states would take longer.

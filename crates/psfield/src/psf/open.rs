@@ -6,11 +6,12 @@ use psf_basis::{Centring, PixelNoise, RankSelection};
 use psf_io::{FileKind, HduChoice, PlaneOrder, ScopesimOptions, StampCubeOptions};
 use psf_types::{
     Interpolation, Normalisation, OutsidePolicy, Position, PsfBasis, PsfSamples, SamplePositions, StateKind,
+    WingsRecord,
 };
 use serde::{Deserialize, Serialize};
 
 use super::format_records::{record_of_psfex, record_of_scopesim};
-use super::{Note, Origin, Psf, SourceFile};
+use super::{Note, Origin, Psf, SourceFile, WingsSource};
 use crate::error::{ErrorKind, PsfieldError};
 use crate::fit::FitOptions;
 
@@ -51,6 +52,8 @@ pub struct PsfFileOptions {
     pub centre: Option<Position>,
     /// States whether the stamps include the pixel response. This overrides the file.
     pub pixel_response_included: Option<bool>,
+    /// Wings that are joined to the PSF ([`Psf::joined_to`]).
+    pub wings: Option<WingsSource>,
 }
 
 impl PsfFileOptions {
@@ -283,6 +286,13 @@ impl Psf {
                     );
                     return Err(PsfieldError::of_setting(setting, message));
                 }
+                if record.wings().is_some() && choices.normalisation == Some(Normalisation::Unit) {
+                    let message = format!(
+                        "{}: the PSF has wings, which were scaled together with its core: leave the setting normalisation out",
+                        path.display()
+                    );
+                    return Err(PsfieldError::of_setting("normalisation", message));
+                }
                 let outside = choices.outside.unwrap_or(record.outside());
                 let normalisation = choices.normalisation.unwrap_or(record.normalisation());
                 Origin::Record(record.with_policies(outside, normalisation))
@@ -290,6 +300,12 @@ impl Psf {
             model @ Origin::Model(..) => model,
         };
         let psf = Self::with_source(origin, source);
+        let psf = match &file.wings {
+            Some(wings) => psf
+                .joined_to(wings)
+                .map_err(|error| error.with_setting("wings"))?,
+            None => psf,
+        };
         match file.state()?.filter(|_| kind != FileKind::Scopesim) {
             Some((chosen, value, setting)) => psf.at_chosen_state(chosen, value, setting),
             None => Ok(psf),
@@ -491,7 +507,12 @@ impl Origin {
                 let mean = basis.mean().map(|mean| mean.to_owned());
                 let basis = PsfBasis::new(mean, basis.components().to_owned(), grid)?;
                 let changed = record.with_parts(basis, record.coefficients().clone())?;
-                Self::Record(changed.with_circle_error(record.circle_error()))
+                let changed = changed.with_circle_error(record.circle_error());
+                let wings = record.wings().map(|wings| {
+                    let grid = wings.grid().with_pixel_response_included(included);
+                    WingsRecord::new(wings.stamps().to_owned(), wings.coefficients().clone(), grid)
+                });
+                Self::Record(changed.with_wings(wings.transpose()?)?)
             }
             model @ Self::Model(..) => model,
         })

@@ -22,6 +22,9 @@ impl Psf {
     /// [`PsfieldError`] when `size` is 0, resampled samples hold no flux, or the stamps would fill more
     /// memory than [`check_stack`] allows. The errors of [`record`](Self::record).
     pub fn native(&self, size: Option<usize>) -> Result<Self, PsfieldError> {
+        if let Some(changed) = self.changed_by_parts(|part| part.native(size))? {
+            return Ok(changed);
+        }
         let target = self.native_target(size)?;
         if target == self.grid() {
             return Ok(self.clone());
@@ -70,6 +73,9 @@ impl Psf {
     pub fn with_pixel_response(&self) -> Result<Self, PsfieldError> {
         if self.grid().pixel_response_included() {
             return Ok(self.clone());
+        }
+        if let Some(changed) = self.changed_by_parts(Self::with_pixel_response)? {
+            return Ok(changed);
         }
         self.resampled(grid_with_pixel_response(self.grid(), self.edge_reach())?)
     }
@@ -219,7 +225,7 @@ impl Psf {
                 ))
             }
             Origin::Record(_) | Origin::Model(..) => {
-                let record = self.record()?;
+                let record = self.record_without_wings()?;
                 let (basis, nodes) = (record.basis(), record.coefficients());
                 check_stack(basis.rank() + 1, target)?;
                 let made = psf_basis::orthonormal(

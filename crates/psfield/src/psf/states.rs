@@ -110,6 +110,11 @@ impl Psf {
         let mixture = record.with_parts(record.basis().clone(), coefficients)?;
         // The error of a mixture is at most the largest error of its parts.
         let mixture = mixture.with_circle_error(record.circle_error());
+        let wings = record.wings().map(|wings| {
+            let mixed = coeff_field::mix_states(wings.coefficients(), method, mixtures, labels)?;
+            Ok::<_, PsfieldError>(wings.with_coefficients(mixed)?)
+        });
+        let mixture = mixture.with_wings(wings.transpose()?)?;
         let mixed = self.derived(mixture, self.0.source.clone());
         // If the models of the states exist, the new ones share their stamps.
         if let Some([first, ..]) = self.0.models.get().map(Vec::as_slice) {

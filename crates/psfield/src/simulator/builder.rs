@@ -113,7 +113,12 @@ impl SimulatorBuilder {
         if self.options.method == Method::Own {
             return Err(Method::refused(Method::Own));
         }
-        let parts = vec![Arc::new(Part::new(self.psf))];
+        // Only a PSF that is drawn at its source may have wings.
+        let psf = match self.options.anchor {
+            Anchor::Output => self.psf.undivided()?,
+            _ => self.psf,
+        };
+        let parts = vec![Arc::new(Part::new(psf))];
         Simulator::of_parts(parts, None, self.shape, self.options)
     }
 
@@ -170,6 +175,8 @@ impl<T: ConvReal> Simulator<T> {
             }),
             setup,
             convolvers: Mutex::new(Vec::new()),
+            wings: OnceLock::new(),
+            of_wings: false,
         }
     }
 }

@@ -6,7 +6,7 @@ use conv_core::{
     ConvError, ConvReal, Direct, GalaxyErrors, RowStream, ScenePixelFilter, SourcePlan, StarPainter,
 };
 use ndarray::{Array2, ArrayView2, ArrayViewMut2, s};
-use psf_types::{Anchor, Image, PointSource, Position, Progress};
+use psf_types::{Anchor, Image, PointSource, Position, Progress, PsfModel};
 use rand::seq::IteratorRandom;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -149,12 +149,23 @@ impl<T: ConvReal> Simulator<T> {
         self.check_scene(scene)?;
         let mut sums = vec![0.0; pixels.len()];
         for (number, layer) in scene.layers().iter().enumerate() {
-            if let Some(image) = layer.image() {
-                let (light, first) = self.light(image, scene, progress)?;
-                let part = (light.pixels(), first);
-                self.add_image(number, part, pixels, &mut sums, allowed.as_deref_mut(), progress)?;
-            } else if layer.is_streamed() {
-                self.add_streamed(number, rows, pixels, &mut sums, allowed.as_deref_mut(), progress)?;
+            let has_image = layer.image().is_some() || layer.is_streamed();
+            let wings = if has_image { self.wings()? } else { None };
+            for part in [Some(self), wings].into_iter().flatten() {
+                let allowed = allowed.as_deref_mut();
+                if let Some(image) = layer.image() {
+                    let (light, first) = self.light(image, scene, progress)?;
+                    part.add_image(
+                        number,
+                        (light.pixels(), first),
+                        pixels,
+                        &mut sums,
+                        allowed,
+                        progress,
+                    )?;
+                } else if layer.is_streamed() {
+                    part.add_streamed(number, rows, pixels, &mut sums, allowed, progress)?;
+                }
             }
             if layer.has_sources() {
                 self.add_source_sums((number, layer), pixels, &mut sums, progress)?;
@@ -251,6 +262,15 @@ impl<T: ConvReal> Simulator<T> {
         for ((sum, star), galaxy) in sums.iter_mut().zip(stars).zip(galaxies) {
             *sum += star + galaxy;
         }
+        let (part, state) = self.shared.part_of(number);
+        if let Some(wings) = part.psf.wings()? {
+            let wings = wings.with_pixel_response()?;
+            let painter = StarPainter::new(&wings.models()?[state], frame, Anchor::Source, plan.size())?;
+            let points = with_extended(layer, |extended| plan.wing_points(layer.stars(), extended))?;
+            for (sum, light) in sums.iter_mut().zip(painter.at_pixels(&points, &of_frame)?) {
+                *sum += light;
+            }
+        }
         Ok(())
     }
 
@@ -283,7 +303,13 @@ impl<T: ConvReal> Simulator<T> {
         if tolerance == 0.0 {
             return Ok(());
         }
-        let plan = self.sources(layer)?;
+        let model = &self.image_models()?.0[layer];
+        // The stamps of wings are too large for a plan that only tells their norm.
+        let plan = if self.is_of_wings() {
+            None
+        } else {
+            Some(self.sources(layer)?)
+        };
         // The filter that takes the scene's pixels out increases the norm of the PSF.
         let of_filter = match self.options().scene_pixels {
             ScenePixels::Point => 1.0,
@@ -301,11 +327,13 @@ impl<T: ConvReal> Simulator<T> {
             let columns = near(column, frame.x0(), x0, grid.nx(), light.ncols());
             let rows = near(row, frame.y0(), y0, grid.ny(), light.nrows());
             // Where the PSF is not known, nothing is promised.
-            let norm = plan
-                .psf_norm(Position::of_pixel(of_frame.0 as i64, of_frame.1 as i64))
-                .unwrap_or(f64::INFINITY);
+            let at = Position::of_pixel(of_frame.0 as i64, of_frame.1 as i64);
             // An error in one pixel of the frame may be all of the error on the finer pixels.
-            let error = tolerance * norm * of_filter * oversample as f64;
+            let norm = match plan {
+                Some(plan) => plan.psf_norm(at).unwrap_or(f64::INFINITY) * of_filter * oversample as f64,
+                None => norm_of_wings(model, at) * geometry.pixel_area(),
+            };
+            let error = tolerance * norm;
             let mut root = 0.0;
             for &light in light
                 .slice(s![rows, columns])
@@ -377,6 +405,15 @@ impl<T: ConvReal> Simulator<T> {
         let region = self.setup.geometry.region;
         let (x0, y0) = (region.x0() as usize, region.y0() as usize);
         pixels.iter().map(|&(x, y)| (x + x0, y + y0)).collect()
+    }
+}
+
+/// The norm of wings at a position. Their model has orthonormal stamps and no mean.
+fn norm_of_wings(model: &PsfModel, at: Position) -> f64 {
+    let mut coefficients = vec![0.0; model.stamp_count()];
+    match model.coefficients_into(at, &mut coefficients) {
+        Ok(()) => coefficients.iter().map(|b| b * b).sum::<f64>().sqrt(),
+        Err(_) => f64::INFINITY,
     }
 }
 

@@ -3,7 +3,7 @@
 use std::sync::{Arc, PoisonError};
 use std::time::Instant;
 
-use conv_core::{ConvReal, Engine, Plan};
+use conv_core::{ConvReal, Engine, Plan, PlanOptions};
 use psf_types::{PixelRegion, Progress, PsfModel};
 
 use super::Simulator;
@@ -57,7 +57,7 @@ impl<T: ConvReal> Simulator<T> {
             let clock = Instant::now();
             let on_pixels = match &self.shared.images {
                 Some(images) => images.clone(),
-                None => self.setup.on_scene_pixels(self.psf())?,
+                None => self.setup.on_scene_pixels(&self.psf().core()?)?,
             };
             let models = on_pixels.models()?.to_vec();
             Ok((models, clock.elapsed().as_secs_f64()))
@@ -102,11 +102,20 @@ impl<T: ConvReal> Simulator<T> {
         Ok(made)
     }
 
+    /// The options of a plan for images with these models.
+    fn image_plan_options(&self, models: &[PsfModel]) -> Result<Option<PlanOptions>, PsfieldError> {
+        let options = self.setup.plan_options::<T>(self.psf(), models)?;
+        Ok(match self.wings()? {
+            Some(_) => options.map(PlanOptions::beside_wings),
+            None => options,
+        })
+    }
+
     fn new_convolver(&self, layers: &[usize], progress: &dyn Progress) -> Result<Convolver<T>, PsfieldError> {
         let (all, _) = self.image_models()?;
         let clock = Instant::now();
         let models: Vec<PsfModel> = layers.iter().map(|&layer| all[layer].clone()).collect();
-        let Some(options) = self.setup.plan_options::<T>(self.psf(), &models)? else {
+        let Some(options) = self.image_plan_options(&models)? else {
             return Ok(Convolver {
                 engine: None,
                 placement: self.placement_of_sources(),
@@ -133,7 +142,7 @@ impl<T: ConvReal> Simulator<T> {
         let (Some(engine), Some(models)) = (&before.engine, models) else {
             return Ok(None);
         };
-        let Some(options) = self.setup.plan_options::<T>(self.psf(), &models)? else {
+        let Some(options) = self.image_plan_options(&models)? else {
             return Ok(None);
         };
         let plan = engine
@@ -143,8 +152,18 @@ impl<T: ConvReal> Simulator<T> {
             .transpose()
     }
 
-    /// The part of the scene whose light reaches the computed region, in pixels of the scene.
+    /// The part of the scene whose light reaches the computed region, in pixels of the scene, through the wings
+    /// of the PSF if it has any.
     pub(super) fn light_region_of(
+        &self,
+        layers: &[usize],
+        progress: &dyn Progress,
+    ) -> Result<PixelRegion, PsfieldError> {
+        self.wings()?.unwrap_or(self).core_light_region(layers, progress)
+    }
+
+    /// The part of the scene whose light reaches the computed region through the core of the PSF.
+    pub(super) fn core_light_region(
         &self,
         layers: &[usize],
         progress: &dyn Progress,

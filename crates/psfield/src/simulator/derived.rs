@@ -1,6 +1,6 @@
 //! Simulators that share tiles with another one: for other regions, or for another PSF.
 
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, Mutex, OnceLock};
 use std::time::Instant;
 
 use conv_core::ConvReal;
@@ -43,10 +43,16 @@ impl<T: ConvReal> Simulator<T> {
             let convolver = Convolver::of_plan(plan, &options, clock)?;
             convolvers.push((layers, Arc::new(convolver)));
         }
+        let wings = match self.wings()? {
+            Some(wings) => Some(Box::new(wings.for_region(region, progress)?)),
+            None => None,
+        };
         Ok(Self {
             shared: Arc::clone(&self.shared),
             setup: Setup { options, geometry },
             convolvers: Mutex::new(convolvers),
+            wings: OnceLock::from(wings),
+            of_wings: self.of_wings,
         })
     }
 

@@ -49,6 +49,7 @@ impl<T: ConvReal> Simulator<T> {
         }
         let alone = |scene: &Scene<'_, T>| scene.layers().len() == 1 && scene.has_image();
         let at_once = self.setup.geometry.oversample == 1 && !scenes.is_empty() && scenes.iter().all(alone);
+        let at_once = at_once && !self.has_wings()?;
         let convolver = at_once.then(|| self.convolver(&[0], progress)).transpose()?;
         let Some(engine) = convolver.as_ref().and_then(|convolver| convolver.engine.as_ref()) else {
             progress.start(scenes.len() as u64);

@@ -75,7 +75,13 @@ impl Setup {
         let frame = self.geometry.fine(self.geometry.frame)?.shape();
         let memory = || PlanOptions::memory_for::<T>(frame, &models[0]);
         let bytes = self.options.memory.unwrap_or_else(memory);
-        Ok(Some(options.with_memory(bytes)))
+        let options = options.with_memory(bytes);
+        let has_wings = models.iter().any(|model| model.wings().is_some());
+        Ok(Some(if has_wings {
+            options.beside_wings()
+        } else {
+            options
+        }))
     }
 
     /// The PSF on the pixels of a scene's image, for its convolution.

@@ -97,7 +97,7 @@ pub(super) fn with_extended<T: ConvReal, R>(
 }
 
 impl<T: ConvReal> Simulator<T> {
-    /// Adds the sources of all layers to `image`, which holds the pixels of a region of the frame.
+    /// Adds the sources of all layers, without their wings, to `image`, which holds the pixels of a region of the frame.
     #[inline(never)]
     pub(super) fn draw_sources_into(
         &self,
@@ -122,6 +122,24 @@ impl<T: ConvReal> Simulator<T> {
         Ok(())
     }
 
+    /// Adds the wings of the sources of all layers to `image`, which holds the pixels of the simulator's region.
+    pub(super) fn draw_wings_into(
+        &self,
+        scene: &Scene<'_, T>,
+        mut image: ArrayViewMut2<'_, T>,
+        progress: &dyn Progress,
+    ) -> Result<(), PsfieldError> {
+        let (frame, region) = (self.frame(), self.setup.geometry.region);
+        let drawn = scene.layers().iter().enumerate();
+        for (number, layer) in drawn.filter(|(_, layer)| layer.has_sources()) {
+            let (plan, into) = (self.sources(number)?, image.view_mut());
+            with_extended(layer, |extended| {
+                plan.draw_wings_into((layer.stars(), extended), frame, region, into, progress)
+            })?;
+        }
+        Ok(())
+    }
+
     /// Returns upper limits of the light that is dropped in the image of a scene because it is below the floor
     /// ([`SimulateOptions::floor`](crate::SimulateOptions::floor)). None without a floor, and without sources.
     ///
@@ -142,8 +160,7 @@ impl<T: ConvReal> Simulator<T> {
         for (number, layer) in layers.filter(|(_, layer)| layer.has_sources()) {
             let plan = self.sources(number)?;
             with_extended(layer, |extended| {
-                plan.add_dropped_light((layer.stars(), extended), frame, region, &mut dropped);
-                Ok(())
+                plan.add_dropped_light((layer.stars(), extended), frame, region, &mut dropped)
             })?;
         }
         Ok(Some(dropped))

@@ -25,7 +25,7 @@ impl StampEdge {
     /// The largest values of a model's PSFs at some positions, for stamps that are cut to `size` pixels of the
     /// frame along each side.
     fn of_model(model: &PsfModel, size: Option<usize>, positions: &[Position]) -> Result<Self, FieldError> {
-        let grid = model.grid();
+        let grid = model.whole_grid();
         let s = grid.oversampling();
         let half = |centre: f64, count: usize| centre.min((count - 1) as f64 - centre) / s;
         let half = half(grid.centre_x(), grid.nx()).min(half(grid.centre_y(), grid.ny()));
@@ -34,15 +34,30 @@ impl StampEdge {
             radius,
             ..Self::default()
         };
+        let is_edge = |(j, i): (usize, usize)| {
+            let (x, y) = ((i as f64 - grid.centre_x()) / s, (j as f64 - grid.centre_y()) / s);
+            (radius - 1.0..=radius).contains(&x.abs().max(y.abs()))
+        };
         for &position in positions {
-            let psf = model.psf_at(position)?;
-            for ((j, i), v) in psf.values().indexed_iter() {
-                let (x, y) = ((i as f64 - grid.centre_x()) / s, (j as f64 - grid.centre_y()) / s);
-                let distance = x.abs().max(y.abs());
-                if (radius - 1.0..=radius).contains(&distance) {
-                    found.edge = found.edge.max(v.abs());
-                }
-            }
+            found.edge = if let Some(wings) = model.wings().filter(|_| size.is_none()) {
+                // The core does not reach their edge, and they are too large to be computed whole.
+                let mut coefficients = vec![0.0; wings.mode_count()];
+                wings.field().evaluate_into(position, &mut coefficients)?;
+                let stamps = wings.stamps();
+                let value = |(j, i): (usize, usize)| -> f64 {
+                    let modes = coefficients.iter().enumerate();
+                    modes.map(|(k, b)| b * f64::from(stamps[[k, j, i]])).sum()
+                };
+                let (ny, nx) = grid.dim();
+                let pixels = (0..ny).flat_map(|j| (0..nx).map(move |i| (j, i)));
+                let edge = pixels.filter(|&at| is_edge(at)).map(|at| value(at).abs());
+                edge.fold(found.edge, f64::max)
+            } else {
+                let psf = model.psf_at(position)?;
+                let values = psf.values();
+                let edge = values.indexed_iter().filter(|(at, _)| is_edge(*at));
+                edge.fold(found.edge, |most, (_, v)| most.max(v.abs()))
+            };
         }
         Ok(found)
     }

@@ -3,10 +3,11 @@
 use std::ops::Range;
 
 use conv_core::{ConvError, ConvReal, RowStream, TileCounts};
-use ndarray::{ArrayView2, ArrayViewMut2, s};
+use ndarray::{Array2, ArrayView2, ArrayViewMut2, s};
 use psf_types::{FrameShape, Image, PixelRegion, Progress, Uncounted};
 
 use super::Simulator;
+use super::wings::WingRows;
 use crate::error::PsfieldError;
 use crate::scene::Scene;
 use crate::spot_check::{PixelPicker, SpotCheck};
@@ -15,7 +16,8 @@ impl<T: ConvReal> Simulator<T> {
     /// Makes the image of a scene row by row. Reads the rows of the images that the scene does not hold
     /// ([`Scene::streamed`]), in scene pixels, from `rows`, and writes the rows of the frame or of the region
     /// to `rows`. [`RowStream::read`] gets the number of the layer. The pixels are equal, bit by bit, to the
-    /// pixels of the image that [`simulate`](Self::simulate) returns.
+    /// pixels of the image that [`simulate`](Self::simulate) returns. If the PSF has wings, the scene is read
+    /// twice, and the image of its wings is held in memory.
     ///
     /// Afterwards, `count` pixels, chosen by `seed`, are compared with the direct sum, as by
     /// [`spot_check`](Self::spot_check). For this, some rows are read again. For a `count` of 0, there is no
@@ -40,9 +42,18 @@ impl<T: ConvReal> Simulator<T> {
             const NO_IMAGE: &str = "a scene without an image has no rows to be streamed";
             return Err(PsfieldError::new(crate::error::ErrorKind::Data, NO_IMAGE).into());
         }
+        let mut of_wings = match self.wings()? {
+            Some(wings) => Some(wings.streamed_in_memory(scene, rows, progress)?),
+            None => None,
+        };
+        if let Some(of_wings) = &mut of_wings {
+            self.draw_wings_into(scene, of_wings.view_mut(), progress)?;
+        }
         let convolver = self.convolver(&layers, progress)?;
         let engine = convolver.engine_for("rows can be streamed")?;
         let mut passed = SceneRows {
+            of_wings: of_wings.as_ref().map(|image| image.view()),
+            draws_sources: true,
             simulator: self,
             scene,
             layers,
@@ -57,12 +68,45 @@ impl<T: ConvReal> Simulator<T> {
         let check = picker.map(|picker| self.checked(scene, picker, rows, &Uncounted(progress)));
         Ok((counts, check.transpose()?))
     }
+
+    /// The image of the scene's images alone, whose rows are read from `rows`.
+    fn streamed_in_memory<R: RowStream<T>>(
+        &self,
+        scene: &Scene<'_, T>,
+        rows: &mut R,
+        progress: &dyn Progress,
+    ) -> Result<Array2<T>, R::Error>
+    where
+        R::Error: From<PsfieldError>,
+    {
+        let layers = scene.layers_with_image();
+        let convolver = self.convolver(&layers, progress)?;
+        let engine = convolver.engine_for("rows can be streamed")?;
+        let mut kept = WingRows::new(rows, self.image_shape());
+        let mut passed = SceneRows {
+            of_wings: None,
+            draws_sources: false,
+            simulator: self,
+            scene,
+            layers,
+            inner: &mut kept,
+            picker: None,
+            progress,
+            fine_rows: 0,
+            image_rows: 0,
+        };
+        engine.stream(&mut passed, &Uncounted(progress))?;
+        Ok(kept.image)
+    }
 }
 
 /// Passes rows between the caller's stream and the engine. When the engine writes rows of the fine
 /// image (the convolved scene, in scene pixels), the adapter samples them once per frame pixel. It
 /// adds stars and galaxies, and writes the result to the caller's stream.
 struct SceneRows<'a, 's, T: ConvReal, R> {
+    /// The light of the wings of the PSF, if it has any: the image of the frame or of the region.
+    of_wings: Option<ArrayView2<'a, T>>,
+    draws_sources: bool,
     simulator: &'a Simulator<T>,
     scene: &'a Scene<'s, T>,
     /// The numbers of the layers with an image, which are the engine's layers.
@@ -115,9 +159,14 @@ where
                 geometry.region.y0() + self.image_rows as i64,
             );
             let region = PixelRegion::new(x0, y0, shape);
-            let image = sampled.view_mut();
-            self.simulator
-                .draw_sources_into(self.scene, region, image, self.progress)?;
+            if self.draws_sources {
+                let image = sampled.view_mut();
+                self.simulator
+                    .draw_sources_into(self.scene, region, image, self.progress)?;
+            }
+            if let Some(of_wings) = self.of_wings {
+                sampled += &of_wings.slice(s![self.image_rows..self.image_rows + sampled.nrows(), ..]);
+            }
             self.image_rows += sampled.nrows();
             let sampled = Image::new(sampled).map_err(ConvError::Result)?;
             if let Some(picker) = &mut self.picker {

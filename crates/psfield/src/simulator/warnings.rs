@@ -89,7 +89,7 @@ impl<T: ConvReal> Simulator<T> {
         let extrapolation = self.psf().extrapolation(&[Position::of_pixel(0, 0), last]);
         let beyond = extrapolation.map(SimulationWarning::BeyondPolynomial);
         let mut warnings: Vec<_> = beyond.into_iter().collect();
-        let grid = self.psf().grid();
+        let grid = self.psf().whole_grid();
         let stamp = grid.nx().max(grid.ny()) as f64 / grid.oversampling();
         let stars = scene.stars().map(|star| (star.position(), stamp));
         let galaxies = scene.galaxies().map(|galaxy| {
@@ -220,7 +220,7 @@ impl fmt::Display for SimulationWarning {
             } => write!(
                 f,
                 "the stamps are too small for {count} {}: at {radius_px:.0} pixels, where the stamps end, the light is up to \
-                 {brightest:.2e} per pixel, more than {limit:.2e}. A box shows in the image. Use larger stamps",
+                 {brightest:.2e} per pixel, more than {limit:.2e}. A box shows in the image. Use larger stamps, or join wings to the PSF",
                 if *count == 1 { "star" } else { "stars" }
             ),
             Self::SourcesBetweenPixels(errors) => write!(

@@ -56,6 +56,11 @@ impl<'a, T: ConvReal> RealFft2<'a, T> {
         }
     }
 
+    /// The factor by which [`forward`](Self::forward) and [`inverse`](Self::inverse) together multiply a plane.
+    pub(crate) fn gain(&self) -> f64 {
+        self.rows as f64 * self.columns as f64
+    }
+
     /// A spectrum of zeros.
     pub(crate) fn zeros(&self) -> Spectrum<T> {
         Array2::zeros((self.columns / 2 + 1, self.rows))
