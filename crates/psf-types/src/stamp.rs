@@ -216,6 +216,16 @@ impl StampGrid {
             .then_some((self.centre_x as usize, self.centre_y as usize))
     }
 
+    /// This grid with `half` pixels on each side of the pixel that the centre lies on.
+    ///
+    /// # Errors
+    /// As for [`with_size`](Self::with_size).
+    pub fn about_centre(self, half: usize) -> Result<Self, DataError> {
+        let centre = |c: f64| half as f64 + c.fract();
+        let sized = self.with_size(2 * half + 1, 2 * half + 1)?;
+        sized.with_centre(centre(self.centre_x), centre(self.centre_y))
+    }
+
     /// The column and the row of larger stamps at which these begin, with the centres of both on each other.
     /// None if the larger stamps have another sampling, or these do not lie within them on whole pixels.
     pub fn place_in(self, larger: Self) -> Option<(usize, usize)> {

@@ -270,7 +270,7 @@ fn images_are_convolved_with_the_wings() {
     let scene = Scene::new(light.clone()).unwrap().with_stars(&stars[..]);
     check(&simulator, &scene, 0.0);
     let whole = simulator.simulate(&scene).unwrap();
-    // The same image by rows.
+    // Rows that are read one after the other give the image, too.
     let mut rows = Rows {
         light: light.clone(),
         image: Vec::new(),

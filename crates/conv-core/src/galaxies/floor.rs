@@ -1,4 +1,4 @@
-//! What the floor allows to leave out of a galaxy's image: a smaller window, and fewer wavenumbers.
+//! The floor allows to leave out parts of a galaxy's image: it has a smaller window and fewer wavenumbers.
 
 use ndarray::{Array2, ArrayView1, ArrayView2};
 use psf_types::{LightProfile, StampGrid};
@@ -19,7 +19,7 @@ pub(super) struct PsfOutskirts {
     norm: f64,
 }
 
-/// How a galaxy is drawn within the floor.
+/// The window and the wavenumbers of a galaxy that is drawn within the floor.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct WithinFloor {
     /// The side of the window.
@@ -32,7 +32,7 @@ pub(super) struct WithinFloor {
 
 /// A galaxy has errors of at most this part of the floor from its window.
 const OF_WINDOW: f64 = 0.9;
-/// The same from wavenumbers that are left out.
+/// And of at most this part from wavenumbers that are left out.
 const OF_WAVENUMBERS: f64 = 0.1;
 /// The period of a window brings in the light of its neighbours. Together they are at most so many times as
 /// bright as the image at the window's edge.

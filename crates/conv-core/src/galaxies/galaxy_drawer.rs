@@ -235,7 +235,7 @@ impl<T: ConvReal> GalaxyDrawer<T> {
         add_far_light(&far, image, first, catalogue.progress)
     }
 
-    /// How a galaxy is drawn without a floor.
+    /// The window and the wavenumbers of a galaxy without a floor.
     fn without_floor(&self, light: &dyn LightProfile) -> WithinFloor {
         let (side, reach) = self.shared.extent.side_and_reach(light);
         let accuracy = self.shared.extent.accuracy();
@@ -246,7 +246,7 @@ impl<T: ConvReal> GalaxyDrawer<T> {
         }
     }
 
-    /// How a galaxy of a flux is drawn.
+    /// The window and the wavenumbers of a galaxy of a flux.
     fn within_floor(
         &self,
         block: &DrawingBlock,

@@ -52,7 +52,7 @@ pub(super) struct Axis1 {
     pub(super) first_of_core: usize,
 }
 
-/// How a photon finds a coefficient and a pixel.
+/// The way of a photon to a coefficient and a pixel.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Rule {
     /// The oversampling is a whole number, and all taps are positive. A tap is chosen first, then a

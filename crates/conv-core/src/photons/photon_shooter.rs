@@ -30,7 +30,7 @@ pub struct PhotonSources<'a> {
     pub seed: u64,
 }
 
-/// What [`SourcePlan::shoot_into`](crate::SourcePlan::shoot_into) has drawn.
+/// A summary of the photons that [`SourcePlan::shoot_into`](crate::SourcePlan::shoot_into) has drawn.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct PhotonReport {
     /// The number of sources whose photons may reach the region.
@@ -49,7 +49,7 @@ pub struct PhotonReport {
 #[derive(Debug)]
 pub(crate) struct PhotonShooter {
     stars: Arc<Tables>,
-    /// Those of the stars, unless stamps are truncated.
+    /// The tables of extended sources: the stars' own, unless stamps are truncated.
     extended: Arc<Tables>,
     blocks: Kept<BlockKey, Option<BlockCells>>,
     /// The frame pixels that a star may light relative to its own, if stars are truncated.

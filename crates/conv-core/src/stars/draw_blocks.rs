@@ -10,7 +10,7 @@ use rayon::prelude::*;
 use super::draw::{DrawGroup, Group};
 use super::phase_norms::PhaseNorms;
 use super::phased_stamps::PhasedStamps;
-use super::phases::{PhasedAxis, PhasedStar, Star};
+use super::phases::{PhasedAxis, Star};
 use super::row_layout::RowLayout;
 use super::spread::Spreader;
 use super::star_block::StarBlock;
@@ -418,17 +418,9 @@ impl<T: ConvReal> BlockDrawer<'_, T> {
             for tap in &rows.weights[..taps] {
                 weights.extend(coefficients.iter().map(|c| T::nearest(tap * c * scale)));
             }
-            let ((column, row), oversampling) = (star.pixel, axes[0].oversampling);
-            prepared.push(PhasedStar {
-                pixel: star.pixel,
-                level: reach.and_then(|reach| reach.level_of(star.flux)),
-                columns: column + columns.from..column + columns.to,
-                rows: row + rows.from..row + rows.to,
-                first_row: rows.first_of(rows.from, oversampling),
-                first_column: columns.first_of(columns.from, oversampling),
-                weights: first..weights.len(),
-                taps: columns.weights.map(T::nearest),
-            });
+            let level = reach.and_then(|reach| reach.level_of(star.flux));
+            let phases = ([columns, rows], axes[0].oversampling);
+            prepared.push(star.phased(phases, level, first..weights.len()));
         }
         let group = Group {
             stars: prepared,

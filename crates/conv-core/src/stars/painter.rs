@@ -60,10 +60,14 @@ impl StarStamps {
 
     /// The pixels that a star may light, relative to the pixel that the star lies on.
     pub(super) fn window(&self) -> PixelRegion {
-        let target = self.target;
-        let first = [target.centre_x(), target.centre_y()].map(|centre| -(centre as i64));
-        region(first[0], first[1], (target.nx(), target.ny()))
+        window_of(self.target)
     }
+}
+
+/// The pixels of a grid at the frame's scale, relative to the pixel that its centre lies on.
+pub(super) fn window_of(target: StampGrid) -> PixelRegion {
+    let first = [target.centre_x(), target.centre_y()].map(|centre| -(centre as i64));
+    region(first[0], first[1], (target.nx(), target.ny()))
 }
 
 /// A grid at the frame's scale that holds a stamp for any position of the source in its pixel, truncated to the

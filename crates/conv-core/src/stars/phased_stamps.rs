@@ -32,13 +32,7 @@ impl<T: ConvReal> PhasedStamps<T> {
     ) -> Self {
         let (directions, length) = (stamps.len(), layout.kernel);
         let mut values = Aligned::zeros(rows.kept * directions * length);
-        let columns: Vec<Option<usize>> = (0..length)
-            .map(|at| {
-                let (pixel, residue) = layout.place(at);
-                let column = pixel * columns.oversampling + residue;
-                columns.index(column).filter(|_| column < columns.kept)
-            })
-            .collect();
+        let columns = layout.columns(columns);
         let rows_of_all = values.get_mut().par_chunks_mut((directions * length).max(1));
         rows_of_all.enumerate().for_each(|(row, to)| {
             let Some(j) = rows.index(row) else { return };

@@ -5,6 +5,7 @@ use std::ops::{Range, RangeInclusive};
 
 use psf_types::{PixelRegion, PointSource, StampGrid};
 
+use crate::ConvReal;
 use crate::overlap::shared;
 use crate::stamp_interpolator::{Kernel, MOST_TAPS};
 
@@ -221,6 +222,26 @@ impl Star {
     pub(super) fn phase_numbers(&self, [columns, rows]: &[PhasedAxis; 2]) -> (i64, i64) {
         let number = |axis: &PhasedAxis, shift: f64| axis.first_of(axis.at(shift));
         (number(rows, self.shift.1), number(columns, self.shift.0))
+    }
+
+    /// The star with its phases and with its weights, which are a range of the list of its group.
+    pub(super) fn phased<T: ConvReal>(
+        &self,
+        ([columns, rows], oversampling): ([Phase; 2], usize),
+        level: Option<usize>,
+        weights: Range<usize>,
+    ) -> PhasedStar<T> {
+        let (column, row) = self.pixel;
+        PhasedStar {
+            pixel: self.pixel,
+            level,
+            columns: column + columns.from..column + columns.to,
+            rows: row + rows.from..row + rows.to,
+            first_row: rows.first_of(rows.from, oversampling),
+            first_column: columns.first_of(columns.from, oversampling),
+            weights,
+            taps: columns.weights.map(T::nearest),
+        }
     }
 
     /// The star's phases: in x (columns), then in y (rows). `None` if the star lights no pixel.

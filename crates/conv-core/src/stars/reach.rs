@@ -1,4 +1,4 @@
-//! How far the stars of a block are drawn if light fainter than the floor is dropped.
+//! The pixels on which the stars of a block are drawn if light fainter than the floor is dropped.
 //!
 //! In each pixel, the light of a star of flux 1 is at most the sum over the block's kernels of the kernel's
 //! largest coefficient in the block times its largest value that the pixel may see, at any sub-pixel phase.

@@ -39,8 +39,18 @@ impl RowLayout {
         }
     }
 
+    /// The column of the stamp's coefficients at each index of a row. `None` for values that are 0.
+    pub(super) fn columns(self, columns: &PhasedAxis) -> Vec<Option<usize>> {
+        let column = |at: usize| {
+            let (pixel, residue) = self.place(at);
+            let column = pixel * columns.oversampling + residue;
+            columns.index(column).filter(|_| column < columns.kept)
+        };
+        (0..self.kernel).map(column).collect()
+    }
+
     /// The pixel and the residue of the value at an index.
-    pub(super) fn place(self, index: usize) -> (usize, usize) {
+    fn place(self, index: usize) -> (usize, usize) {
         let (line, pixel) = (index / self.chunk, index % self.chunk);
         (line / self.residues * self.chunk + pixel, line % self.residues)
     }

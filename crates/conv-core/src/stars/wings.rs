@@ -14,7 +14,7 @@ use psf_types::{
 use rayon::prelude::*;
 
 use super::draw::{DrawGroup, Group};
-use super::painter::target_of;
+use super::painter::{target_of, window_of};
 use super::phases::{PhasedAxis, PhasedStar, Star};
 use super::reach::{AtCorners, LEAST_LIGHT, Reach};
 use super::row_layout::{CHUNK, RowLayout};
@@ -89,8 +89,7 @@ impl<T: ConvReal> WingDrawer<T> {
         let grid = whole_oversampling(wings.grid()).map_err(ConvError::Result)?;
         let kernel = Kernel::of(grid.interpolation(), 0);
         let target = target_of(grid, kernel, size).map_err(ConvError::Result)?;
-        let first = [target.centre_x(), target.centre_y()].map(|centre| -(centre as i64));
-        let window = region(first[0], first[1], (target.nx(), target.ny()));
+        let window = window_of(target);
         let axes =
             PhasedAxis::both(grid, kernel, window).ok_or(ConvError::Result(DataError::WingsDoNotFit))?;
         Ok(Some(Self {
@@ -126,12 +125,7 @@ impl<T: ConvReal> WingDrawer<T> {
         let (modes, length) = (self.wings.mode_count(), self.layout.kernel);
         let [columns, rows] = &self.axes;
         let mut values = Aligned::zeros(rows.kept * modes * length);
-        let column = |at: usize| {
-            let (pixel, residue) = self.layout.place(at);
-            let column = pixel * columns.oversampling + residue;
-            columns.index(column).filter(|_| column < columns.kept)
-        };
-        let column: Vec<Option<usize>> = (0..length).map(column).collect();
+        let column = self.layout.columns(columns);
         // One stamp after the other, because they are large.
         for (mode, stamp) in self.wings.stamps().axis_iter(Axis(0)).enumerate() {
             let coefficients = if self.grid == self.wings.grid() {
@@ -296,17 +290,9 @@ impl<T: ConvReal> WingDrawer<T> {
                 let weights = coefficients.iter().map(|c| T::nearest(tap * c * star.flux));
                 group.weights.extend(weights);
             }
-            let ((column, row), oversampling) = (star.pixel, self.axes[0].oversampling);
-            group.stars.push(PhasedStar {
-                pixel: star.pixel,
-                level,
-                columns: column + columns.from..column + columns.to,
-                rows: row + rows.from..row + rows.to,
-                first_row: rows.first_of(rows.from, oversampling),
-                first_column: columns.first_of(columns.from, oversampling),
-                weights: first..group.weights.len(),
-                taps: columns.weights.map(T::nearest),
-            });
+            let weights = first..group.weights.len();
+            let phases = ([columns, rows], self.axes[0].oversampling);
+            group.stars.push(star.phased(phases, level, weights));
         }
         Ok(group)
     }

@@ -422,7 +422,7 @@ fn quiet_says_nothing_and_overwrite_replaces() {
 
 const STARS: &str = "x,y,flux\n30.3,25.1,100\n12,40,0.5\n50.5,9,3\n";
 
-/// What is dropped stands in the report, in the text and in the header, and the spot check allows it.
+/// The report, the text and the header state the dropped light, and the spot check allows it.
 #[test]
 fn light_below_the_floor_is_dropped() {
     let desk = Desk::new();

@@ -14,20 +14,7 @@ use crate::error::PsfieldError;
 /// several states.
 pub fn model_of(record: PsfModelRecord) -> Result<PsfModel, PsfieldError> {
     let field = field_of(&record, record.coefficients())?;
-    let wings = record
-        .wings()
-        .map(|wings| wings_of(&record, wings, wings.coefficients()));
-    let wings = wings.transpose()?;
-    Ok(record.into_model(field)?.with_wings(wings)?)
-}
-
-/// The wings of a model with some of their coefficients.
-fn wings_of(
-    record: &PsfModelRecord,
-    wings: &WingsRecord,
-    coefficients: &SampleCoefficients,
-) -> Result<Wings, PsfieldError> {
-    Ok(wings.with_field(field_of(record, coefficients)?)?)
+    with_state_wings(record.clone().into_model(field)?, &record, 0)
 }
 
 /// Makes the models of all states of a record, in the order of their values. They share their
@@ -64,7 +51,10 @@ fn with_state_wings(
     record: &PsfModelRecord,
     state: usize,
 ) -> Result<PsfModel, PsfieldError> {
-    let of_state = |wings: &WingsRecord| wings_of(record, wings, &wings.coefficients().of_state(state));
+    let of_state = |wings: &WingsRecord| -> Result<Wings, PsfieldError> {
+        let field = field_of(record, &wings.coefficients().of_state(state))?;
+        Ok(wings.with_field(field)?)
+    };
     let wings = record.wings().map(of_state).transpose()?;
     Ok(model.with_wings(wings)?)
 }

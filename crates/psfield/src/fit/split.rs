@@ -72,10 +72,7 @@ impl Window {
     /// The window for stamps of a grid.
     pub(crate) fn of(grid: StampGrid) -> Result<Self, DataError> {
         let half = half_of_core(grid);
-        let centre = |c: f64| half as f64 + c.fract();
-        let core = grid.with_size(2 * half + 1, 2 * half + 1)?;
-        let core = core.with_centre(centre(grid.centre_x()), centre(grid.centre_y()))?;
-        Ok(Self::on(core, half as f64))
+        Ok(Self::on(grid.about_centre(half)?, half as f64))
     }
 
     /// The window for a core whose stamps reach a distance.

@@ -283,9 +283,7 @@ fn stamp(source: &WingsSource, core: StampGrid) -> Result<(Array2<f64>, StampGri
     let s = core.oversampling();
     let on_grid = |radius_px: f64| -> Result<StampGrid, PsfieldError> {
         let half = (radius_px.min(LARGEST_RADIUS) * s).ceil() as usize;
-        let grid = core.with_size(2 * half + 1, 2 * half + 1)?;
-        let centre = |c: f64| half as f64 + c.fract();
-        let grid = grid.with_centre(centre(core.centre_x()), centre(core.centre_y()))?;
+        let grid = core.about_centre(half)?;
         check_stack(1, grid)?;
         Ok(grid)
     };

@@ -76,7 +76,8 @@ impl Psf {
         if record.wings().is_none() {
             return Ok(record);
         }
-        let message = "a PSF with wings cannot be moved, dispersed, resampled or interpolated by your own method: take a PSF without wings";
+        let message = "a PSF with wings cannot be moved, dispersed, resampled or interpolated by your own method: take a PSF \
+                       without wings";
         Err(PsfieldError::new(ErrorKind::Setting, message))
     }
 

@@ -305,7 +305,7 @@ impl<T: ConvReal> Simulator<T> {
         }
         let model = &self.image_models()?.0[layer];
         // The stamps of wings are too large for a plan that only tells their norm.
-        let plan = if self.is_of_wings() {
+        let plan = if self.of_wings {
             None
         } else {
             Some(self.sources(layer)?)

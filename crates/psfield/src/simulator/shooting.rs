@@ -14,9 +14,9 @@ use crate::scene::{Layer, Scene};
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub enum ShootBelow {
-    /// Those of fewer expected photons, of whatever kind.
+    /// Sources of fewer expected photons, both stars and galaxies.
     Photons(f64),
-    /// Those for which it is predicted to be faster than drawing.
+    /// Sources for which it is predicted to be faster than drawing.
     Auto,
 }
 
@@ -91,7 +91,7 @@ impl<T: ConvReal> Simulator<T> {
     }
 }
 
-/// How an exposure is made ([`Simulator::expose`]).
+/// The settings of an exposure ([`Simulator::expose`]).
 #[derive(Debug, Clone, Copy)]
 pub struct ExposeOptions<'a> {
     /// The detector.

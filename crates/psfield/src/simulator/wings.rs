@@ -42,11 +42,8 @@ impl<T: ConvReal> Simulator<T> {
 
     /// Returns whether the PSF of a part has wings.
     pub(super) fn has_wings(&self) -> Result<bool, PsfieldError> {
-        let mut found = false;
-        for part in &self.shared.parts {
-            found |= part.psf.has_wings()?;
-        }
-        Ok(found)
+        let mut parts = self.shared.parts.iter();
+        parts.try_fold(false, |found, part| Ok(found || part.psf.has_wings()?))
     }
 
     /// The light of a scene that falls in the wings, on the pixels of the region. None for a PSF without wings.
@@ -68,11 +65,6 @@ impl<T: ConvReal> Simulator<T> {
         self.draw_wings_into(scene, light.view_mut(), progress)?;
         Ok(Some(light))
     }
-
-    /// Returns whether this simulator convolves with the wings of another one's PSF.
-    pub(super) fn is_of_wings(&self) -> bool {
-        self.of_wings
-    }
 }
 
 /// The part of light that a region of the scene holds. `first` is the column and row at which the light begins.
@@ -90,9 +82,9 @@ pub(super) fn part_of_light<'a, T: ConvReal>(
 
 /// Keeps the rows of the wings' image in memory.
 pub(super) struct WingRows<'a, T: ConvReal, R> {
-    pub(super) inner: &'a mut R,
+    inner: &'a mut R,
     pub(super) image: Array2<T>,
-    pub(super) rows: usize,
+    rows: usize,
 }
 
 impl<'a, T: ConvReal, R> WingRows<'a, T, R> {
