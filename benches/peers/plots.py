@@ -1,19 +1,42 @@
-"""Two plots of the benchmark of real work: cost against pixels, and against light and sources."""
+"""Plots of the benchmark of real work: cost against pixels, against light and sources, and of what is skipped."""
 
 import matplotlib
 
 matplotlib.use("svg")
 import matplotlib.pyplot as plt
+from matplotlib.ticker import LogLocator
 
 # Okabe and Ito's colours, which colour-blind readers can tell apart.
 COLOURS = "#0072B2", "#E69F00", "#009E73", "#CC79A7", "#D55E00"
 MARKERS = "osD^v"
 SCATTERED = {"color": COLOURS[4], "marker": MARKERS[4]}
 ONE_PSF = {"label": "psfield, one PSF", "color": "#777777", "linestyle": ":", "marker": "."}
+DRAWN = {
+    "label": "psfield, all drawn as light",
+    "color": "#56B4E9",
+    "linestyle": "--",
+    "marker": "s",
+}
+SHOT = {
+    "label": "psfield, all photon by photon",
+    "color": "#E69F00",
+    "linestyle": "--",
+    "marker": "^",
+}
 PEERS = {
     "fftconvolve": ("scipy fftconvolve, one PSF", "black"),
     "galsim": ("GalSim", "#0072B2"),
     "photutils": ("photutils", "#009E73"),
+}
+FIGURES = {
+    "cost_with_sources": ("light", "stars", "galaxies"),
+    "cost_of_bright_and_faint": ("floor", "wings", "starphotons", "galaxyphotons"),
+}
+"""The groups of each figure, one panel each."""
+TITLES = {
+    "wings": "wings of 1023 pixels",
+    "starphotons": "exposures of $10^5$ stars",
+    "galaxyphotons": "exposures of $10^5$ galaxies",
 }
 STYLE = {
     "svg.fonttype": "none",
@@ -27,16 +50,18 @@ STYLE = {
 
 
 def draw(rows, folder):
-    """Writes `cost_with_pixels.svg` and `cost_with_sources.svg`, if there are rows for them."""
+    """Writes `cost_with_pixels.svg`, `cost_with_sources.svg` and `cost_of_bright_and_faint.svg`, if there are rows for
+    them."""
     groups = {}
     for row in rows:
         groups.setdefault(row["group"], []).append(row)
     with plt.rc_context(STYLE):
         if "pixels" in groups:
             save(pixels(groups["pixels"]), folder / "cost_with_pixels.svg")
-        panels = [name for name in ("light", "stars", "galaxies", "floor") if name in groups]
-        if panels:
-            save(amounts(panels, groups), folder / "cost_with_sources.svg")
+        for name, of_figure in FIGURES.items():
+            panels = [group for group in of_figure if group in groups]
+            if panels:
+                save(amounts(panels, groups), folder / f"{name}.svg")
 
 
 def pixels(rows):
@@ -80,9 +105,12 @@ def amounts(groups, rows_of):
         line("seconds", label="psfield, further frames", **SCATTERED)
         if rows[0]["seconds_single"] is not None:
             line("seconds_single", **ONE_PSF)
+        if group.endswith("photons"):
+            line("seconds_simpler", **DRAWN)
+            line("seconds_photons", **SHOT)
         line("seconds_peer", **peer(rows[0]["peer"]))
         frame = " x ".join(map(str, rows[0]["size"]))
-        axes.set(title=f"{group}\n{frame} pixels", yscale="log")
+        axes.set(title=f"{TITLES.get(group, group)}\n{frame} pixels", yscale="log")
         if group == "light":
             # 0 % has a place on this axis.
             axes.set_xscale("symlog", linthresh=0.1, linscale=0.5)
@@ -91,12 +119,22 @@ def amounts(groups, rows_of):
             axes.set_xlabel("pixels with light (%)")
         elif group == "floor":
             axes.set_xscale("symlog", linthresh=0.01, linscale=0.5)
+            axes.set_xlim(-0.003, 20)
             axes.set_xticks(amount, [f"{value:g}" for value in amount])
             axes.set_xlabel("floor (flux per pixel), fluxes of 1 to $10^6$")
+        elif group == "wings":
+            axes.set_xticks(amount, [f"{value:g}" for value in amount])
+            axes.set_xlabel("stamps of the wings")
+        elif group.endswith("photons"):
+            axes.set_xscale("log")
+            axes.set_xticks(amount, [f"{value:g}" for value in amount])
+            axes.set_xlabel("photons of each source")
         else:
             axes.set_xscale("log")
             axes.set_xlabel(f"number of {group}")
         axes.minorticks_off()
+        axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        axes.yaxis.set_major_formatter("{x:g}")
     panels[0][0].set_ylabel("time (s)")
     legend(figure, panels[0])
     return figure

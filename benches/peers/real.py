@@ -18,8 +18,12 @@ from pool import Pool
 STARS = 100, 1000
 """Numbers of stars that are drawn. The difference of their times gives the time of a star."""
 GALAXIES = 300
+WINGS = 1023
+"""The side of the PSF of the group `wings`."""
 SOURCES_OF_FLOOR = 10_000
-"""Stars, and as many galaxies, of the group `floor`."""
+"""Stars, and as many galaxies, of the group `floor`: at most one for 100 pixels."""
+SOURCES_OF_PHOTONS = 100_000
+"""Stars of the group `starphotons`, galaxies of `galaxyphotons`: at most one for 100 pixels."""
 STARS_OF_SERIES = 2000
 """Stars in each exposure of the group `starseries`."""
 ORDER = (
@@ -28,6 +32,9 @@ ORDER = (
     "stars",
     "galaxies",
     "floor",
+    "wings",
+    "starphotons",
+    "galaxyphotons",
     "frames",
     "fields",
     "colours",
@@ -53,28 +60,41 @@ class Peers:
         if row["group"] == "starseries":
             name, seconds = min(self.star(size).items(), key=lambda item: item[1])
             return name, seconds * STARS_OF_SERIES * amount
+        if row["group"] == "starphotons":
+            name, seconds = min(self.star(size).items(), key=lambda item: item[1])
+            return name, seconds * min(SOURCES_OF_PHOTONS, size**2 // 100)
+        if row["group"] == "galaxyphotons":
+            return galaxies.GalSim.name, self.galaxy(size) * min(SOURCES_OF_PHOTONS, size**2 // 100)
         if row["group"] == "galaxies":
             return galaxies.GalSim.name, self.galaxy(size) * amount
         if row["group"] == "floor":
             each = self.star(size)[stars.GalSim.name] + self.galaxy(size)
-            return galaxies.GalSim.name, each * SOURCES_OF_FLOOR
+            return galaxies.GalSim.name, each * min(SOURCES_OF_FLOOR, size**2 // 100)
         frames = int(amount) if row["group"] in ("frames", "fields", "colours", "series") else 1
-        return "fftconvolve", self.images(size, frames)
+        stamp = WINGS if row["group"] == "wings" else None
+        return "fftconvolve", self.images(size, frames, stamp)
 
     def _samples(self):
         grid = self.args.grid
         samples = optical_samples(grid)
         return samples.reshape(grid, grid, *samples.shape[1:])
 
-    def inputs(self, scene):
+    def inputs(self, scene, stamp=None):
+        """The inputs of a method. `stamp` is the side of larger stamps, to which zeros are added."""
         size, samples = len(scene), self.samples()
+        if stamp:
+            # Four samples about the middle: all of them would need much memory.
+            middle = (len(samples) - 1) // 2
+            samples = samples[middle : middle + 2, middle : middle + 2]
+            margin = stamp - samples.shape[-1]
+            samples = np.pad(samples, [(0, 0)] * 2 + [(margin // 2, margin - margin // 2)] * 2)
         y, x = (Axis.new(np.linspace(0, size - 1, count), size) for count in samples.shape[:2])
         return Inputs(scene, samples, y, x)
 
-    def _images(self, size, frames):
-        """Seconds of `frames` images with one PSF."""
+    def _images(self, size, frames, stamp):
+        """Seconds of `frames` images with one PSF, with stamps of another side if one is given."""
         scene = random_scene(size, self.args.seed)
-        single = Single(self.inputs(scene), Pool(self.args.threads))
+        single = Single(self.inputs(scene, stamp), Pool(self.args.threads))
 
         def run():
             for _ in range(frames):
@@ -172,6 +192,8 @@ def case(row):
         return frame
     if row["group"] in ("series", "starseries"):
         return f"{row['group']}, {amount:.0f} exposures of {frame}"
+    if row["group"].endswith("photons"):
+        return f"{frame}, {row['group'].removesuffix('photons')} sources of {amount:.0f} photons"
     if row["group"] == "frames":
         return f"{amount:.0f} frames of {frame}"
     if row["group"] == "fields":

@@ -1,7 +1,7 @@
 //! Parts of a plan that are kept for later sources.
 
 use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex, OnceLock};
+use std::sync::{Arc, Mutex};
 
 /// Values by their keys. A value is computed when it is first needed, and kept while all values
 /// together need at most a limit of memory.
@@ -13,7 +13,7 @@ pub(crate) struct Kept<K, V> {
 
 #[derive(Debug)]
 struct Values<K, V> {
-    by_key: BTreeMap<K, Arc<OnceLock<Arc<V>>>>,
+    by_key: BTreeMap<K, Arc<V>>,
     /// Keys and sizes of the values in the order in which they were computed.
     computed: Vec<(K, usize)>,
     bytes: usize,
@@ -33,36 +33,30 @@ impl<K: Copy + Ord, V> Kept<K, V> {
         }
     }
 
-    /// Returns the value, kept or computed now. `bytes` returns its size. Other threads that need
-    /// the value wait. So `make` must not share its work with other threads: it could be given work
-    /// that waits for the same value.
+    /// Returns the value, kept or computed now. `bytes` returns its size. No thread waits for another: several
+    /// threads that need a value at the same time compute it, and keep one of the results. A thread that waited
+    /// could be given work that waits for the same value.
     pub(crate) fn get(&self, key: K, make: impl FnOnce() -> V, bytes: impl Fn(&V) -> usize) -> Arc<V> {
-        let cell = self
-            .values
-            .lock()
-            .ok()
-            .map(|mut values| Arc::clone(values.by_key.entry(key).or_default()));
-        let Some(cell) = cell else {
-            return Arc::new(make());
-        };
-        let mut size = None;
-        let value = cell.get_or_init(|| {
-            let made = Arc::new(make());
-            size = Some(bytes(&made));
-            made
-        });
-        if let Some(size) = size
-            && let Ok(mut values) = self.values.lock()
+        let kept = |values: &Values<K, V>| values.by_key.get(&key).map(Arc::clone);
+        if let Ok(values) = self.values.lock()
+            && let Some(value) = kept(&values)
         {
-            if size > self.memory_bytes {
-                values.by_key.remove(&key);
-            } else {
+            return value;
+        }
+        let made = Arc::new(make());
+        let size = bytes(&made);
+        if let Ok(mut values) = self.values.lock() {
+            if let Some(value) = kept(&values) {
+                return value;
+            }
+            if size <= self.memory_bytes {
                 values.make_room(self.memory_bytes - size);
+                values.by_key.insert(key, Arc::clone(&made));
                 values.computed.push((key, size));
                 values.bytes += size;
             }
         }
-        Arc::clone(value)
+        made
     }
 }
 

@@ -106,7 +106,7 @@ pub use engine::{Engine, LowRank, Operation, RowStream, TileCounts};
 pub use error::ConvError;
 pub use galaxies::{ExtendedSources, GalaxyErrors, Light};
 pub use image_memory::zeros;
-pub use photons::{PhotonReport, PhotonSources};
+pub use photons::{ExpectedPhotons, PhotonReport, PhotonSources};
 pub use plan::{Paths, Plan, PlanOptions, PlanSummary};
 pub use reference::{BasisConvolution, ConvolutionMethod, Direct, PatchConvolution};
 pub use simd::{ConvReal, InstructionSet};

@@ -6,7 +6,10 @@ use psf_types::{Anchor, PixelRegion, PointSource, Position, Progress, PsfModel};
 use crate::dropped_light::DroppedLight;
 use crate::galaxies::{ExtendedSources, ExtendedToDraw, GalaxyDrawer, GalaxyErrors};
 use crate::image_memory::{check_shape, with_rows_in_memory};
-use crate::photons::{PhotonReport, PhotonShooter, PhotonSources, add_photons_of_light};
+use crate::photons::{
+    ExpectedPhotons, PhotonReport, PhotonShooter, PhotonSources, SharedWork, add_photons_of_light,
+    photons_to_shoot_below,
+};
 use crate::plan::cost_model::CostModel;
 use crate::plan::{PlanOptions, check_layers, share_stamps};
 use crate::sources::SourcePsfs;
@@ -335,20 +338,38 @@ impl<T: ConvReal> SourcePlan<T> {
         }
     }
 
-    /// The most expected photons of a source for which [`shoot_into`](Self::shoot_into) is predicted to be faster
-    /// than drawing its light: of a star and of a galaxy, if a frame has so many stars, and so many sources in all.
-    pub fn most_photons_to_shoot(&self, (stars, sources): (usize, usize), frame: PixelRegion) -> [f64; 2] {
-        // Stars that are drawn from all components take the longest.
-        let draw_star = self.stars.seconds_of_star(stars, frame).unwrap_or(f64::INFINITY);
-        let tables = self.photons.expected_tables(&self.psfs, frame).min(sources);
-        let tables = tables as f64 * self.psfs.model.grid().pixel_count() as f64;
-        CostModel::most_photons(draw_star, tables / sources.max(1) as f64)
+    /// The numbers of photons below which it is predicted to take the least time to draw stars and extended
+    /// sources of a frame photon by photon ([`shoot_into`](Self::shoot_into)), the others as light. The prediction is
+    /// for the first image: later images use its tables and local bases again.
+    pub fn photons_to_shoot_below(&self, photons: ExpectedPhotons<'_>, frame: PixelRegion) -> [f64; 2] {
+        if self.psfs.options().anchor() == Anchor::Output {
+            return [0.0; 2];
+        }
+        let model = &self.psfs.model;
+        let pixels_of_source = self.stars.kernel_and_window().1.shape().pixel_count();
+        let draw_star = self.stars.seconds_of_star(model, photons.stars.len(), frame);
+        let work = self.photons.work_of_photon(&self.psfs, frame);
+        let costs = CostModel::of_kinds(draw_star, work);
+        let shared = SharedWork {
+            tables: self.photons.expected_tables(&self.psfs, frame),
+            pixels_of_table: model.grid().pixel_count(),
+            blocks: self.stars.block_count(frame),
+            pixels_of_frame: frame.shape().pixel_count(),
+            pixels_of_source,
+        };
+        // The wings of shot sources are drawn as light.
+        let has_background = photons.has_background || self.wings.is_some();
+        let photons = ExpectedPhotons {
+            has_background,
+            ..photons
+        };
+        photons_to_shoot_below(photons, costs, shared)
     }
 
     /// Adds the photons of sources to the counts of a part of an image. `counts` holds the pixels `[y, x]` of
-    /// `region`, which is in pixels of the frame. This suits sources of few photons: it takes about
-    /// 25 to 40 ns for each photon of native stamps (300 ns with Lanczos-3), where drawing takes microseconds for
-    /// each source.
+    /// `region`, which is in pixels of the frame. This suits sources of few photons: each photon takes
+    /// 15 to 40 ns (150 ns and more where sums of the PSF's terms have both signs, as those of sharp PSFs and of
+    /// Lanczos-3), where drawing takes microseconds for each source.
     ///
     /// The counts of pixels are independent Poisson deviates. Their means are the source's flux times
     /// `photons_per_flux` times its PSF, as [`draw_stars_into`](Self::draw_stars_into) and

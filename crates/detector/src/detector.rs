@@ -358,6 +358,25 @@ impl Detector {
         (counted + read_noise_e * read_noise_e).sqrt() / electrons_per_flux
     }
 
+    /// Checks that photons may be shot for an exposure ([`Exposer::with_photons`](crate::Exposer::with_photons)).
+    ///
+    /// # Errors
+    /// [`DetectorError::Needs`] for a detector without photon noise.
+    pub fn check_photon_noise(&self) -> Result<(), DetectorError> {
+        if self.params.photon_noise {
+            return Ok(());
+        }
+        Err(DetectorError::Needs {
+            key: "shooting of photons",
+            other: "photon_noise",
+        })
+    }
+
+    /// Returns whether pixels without light have a charge: that of sky, or dark charge.
+    pub fn has_background(&self) -> bool {
+        self.params.sky_e > 0.0 || self.dark_e() > 0.0
+    }
+
     /// The mean number of photons for a flux of 1 that are shot at an exposure
     /// ([`Exposer::with_photons`](crate::Exposer::with_photons)): `electrons_per_flux` times the largest response
     /// of a pixel.

@@ -192,12 +192,7 @@ impl<'a> Exposer<'a> {
                 frame: self.frame,
             });
         }
-        if !self.detector.params().photon_noise {
-            return Err(DetectorError::Needs {
-                key: "shooting of photons",
-                other: "photon_noise",
-            });
-        }
+        self.detector.check_photon_noise()?;
         Ok(Self {
             photons: Some(photons),
             ..self

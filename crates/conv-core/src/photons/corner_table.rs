@@ -6,6 +6,7 @@ use rayon::prelude::*;
 
 use super::alias::write_alias;
 use crate::galaxies::truncate;
+use crate::plan::cost_model::PhotonWork;
 use crate::plan::psf_space::PsfSpace;
 use crate::simd::{Lanes, SimdReal, WithIsa, vectorized};
 use crate::stamp_interpolator::{Kernel, MOST_TAPS, StampInterpolator};
@@ -270,6 +271,27 @@ impl PhotonStamps {
         };
         table.proposals = largest * of_taps;
         table
+    }
+
+    /// The work of a photon that is drawn from a table.
+    pub(super) fn work(&self, table: &CornerTable) -> PhotonWork {
+        let size = |marked: bool| -> f64 {
+            let pairs = table.coefficients.iter().zip(&table.marks);
+            let chosen = pairs.filter(|(_, mark)| (**mark != 0) == marked);
+            chosen.map(|(c, _)| f64::from(c.abs())).sum()
+        };
+        let with_value = match (self.needs_all_values(), table.marks.is_empty()) {
+            (true, _) => 1.0,
+            (false, true) => 0.0,
+            (false, false) => size(true) / (size(true) + size(false)),
+        };
+        let proposals = (table.proposals / table.flux).abs();
+        let proposals = if proposals.is_finite() { proposals } else { 1.0 };
+        let terms = (self.kernel.tap_count() * self.kernel.tap_count()) as f64;
+        PhotonWork {
+            proposals,
+            terms: proposals * with_value * terms,
+        }
     }
 
     /// Whether every pixel may have terms of both signs.

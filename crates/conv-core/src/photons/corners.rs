@@ -3,12 +3,12 @@
 use std::borrow::Cow;
 
 use ndarray::{Array2, s};
-use psf_types::Position;
+use psf_types::{FrameShape, PixelRegion, Position};
 
 use crate::ConvError;
 use crate::kept::Kept;
 use crate::plan::region_cells::{Cell, RegionCells};
-use crate::sources::{BlockKey, SourcePsfs, region_of};
+use crate::sources::{BlockKey, SourcePsfs, block_of, region_of};
 use crate::view;
 
 /// A PSF whose photons are drawn from a table.
@@ -25,16 +25,19 @@ pub(super) enum Corner {
 /// The cells of a block of the field, and the PSF at each corner `[corner, direction]`, not scaled to unit flux.
 #[derive(Debug)]
 pub(super) struct BlockCells {
+    region: PixelRegion,
     cells: RegionCells,
     psfs: Array2<f64>,
 }
 
 /// Columns and rows of a block of the field.
-pub(super) const BLOCK: i64 = 256;
+pub(super) const BLOCK: i64 = 1024;
+/// Blocks reach so many pixels beyond the field. Farther out, extrapolated PSFs may vary much.
+const BEYOND_FIELD: i64 = 256;
 /// The most nodes of the coefficient field that give the PSF of a source.
 pub(super) const MOST_NODES: usize = 8;
 /// The most cells of a block. Where there are more, each source has a table of its own.
-const MOST_CELLS: usize = 1024;
+const MOST_CELLS: usize = 1 << 14;
 /// Rounding of sums of weights.
 const ROUNDING: f64 = 1e-9;
 
@@ -62,7 +65,37 @@ impl<'a> Corners<'a> {
         }
     }
 
-    /// The corners of the PSF at a position of a block, with their weights, in place of what `corners` holds.
+    /// The number of nodes of the field, if they are the corners in the middle of the frame.
+    pub(super) fn node_count(&self, frame: PixelRegion) -> Option<usize> {
+        let (mut corners, mut buffer) = (Vec::new(), Vec::new());
+        let middle = Position::of_pixel(frame.shape().nx() as i64 / 2, frame.shape().ny() as i64 / 2);
+        let are_nodes = self.of_nodes(middle, &mut corners, &mut buffer);
+        let nodes = self.nodes.as_ref().filter(|_| are_nodes.unwrap_or(false))?;
+        Some(nodes.nrows())
+    }
+
+    /// The nodes of the field and their weights, if the PSF at a position is a mean of few of them.
+    fn of_nodes(
+        &self,
+        position: Position,
+        corners: &mut Vec<(Corner, f64)>,
+        buffer: &mut Vec<(usize, f64)>,
+    ) -> Result<bool, ConvError> {
+        let Some(nodes) = self.psfs.model.field().weighted_nodes() else {
+            return Ok(false);
+        };
+        nodes.weights_into(position, buffer)?;
+        let sum: f64 = buffer.iter().map(|(_, weight)| weight).sum();
+        let is_mean = (sum - 1.0).abs() <= ROUNDING && buffer.iter().all(|&(_, w)| w >= -ROUNDING);
+        if !is_mean || buffer.len() > MOST_NODES {
+            return Ok(false);
+        }
+        let used = buffer.iter().filter(|(_, weight)| *weight != 0.0);
+        corners.extend(used.map(|&(node, weight)| (Corner::Node(node), weight)));
+        Ok(true)
+    }
+
+    /// The corners of the PSF at a position, with their weights, in place of what `corners` holds.
     ///
     /// If the field is a weighted mean of few nodes, as in a grid or in triangles, the nodes are the corners, and
     /// the PSF is exact. Otherwise it is that of bilinear cells within the tolerance or, where these are too
@@ -70,26 +103,16 @@ impl<'a> Corners<'a> {
     pub(super) fn of(
         &self,
         position: Position,
-        block: BlockKey,
         corners: &mut Vec<(Corner, f64)>,
         buffer: &mut Vec<(usize, f64)>,
     ) -> Result<(), ConvError> {
         corners.clear();
-        if let Some(nodes) = self.psfs.model.field().weighted_nodes() {
-            nodes.weights_into(position, buffer)?;
-            let sum: f64 = buffer.iter().map(|(_, weight)| weight).sum();
-            let is_mean = (sum - 1.0).abs() <= ROUNDING && buffer.iter().all(|&(_, w)| w >= -ROUNDING);
-            if is_mean && buffer.len() <= MOST_NODES {
-                let used = buffer.iter().filter(|(_, weight)| *weight != 0.0);
-                corners.extend(used.map(|&(node, weight)| (Corner::Node(node), weight)));
-                return Ok(());
-            }
+        if self.of_nodes(position, corners, buffer)? {
+            return Ok(());
         }
+        let block = block_of((position.x().floor() as i64, position.y().floor() as i64), BLOCK);
         let cells = self.blocks.get(block, || self.cells(block), |_| 0);
-        let found = cells
-            .as_ref()
-            .as_ref()
-            .and_then(|cells| cells.at(position, block));
+        let found = cells.as_ref().as_ref().and_then(|cells| cells.at(position));
         match found {
             Some(weighted) => {
                 let used = weighted.into_iter().filter(|(_, weight)| *weight != 0.0);
@@ -104,12 +127,23 @@ impl<'a> Corners<'a> {
     fn cells(&self, block: BlockKey) -> Option<BlockCells> {
         let space = self.psfs.space();
         let own = region_of(block, BLOCK);
-        let region = view::region(own.x0(), own.y0(), (BLOCK as usize + 1, BLOCK as usize + 1));
+        let field = self.psfs.model.field_shape();
+        let along = |first: i64, pixels: Option<usize>| {
+            let (mut start, mut end) = (first, first + BLOCK + 1);
+            if let Some(pixels) = pixels {
+                start = start.max(-BEYOND_FIELD);
+                end = end.min(pixels as i64 + BEYOND_FIELD);
+            }
+            (start < end).then(|| (start, (end - start) as usize))
+        };
+        let (x, nx) = along(own.x0(), field.map(FrameShape::nx))?;
+        let (y, ny) = along(own.y0(), field.map(FrameShape::ny))?;
+        let region = view::region(x, y, (nx, ny));
         if space.expected_cells(region, self.tolerance) > MOST_CELLS {
             return None;
         }
         let cells = space.cells(region, space.error_of_cells(region, self.tolerance));
-        if cells.corners_of_cells().count() > MOST_CELLS {
+        if cells.corners().len() > MOST_CELLS {
             return None;
         }
         let rows = space.rows(&cells);
@@ -121,7 +155,7 @@ impl<'a> Corners<'a> {
                 psf.scaled_add(weight, &rows.row(node));
             }
         }
-        Some(BlockCells { cells, psfs })
+        Some(BlockCells { region, cells, psfs })
     }
 
     /// The vectors of the PSFs at corners `[corner, direction]`, not scaled to unit flux.
@@ -155,12 +189,12 @@ impl<'a> Corners<'a> {
 
 impl BlockCells {
     /// The corners of the cell at a position, and their weights.
-    fn at(&self, position: Position, block: BlockKey) -> Option<[(usize, f64); 4]> {
-        let region = region_of(block, BLOCK);
-        let (x, y) = (
-            position.x() - region.x0() as f64,
-            position.y() - region.y0() as f64,
-        );
+    fn at(&self, position: Position) -> Option<[(usize, f64); 4]> {
+        let x = position.x() - self.region.x0() as f64;
+        let y = position.y() - self.region.y0() as f64;
+        if x < 0.0 || y < 0.0 {
+            return None;
+        }
         let cells = &self.cells;
         let mut band = cells
             .bands

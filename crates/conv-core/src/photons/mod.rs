@@ -19,6 +19,7 @@
 //! ([`counts`]). So the image does not depend on threads, on the region or on the order of the sources.
 
 mod alias;
+mod choice;
 mod corner_table;
 mod corners;
 mod counts;
@@ -28,6 +29,8 @@ mod random;
 mod shot;
 mod wing_photons;
 
+pub use choice::ExpectedPhotons;
+pub(crate) use choice::{SharedWork, photons_to_shoot_below};
 pub(crate) use photon_shooter::PhotonShooter;
 pub use photon_shooter::{PhotonReport, PhotonSources};
 pub(crate) use wing_photons::add_photons_of_light;

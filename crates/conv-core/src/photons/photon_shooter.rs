@@ -10,9 +10,10 @@ use rustc_hash::FxHashMap;
 use super::corner_table::{CornerTable, PhotonStamps};
 use super::corners::{BLOCK, BlockCells, Corner, Corners};
 use super::counts::SharedCounts;
-use super::shot::{MeanPsf, PhotonBuffers, Placed, Shot};
+use super::shot::{AREA, MeanPsf, PhotonBuffers, Placed, Shot};
 use crate::galaxies::ExtendedSources;
 use crate::kept::Kept;
+use crate::plan::cost_model::PhotonWork;
 use crate::sources::{BlockKey, SourcePsfs, region_of};
 use crate::stamp_interpolator::Kernel;
 use crate::{ConvError, view};
@@ -100,13 +101,48 @@ impl PhotonShooter {
         }
     }
 
-    /// About how many tables the sources of a frame need, if the field has no nodes.
+    /// About how many tables the sources of a frame need.
     pub(crate) fn expected_tables(&self, psfs: &SourcePsfs, frame: PixelRegion) -> usize {
+        if let Some(nodes) = self.corners(psfs).node_count(frame) {
+            return nodes;
+        }
         let blocks = [frame.shape().nx(), frame.shape().ny()].map(|n| n.div_ceil(BLOCK as usize));
         let cells = psfs
             .space()
             .expected_cells(frame.shape().region(), self.tolerance);
         cells.max(CORNERS * blocks[0] * blocks[1])
+    }
+
+    /// The work of a photon: a mean of that at a few places of the frame.
+    pub(crate) fn work_of_photon(&self, psfs: &SourcePsfs, frame: PixelRegion) -> PhotonWork {
+        let (nx, ny) = (frame.shape().nx() as i64, frame.shape().ny() as i64);
+        let places = [(2, 2), (1, 1), (3, 1), (1, 3), (3, 3)];
+        let (corners, stamps) = (self.corners(psfs), self.stamps_of(&self.stars, psfs, None));
+        let of_places: Vec<PhotonWork> = places
+            .iter()
+            .map(|(x, y)| Position::of_pixel(x * nx / 4, y * ny / 4))
+            .filter_map(|at| corners.psfs(&[Corner::Source(at.bits())]).ok())
+            .map(|vector| stamps.work(&stamps.tables(&vector)[0]))
+            .collect();
+        let count = of_places.len() as f64;
+        let mean = |of: fn(&PhotonWork) -> f64| of_places.iter().map(of).sum::<f64>() / count;
+        if of_places.is_empty() {
+            // The frame has no PSF there.
+            return PhotonWork::default();
+        }
+        PhotonWork {
+            proposals: mean(|work| work.proposals),
+            terms: mean(|work| work.terms),
+        }
+    }
+
+    fn corners<'a>(&'a self, psfs: &'a SourcePsfs) -> Corners<'a> {
+        Corners::new(psfs, self.tolerance, &self.blocks)
+    }
+
+    fn stamps_of<'a>(&self, tables: &'a Tables, psfs: &SourcePsfs, size: Option<usize>) -> &'a PhotonStamps {
+        let make = || PhotonStamps::new(psfs.space(), self.kernel, size);
+        tables.stamps.get_or_init(make)
     }
 
     /// A shooter for PSFs of another field, which shares the stamps.
@@ -166,7 +202,6 @@ impl PhotonShooter {
             if points.is_empty() {
                 continue;
             }
-            let make = || PhotonStamps::new(psfs.space(), self.kernel, size);
             let shot = Shot {
                 points,
                 light,
@@ -174,7 +209,7 @@ impl PhotonShooter {
                 frame,
                 region,
                 progress,
-                stamps: tables.stamps.get_or_init(make),
+                stamps: self.stamps_of(tables, psfs, size),
             };
             self.shoot(psfs, (&shot, tables), &counts, &mut report)?;
         }
@@ -190,10 +225,10 @@ impl PhotonShooter {
     ) -> Result<(), ConvError> {
         let placed = shot.placed()?;
         report.sources += placed.len();
-        let corners = Corners::new(psfs, self.tolerance, &self.blocks);
+        let corners = self.corners(psfs);
         let parts: Vec<&[Placed]> = placed
-            .chunk_by(|a, b| a.block == b.block)
-            .flat_map(|block| block.chunks(PER_TASK))
+            .chunk_by(|a, b| a.area == b.area)
+            .flat_map(|of_area| of_area.chunks(PER_TASK))
             .collect();
         let drawn: Vec<(f64, u64, i64)> = parts
             .par_iter()
@@ -209,7 +244,7 @@ impl PhotonShooter {
         Ok(())
     }
 
-    /// Shoots the photons of some sources of a block, which are a part of all sources. Returns their mean, their
+    /// Shoots the photons of some sources of an area, which are a part of all sources. Returns their mean, their
     /// number and the sum of the counts.
     fn shoot_part(
         &self,
@@ -220,12 +255,12 @@ impl PhotonShooter {
         (corners, counts): (&Corners<'_>, &SharedCounts<'_>),
         memory: &mut Vec<i32>,
     ) -> Result<(f64, u64, i64), ConvError> {
-        let block = region_of(part[0].block, BLOCK);
+        let own = region_of(part[0].area, AREA);
         let reach = shot.stamps.reach() as i64;
-        let side = (BLOCK + 2 * reach) as usize;
+        let side = (AREA + 2 * reach) as usize;
         let area = view::region(
-            block.x0() - reach - shot.region.x0(),
-            block.y0() - reach - shot.region.y0(),
+            own.x0() - reach - shot.region.x0(),
+            own.y0() - reach - shot.region.y0(),
             (side, side),
         );
         let flux: f64 = part
@@ -254,7 +289,7 @@ impl PhotonShooter {
                 shot.progress.check_cancelled()?;
                 let (x, y) = shot.position(part[next].index);
                 let position = Position::new(x, y).map_err(ConvError::Result)?;
-                corners.of(position, part[next].block, &mut of_source, &mut buffer)?;
+                corners.of(position, &mut of_source, &mut buffer)?;
                 for &(corner, _) in &of_source {
                     if !tables.contains_key(&corner) && !missing.contains(&corner) {
                         missing.push(corner);

@@ -5,7 +5,7 @@ use rand_distr::{Distribution, Poisson, StandardNormal};
 use rayon::prelude::*;
 
 use super::corner_table::{CornerTable, PhotonStamps};
-use super::corners::{BLOCK, Corner, MOST_NODES};
+use super::corners::{Corner, MOST_NODES};
 use super::counts::SourceCounts;
 use super::photon_draw::WORDS_OF_PHOTON;
 use super::photon_shooter::PhotonSources;
@@ -15,10 +15,10 @@ use crate::simd::vectorized;
 use crate::sources::{BlockKey, block_of};
 use crate::{ConvError, view};
 
-/// A source that may reach the region. Sources are sorted by block and place, and equal ones follow each other.
+/// A source that may reach the region. Sources are sorted by area and place, and equal ones follow each other.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct Placed {
-    pub(super) block: BlockKey,
+    pub(super) area: BlockKey,
     pub(super) place: u32,
     /// The hash of the position and the flux.
     pub(super) key: u64,
@@ -53,7 +53,9 @@ struct Shape {
     radii: RadialLight,
 }
 
-/// Sources are divided into squares of this side within a block, so that neighbours use the same tables.
+/// Columns and rows of the areas whose sources different tasks may draw.
+pub(super) const AREA: i64 = 256;
+/// Sources are divided into squares of this side within an area, so that neighbours use the same tables.
 const SQUARE: f64 = 64.0;
 /// The number of photons that are drawn together.
 const PHOTONS_AT_ONCE: usize = 64;
@@ -83,7 +85,7 @@ impl PhotonBuffers {
 
 impl Placed {
     pub(super) fn is_like(&self, other: &Self) -> bool {
-        (self.block, self.key, self.shape) == (other.block, other.key, other.shape)
+        (self.area, self.key, self.shape) == (other.area, other.key, other.shape)
     }
 }
 
@@ -120,15 +122,15 @@ impl Shot<'_> {
             if point.flux() == 0.0 || !(is_near(reach) || may_reach()) {
                 return Ok(None);
             }
-            let block = block_of((x.floor() as i64, y.floor() as i64), BLOCK);
-            let square = |v: f64| (v.rem_euclid(BLOCK as f64) / SQUARE) as u32;
+            let area = block_of((x.floor() as i64, y.floor() as i64), AREA);
+            let square = |v: f64| (v.rem_euclid(AREA as f64) / SQUARE) as u32;
             let data = point
                 .position()
                 .bits()
                 .into_iter()
                 .chain([point.flux().to_bits()]);
             Ok(Some(Placed {
-                block,
+                area,
                 place: square(y) << 8 | square(x),
                 key: hash(data),
                 shape: 0,
@@ -141,7 +143,7 @@ impl Shot<'_> {
             .filter_map(Result::transpose)
             .collect::<Result<_, _>>()?;
         placed.par_sort_unstable();
-        for equal in placed.chunk_by_mut(|a, b| a.block == b.block && a.key == b.key) {
+        for equal in placed.chunk_by_mut(|a, b| a.area == b.area && a.key == b.key) {
             if equal.len() > 1 {
                 for source in equal.iter_mut() {
                     source.shape = self.shape(source.index).map_or(0, |shape| shape.hash());

@@ -41,20 +41,32 @@ const DRAW: f64 = 0.08e-9;
 const DRAW_GATHERED: f64 = 6.0;
 /// One product and sum of a star that is drawn between pixels.
 const DRAW_STAR: f64 = 0.03e-9;
+/// One product and sum of a star that is drawn in f64 from all components.
+const PAINT_STAR: f64 = 0.3e-9;
 /// Adding one tap of a star to a plane.
 const SPREAD_STAR: f64 = 1e-9;
-/// Preparing a source that is drawn photon by photon.
-const SHOOT_SOURCE: f64 = 3e-6;
-/// Drawing a photon of a source.
-const SHOOT_PHOTON: f64 = 40e-9;
+/// Preparing a star that is drawn photon by photon.
+const SHOOT_STAR: f64 = 1e-6;
+/// Preparing an extended source that is drawn photon by photon.
+const SHOOT_EXTENDED: f64 = 5e-6;
+/// Proposing the pixel of a photon.
+const SHOOT_PHOTON: f64 = 15e-9;
+/// A term of the value of the PSF there, which is computed if it may have terms of both signs.
+const TERM_OF_PHOTON: f64 = 3e-9;
 /// Sources of more photons are never drawn photon by photon to save time.
-const MOST_PHOTONS: f64 = 1e4;
-/// Making the table of the PSF at a corner of a cell, per pixel of the stamp.
-const MAKE_TABLE: f64 = 30e-9;
+pub(crate) const MOST_PHOTONS: f64 = 1e6;
+/// Drawing the place of an extended source's photon.
+const PLACE_OF_PHOTON: f64 = 15e-9;
+/// Making the table of a PSF, per pixel of the stamp.
+const MAKE_TABLE: f64 = 35e-9;
 /// Finding the PSF of a star that is drawn, and its weights.
-const PREPARE_STAR: f64 = 3e-6;
+const PREPARE_STAR: f64 = 1e-6;
+/// Making a block of the frame in which sources are drawn as light.
+const MAKE_SOURCE_BLOCK: f64 = 0.8e-3;
 /// Drawing a galaxy of a few pixels through stamps of 64 pixels, with a tolerance of 1e-3.
-const DRAW_GALAXY: f64 = 40e-6;
+const DRAW_GALAXY: f64 = 90e-6;
+/// Drawing the photon noise of a pixel.
+const NOISE: f64 = 14e-9;
 /// Computing a local stamp, per stamp pixel and per stamp of the model.
 const MAKE_STAMP: f64 = 0.012e-9;
 /// Planning a block, without its stamps and cells.
@@ -144,14 +156,41 @@ impl CostModel {
         self.width * DRAW_STAR * products as f64
     }
 
-    /// The most photons of a star and of a small galaxy for which it is faster to draw the source photon by
-    /// photon than as light. A star takes `draw_star` seconds beside finding its PSF. Photons need a share of a
-    /// table for each source, in pixels of the stamp.
-    pub(crate) fn most_photons(draw_star: f64, share_of_table: f64) -> [f64; 2] {
-        [PREPARE_STAR + draw_star, DRAW_GALAXY].map(|draw| {
-            let left = draw - SHOOT_SOURCE - MAKE_TABLE * share_of_table;
-            (left / SHOOT_PHOTON).clamp(0.0, MOST_PHOTONS)
-        })
+    /// Drawing a star from all components one by one, with so many products and sums.
+    pub(crate) fn paint_star(products: usize) -> f64 {
+        PAINT_STAR * products as f64
+    }
+
+    /// A star and a small galaxy, drawn as light or photon by photon. The star takes `draw_star` seconds beside
+    /// finding its PSF.
+    pub(crate) fn of_kinds(draw_star: f64, work: PhotonWork) -> [KindCosts; 2] {
+        let photon = work.proposals * SHOOT_PHOTON + work.terms * TERM_OF_PHOTON;
+        let star = KindCosts {
+            draw: PREPARE_STAR + draw_star,
+            shoot: SHOOT_STAR,
+            photon,
+        };
+        let extended = KindCosts {
+            draw: DRAW_GALAXY,
+            shoot: SHOOT_EXTENDED,
+            photon: photon + work.proposals * PLACE_OF_PHOTON,
+        };
+        [star, extended]
+    }
+
+    /// Making tables for photons, of so many pixels in all.
+    pub(crate) fn make_tables(pixels: usize) -> f64 {
+        MAKE_TABLE * pixels as f64
+    }
+
+    /// Making blocks in which sources are drawn as light.
+    pub(crate) fn source_blocks(count: usize) -> f64 {
+        MAKE_SOURCE_BLOCK * count as f64
+    }
+
+    /// Drawing the photon noise of pixels.
+    pub(crate) fn noise(pixels: usize) -> f64 {
+        NOISE * pixels as f64
     }
 
     /// Spreading a star over a number of taps.
@@ -165,6 +204,52 @@ impl CostModel {
         self.width
             * kernels as f64
             * (DIRECT * out * (stamp.0 * stamp.1) as f64 + MULTIPLY_LIGHT * (tile.0 * tile.1) as f64)
+    }
+}
+
+/// The work of a photon.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct PhotonWork {
+    /// The number of pixels that are proposed.
+    pub(crate) proposals: f64,
+    /// The number of terms of the PSF that are computed at these pixels.
+    pub(crate) terms: f64,
+}
+
+impl Default for PhotonWork {
+    fn default() -> Self {
+        Self {
+            proposals: 1.0,
+            terms: 0.0,
+        }
+    }
+}
+
+/// What it takes to draw the sources of one kind.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct KindCosts {
+    /// Seconds to draw a source as light.
+    pub(crate) draw: f64,
+    /// Seconds to prepare a source for photons.
+    pub(crate) shoot: f64,
+    /// Seconds of a photon.
+    pub(crate) photon: f64,
+}
+
+impl KindCosts {
+    /// The most photons for which a source alone is faster photon by photon.
+    pub(crate) fn most_photons(&self) -> f64 {
+        ((self.draw - self.shoot) / self.photon).clamp(0.0, MOST_PHOTONS)
+    }
+
+    /// The seconds of some sources of which those of fewer photons than `below` are shot, the number of sources
+    /// that are shot, and that of the others.
+    pub(crate) fn seconds(&self, photons: &[f64], below: f64) -> (f64, usize, usize) {
+        let shot = photons.iter().filter(|&&n| n < below);
+        let (count, sum) = shot.fold((0, 0.0), |(count, sum), n| (count + 1, sum + n));
+        let drawn = photons.len() - count;
+        let seconds = count as f64 * self.shoot + sum * self.photon + drawn as f64 * self.draw;
+        (seconds, count, drawn)
     }
 }
 

@@ -17,9 +17,10 @@ use crate::{ConvError, ConvReal};
 
 /// The number of sources that one task draws.
 const PER_TASK: usize = 32;
-/// The most pairs of a source and a pixel whose interpolation [`StarPainter::at_pixels`] holds in memory.
-const PAIRS_IN_MEMORY: usize = 1 << 21;
-/// It holds the interpolators of as many components as have so many pixels, and of one at least.
+/// The most tasks of [`StarPainter::at_pixels`], which each hold a sum for every pixel.
+const TASKS: usize = 64;
+/// [`StarPainter::at_pixels`] holds the interpolators of as many components as have so many pixels, and of one at
+/// least.
 const PIXELS_IN_MEMORY: usize = 1 << 25;
 
 /// Draws stars one by one in f64, each from all components of the model. It is the reference for
@@ -118,74 +119,19 @@ impl<'a> StarPainter<'a> {
         pixels: &[(usize, usize)],
     ) -> Result<Vec<f64>, ConvError> {
         let sorted = SortedPixels::new(pixels);
-        let lit = |source: &PointSource| sorted.within(self.lit(source));
-        let mut hit: Vec<(&PointSource, usize)> = sources
+        let lights_some = |source: &&PointSource| sorted.within(self.lit(source)).next().is_some();
+        let hit: Vec<&PointSource> = sources
             .par_iter()
             .filter(|source| self.reaches(source))
-            .map(|source| (source, lit(source).count()))
-            .filter(|&(_, pairs)| pairs > 0)
+            .filter(lights_some)
             .collect();
-        let mut values = vec![0.0; pixels.len()];
-        while !hit.is_empty() {
-            let mut pairs = 0;
-            let some = hit.iter().take_while(|(_, of_source)| {
-                pairs += of_source;
-                pairs <= PAIRS_IN_MEMORY
-            });
-            let count = some.count().max(1);
-            let mut lights: Vec<LitPixels> = hit
-                .par_drain(..count)
-                .map(|(source, _)| self.lit_pixels_of(source, lit(source)))
-                .collect::<Result<_, ConvError>>()?;
-            self.interpolate(&mut lights, pixels)?;
-            for light in &lights {
-                for (&index, sum) in light.pixels.iter().zip(&light.sums) {
-                    values[index] += sum * light.flux;
-                }
-            }
+        if hit.is_empty() {
+            return Ok(vec![0.0; pixels.len()]);
         }
-        Ok(values)
-    }
-
-    /// A source, and pixels that it may light.
-    fn lit_pixels_of(
-        &self,
-        source: &PointSource,
-        lit: impl Iterator<Item = (usize, usize, usize)>,
-    ) -> Result<LitPixels, ConvError> {
-        let (star, lit) = (Star::new(source, self.frame), lit.collect::<Vec<_>>());
-        let (ours, target, s) = (
-            self.model.grid(),
-            self.stamps.target,
-            self.model.grid().oversampling(),
-        );
-        let taps = |length, shift: f64, centre: [f64; 2], at: &dyn Fn(usize) -> usize| {
-            let coordinate = |pair| centre[0] + s * (at(pair) as f64 - centre[1] - shift);
-            Taps::new(self.stamps.kernel, length, 0.0, lit.len(), coordinate)
-        };
-        let (dx, dy) = star.shift;
-        let taps_x = taps(ours.nx(), dx, [ours.centre_x(), target.centre_x()], &|p| lit[p].2);
-        let taps_y = taps(ours.ny(), dy, [ours.centre_y(), target.centre_y()], &|p| lit[p].1);
-        let mut coefficients = vec![0.0; self.model.stamp_count()];
-        if self.stamps.splines.is_none() {
-            let (x, y) = star.position;
-            let position = Position::new(x, y).map_err(ConvError::Result)?;
-            self.model.scaled_coefficients_into(position, &mut coefficients)?;
-        }
-        Ok(LitPixels {
-            flux: source.flux(),
-            pixels: lit.iter().map(|&(index, _, _)| index).collect(),
-            taps: [taps_x, taps_y],
-            sums: vec![0.0; lit.len()],
-            coefficients,
-        })
-    }
-
-    /// Adds the PSFs of all components to the sums, a few components at a time.
-    fn interpolate(&self, lights: &mut [LitPixels], pixels: &[(usize, usize)]) -> Result<(), ConvError> {
-        let (grid, anchor_is_output) = (self.model.grid(), self.stamps.splines.is_some());
+        let grid = self.model.grid();
         let at_once = (PIXELS_IN_MEMORY / grid.pixel_count()).max(1);
-        let mut first = 0;
+        let of_task = hit.len().div_ceil(TASKS);
+        let (mut values, mut first) = (vec![0.0; pixels.len()], 0);
         for stamps in self.model.stamps().axis_chunks_iter(Axis(0), at_once) {
             let interpolators: Vec<StampInterpolator> = (0..stamps.len_of(Axis(0)))
                 .into_par_iter()
@@ -194,22 +140,61 @@ impl<'a> StarPainter<'a> {
                     StampInterpolator::with_kernel(stamp, grid, self.stamps.kernel)
                 })
                 .collect();
-            lights.par_iter_mut().try_for_each(|light| {
-                for (pair, sum) in light.sums.iter_mut().enumerate() {
-                    if anchor_is_output {
-                        let (x, y) = pixels[light.pixels[pair]];
-                        let position = Position::of_pixel(x as i64, y as i64);
-                        self.model
-                            .scaled_coefficients_into(position, &mut light.coefficients)?;
+            let of_tasks: Vec<Vec<f64>> = hit
+                .par_chunks(of_task)
+                .map(|sources| {
+                    let mut sums = vec![0.0; pixels.len()];
+                    for source in sources {
+                        let lit: Vec<_> = sorted.within(self.lit(source)).collect();
+                        self.add_at_pixels((source, &lit), (&interpolators, first), pixels, &mut sums)?;
                     }
-                    let [x, y] = [0, 1].map(|axis| light.taps[axis].of(pair));
-                    for (interpolator, a) in interpolators.iter().zip(&light.coefficients[first..]) {
-                        *sum += a * interpolator.at(x, y);
-                    }
-                }
-                Ok::<(), ConvError>(())
-            })?;
+                    Ok(sums)
+                })
+                .collect::<Result<_, ConvError>>()?;
+            for (pixel, value) in values.iter_mut().enumerate() {
+                *value += of_tasks.iter().map(|sums| sums[pixel]).sum::<f64>();
+            }
             first += interpolators.len();
+        }
+        Ok(values)
+    }
+
+    /// Adds a source's light to `sums`, one for each pixel, from the components of `interpolators`, which begin with
+    /// component `first`.
+    fn add_at_pixels(
+        &self,
+        (source, lit): (&PointSource, &[(usize, usize, usize)]),
+        (interpolators, first): (&[StampInterpolator], usize),
+        pixels: &[(usize, usize)],
+        sums: &mut [f64],
+    ) -> Result<(), ConvError> {
+        let star = Star::new(source, self.frame);
+        let (ours, target) = (self.model.grid(), self.stamps.target);
+        let s = ours.oversampling();
+        let taps = |length, shift: f64, centre: [f64; 2], at: &dyn Fn(usize) -> usize| {
+            let coordinate = |pair| centre[0] + s * (at(pair) as f64 - centre[1] - shift);
+            Taps::new(self.stamps.kernel, length, 0.0, lit.len(), coordinate)
+        };
+        let (dx, dy) = star.shift;
+        let taps_x = taps(ours.nx(), dx, [ours.centre_x(), target.centre_x()], &|p| lit[p].2);
+        let taps_y = taps(ours.ny(), dy, [ours.centre_y(), target.centre_y()], &|p| lit[p].1);
+        let mut coefficients = vec![0.0; self.model.stamp_count()];
+        let anchor_is_output = self.stamps.splines.is_some();
+        if !anchor_is_output {
+            let (x, y) = star.position;
+            let position = Position::new(x, y).map_err(ConvError::Result)?;
+            self.model.scaled_coefficients_into(position, &mut coefficients)?;
+        }
+        for (pair, &(index, _, _)) in lit.iter().enumerate() {
+            if anchor_is_output {
+                let (x, y) = pixels[index];
+                let position = Position::of_pixel(x as i64, y as i64);
+                self.model.scaled_coefficients_into(position, &mut coefficients)?;
+            }
+            let (x, y) = (taps_x.of(pair), taps_y.of(pair));
+            let terms = interpolators.iter().zip(&coefficients[first..]);
+            let psf: f64 = terms.map(|(interpolator, a)| a * interpolator.at(x, y)).sum();
+            sums[index] += psf * source.flux();
         }
         Ok(())
     }
@@ -328,19 +313,6 @@ impl<'a> StarPainter<'a> {
         values.mapv_inplace(|v| v * source.flux());
         Ok((lit, values))
     }
-}
-
-/// The pixels that a source lights, and its light there.
-struct LitPixels {
-    flux: f64,
-    /// Indices of the pixels.
-    pixels: Vec<usize>,
-    /// For each pixel, the weights of the components' coefficients along x and y.
-    taps: [Taps; 2],
-    /// For each pixel, the PSF summed over the components so far.
-    sums: Vec<f64>,
-    /// The PSF of the source, or of the pixel that is computed.
-    coefficients: Vec<f64>,
 }
 
 /// Pixels sorted by rows: row, column, and the index before sorting.

@@ -3,12 +3,13 @@
 use std::sync::Arc;
 
 use ndarray::ArrayViewMut2;
-use psf_types::{Anchor, PixelRegion, PointSource};
+use psf_types::{Anchor, PixelRegion, PointSource, PsfModel};
 
 use super::draw_blocks::{BlockDrawer, DrawBlocks, Phased, StarsToDraw};
 use super::painter::{StarPainter, StarStamps};
 use super::phases::PhasedAxis;
 use crate::dropped_light::DroppedLight;
+use crate::plan::cost_model::CostModel;
 use crate::sources::SourcePsfs;
 use crate::stamp_interpolator::Kernel;
 use crate::{ConvError, ConvReal};
@@ -61,11 +62,24 @@ impl<T: ConvReal> StarDrawer<T> {
         }
     }
 
-    /// The seconds to draw one of so many stars on a frame. `None` if they are drawn from all components.
-    pub(crate) fn seconds_of_star(&self, stars: usize, frame: PixelRegion) -> Option<f64> {
-        let spreader = &self.phased.as_ref()?.spreader;
+    /// The seconds to draw one of so many stars on a frame.
+    pub(crate) fn seconds_of_star(&self, model: &PsfModel, stars: usize, frame: PixelRegion) -> f64 {
+        let Some(phased) = &self.phased else {
+            let taps = self.stamps.kernel.tap_count();
+            let products = model.stamp_count() * model.grid().pixel_count();
+            return CostModel::paint_star(products + taps * taps * self.stamps.target.pixel_count());
+        };
+        let spreader = &phased.spreader;
         let blocks = frame.shape().pixel_count() as f64 / (spreader.side * spreader.side) as f64;
-        Some(spreader.seconds_of_star(stars as f64 / blocks))
+        spreader.seconds_of_star(stars as f64 / blocks)
+    }
+
+    /// About how many blocks of stars a frame has.
+    pub(crate) fn block_count(&self, frame: PixelRegion) -> usize {
+        self.phased.as_ref().map_or(0, |phased| {
+            let blocks = [frame.shape().nx(), frame.shape().ny()].map(|n| n.div_ceil(phased.spreader.side));
+            blocks[0] * blocks[1]
+        })
     }
 
     /// Adds the light that stars drop at most, in the part of the frame that `dropped` covers.

@@ -57,6 +57,11 @@ pub(crate) struct BenchArgs {
     /// light: 0 to 100 % of the pixels lit, chosen at random.
     /// stars: 10^3 to 10^7 stars.
     /// galaxies: 10^3 to 10^5 galaxies.
+    /// floor: 10^4 stars and as many galaxies of fluxes from 1 to 10^6, for floors from 0 to 10.
+    /// wings: frames with every pixel lit, through PSFs with wings of 0 to 4 stamps of 1023 x 1023 pixels.
+    /// starphotons, galaxyphotons: 10^5 stars or galaxies of 3 to 1000 photons each, simulated and
+    /// exposed with --shoot-below auto. The column ratio is the run time divided by the better of
+    /// shooting all and none.
     /// frames: 1000 frames of 256 x 256 pixels with one plan.
     /// fields: 100 frames of 256 x 256 pixels, each with its own PSF field: plan and image.
     /// colours: frames of --sizes with the light of five black bodies, each with its own image,
@@ -69,14 +74,14 @@ pub(crate) struct BenchArgs {
     ///
     /// The method is auto with tolerance 1e-3, in f32. No frame is larger than the largest of
     /// --sizes. A case whose first run takes more than 10 s runs once. All groups together take
-    /// about five minutes and 2 GiB of memory on two cores.
+    /// about fifteen minutes and 2 GiB of memory on two cores.
     #[arg(
         long,
         value_name = "GROUP,...",
         num_args = 0..=1,
         require_equals = true,
         value_delimiter = ',',
-        default_missing_value = "pixels,light,stars,galaxies,frames,fields,colours,series,starseries",
+        default_missing_value = "pixels,light,stars,galaxies,floor,wings,starphotons,galaxyphotons,frames,fields,colours,series,starseries",
         conflicts_with_all = [
             "grids", "scene", "stretch", "preset", "rank", "methods", "tolerances", "patches", "ranks", "anchor",
             "precision", "plot", "device", "gpu_adapter"

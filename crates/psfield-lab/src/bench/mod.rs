@@ -39,6 +39,7 @@ mod real_case;
 mod real_colours;
 mod real_scenes;
 mod real_series;
+mod real_wings;
 mod run;
 mod whole_model;
 

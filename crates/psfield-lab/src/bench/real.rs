@@ -1,12 +1,13 @@
 //! A benchmark of real work: how the cost of the method auto grows with pixels, light, sources,
 //! frames, spectra and exposures.
 
+use std::sync::Arc;
 use std::time::Instant;
 
 use metrics::Summary;
 use ndarray::Array2;
 use psf_types::{FrameShape, NoProgress, Progress, PsfModelRecord};
-use psfield::{Psf, PsfieldError, SimulateOptions};
+use psfield::{Psf, PsfieldError, ShootBelow, SimulateOptions};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use serde::Serialize;
@@ -15,6 +16,7 @@ use crate::bench::real_case::{RealCase, RealGroup, RealPsf};
 use crate::bench::real_colours::black_bodies;
 use crate::bench::real_scenes::{CaseSimulator, Scenes, mirrored, of_frame};
 use crate::bench::real_series::{SeriesCase, psf_of_times};
+use crate::bench::real_wings::with_wings;
 use crate::bench::run::{relative_l2, runs_per_turn};
 use crate::bench::{BenchOptions, Contender};
 use crate::memory::PeakMemory;
@@ -61,12 +63,15 @@ pub struct RealRow {
     pub seconds_single: Option<f64>,
     /// Seconds of the fastest run of simpler work. For [`RealGroup::Colours`]: the light and the PSF of
     /// the first spectrum alone. For [`RealGroup::Series`] and [`RealGroup::StarSeries`]: the series
-    /// through the PSF of the first time, without drift, so that one plan serves all exposures. None
-    /// for other groups.
+    /// through the PSF of the first time, without drift, so that one plan serves all exposures. For
+    /// [`RealGroup::StarPhotons`] and [`RealGroup::GalaxyPhotons`]: all sources drawn as light. None for other
+    /// groups.
     pub seconds_simpler: Option<f64>,
+    /// Seconds of the fastest run with all sources drawn photon by photon. None for groups without photons.
+    pub seconds_photons: Option<f64>,
     /// Relative L2 difference of the last frame from the direct sum in double precision, at random
     /// pixels. For stars and galaxies, these are at most 3 pixels from a source along x and along
-    /// y. None if the direct sum is 0 at all these pixels.
+    /// y. None if the direct sum is 0 at all these pixels, and for photons.
     pub relative_l2: Option<f64>,
     /// The largest memory that the process held between the start of the model and the end of the
     /// first run. None if the system does not report it. It includes the scenes.
@@ -124,7 +129,12 @@ pub fn run_real_cases(
                 RealGroup::Fields => mirrored(&record, field)?,
                 _ => Vec::new(),
             };
-            rows.push(measured(case, (&record, &fields), frame, options)?);
+            let of_case = match case.group {
+                RealGroup::Wings => Some(with_wings(record.clone(), frame, case.amount as usize)?),
+                _ => None,
+            };
+            let record = of_case.as_ref().unwrap_or(&record);
+            rows.push(measured(case, (record, &fields), frame, options)?);
             progress.advance(1);
         }
     }
@@ -188,7 +198,12 @@ fn planned(
         _ => AUTO.simulator(record, psf, frame, options)?,
     };
     simulator.prepare(&scenes.get(scenes.count - 1)?, &NoProgress)?;
-    Ok(CaseSimulator::Images(Box::new(simulator)))
+    Ok(match case.group {
+        RealGroup::StarPhotons | RealGroup::GalaxyPhotons => {
+            CaseSimulator::Exposed(Arc::new(simulator), ShootBelow::Auto)
+        }
+        _ => CaseSimulator::Images(Box::new(simulator)),
+    })
 }
 
 /// The direct sum for the last image of a case, at some pixels.
@@ -199,6 +214,7 @@ fn exact(
     pixels: &[(usize, usize)],
 ) -> Result<Vec<f64>, PsfieldError> {
     match simulator {
+        CaseSimulator::Exposed(..) => Ok(Vec::new()),
         CaseSimulator::Images(simulator) => {
             let last = scenes.get(scenes.count - 1)?;
             match of_frame(fields, scenes.count - 1) {
@@ -246,10 +262,17 @@ fn measured(
         seconds_model = seconds_model.min(of_model);
         seconds_plan = seconds_plan.min(of_plan);
     }
-    let (mut single, mut simpler) = (None, None);
+    let (mut single, mut simpler, mut photons) = (None, None, None);
     let mut timed = |simulator| Timed::new(simulator, &[], &scenes, &mut image).map(Some);
     if let CaseSimulator::Series(series) = &whole.simulator {
         simpler = timed(CaseSimulator::Series(Box::new(series.at_rest()?)))?;
+    } else if let CaseSimulator::Exposed(simulator, _) = &whole.simulator {
+        let mut below = |most| {
+            let below = ShootBelow::Photons(most);
+            timed(CaseSimulator::Exposed(Arc::clone(simulator), below))
+        };
+        simpler = below(0.0)?;
+        photons = below(f64::INFINITY)?;
     } else if scenes.get(0)?.has_image() {
         let in_colour = case.group == RealGroup::Colours;
         let psf = if in_colour { psf.at_state(0.0)? } else { psf };
@@ -263,7 +286,12 @@ fn measured(
         }
     }
     for _ in 0..options.repeat.max(1) {
-        let all = [Some(&mut whole), single.as_mut(), simpler.as_mut()];
+        let all = [
+            Some(&mut whole),
+            single.as_mut(),
+            simpler.as_mut(),
+            photons.as_mut(),
+        ];
         for timed in all
             .into_iter()
             .flatten()
@@ -292,6 +320,7 @@ fn measured(
         seconds_median: seconds.median(),
         seconds_single: fastest(single)?,
         seconds_simpler: fastest(simpler)?,
+        seconds_photons: fastest(photons)?,
         relative_l2,
         peak_memory_bytes,
     })

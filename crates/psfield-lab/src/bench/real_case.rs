@@ -32,6 +32,14 @@ pub enum RealGroup {
     /// Stars and galaxies of a catalogue, as many of each, with fluxes over six powers of ten. The amount is the
     /// floor ([`SimulateOptions::floor`](psfield::SimulateOptions::floor)).
     Floor,
+    /// Frames in which every pixel is lit, through a PSF with wings of 1023 pixels. The amount is the number of
+    /// stamps of the wings.
+    Wings,
+    /// Stars of a catalogue that are simulated and exposed, each of the same expected number of photons.
+    /// [`ShootBelow::Auto`](psfield::ShootBelow::Auto) chooses how they are drawn.
+    StarPhotons,
+    /// Like [`StarPhotons`](Self::StarPhotons), with galaxies.
+    GalaxyPhotons,
     /// Many small frames with one plan. Every pixel is lit.
     Frames,
     /// Small frames, each with a PSF field of its own on one basis. They are parts of larger frames, with
@@ -52,8 +60,9 @@ const FIELD: usize = 4;
 
 named!(
     RealGroup, "group of cases",
-    "pixels, light, stars, galaxies, floor, frames, fields, colours, series or starseries",
+    "pixels, light, stars, galaxies, floor, wings, starphotons, galaxyphotons, frames, fields, colours, series or starseries",
     "pixels" => Pixels, "light" => Light, "stars" => Stars, "galaxies" => Galaxies, "floor" => Floor,
+    "wings" => Wings, "starphotons" => StarPhotons, "galaxyphotons" => GalaxyPhotons,
     "frames" => Frames, "fields" => Fields, "colours" => Colours, "series" => Series, "starseries" => StarSeries
 );
 
@@ -148,6 +157,8 @@ impl RealGroup {
             Self::Stars => "stars",
             Self::Galaxies => "galaxies",
             Self::Floor => "floor",
+            Self::Wings => "stamps of the wings",
+            Self::StarPhotons | Self::GalaxyPhotons => "photons each",
             Self::Frames | Self::Fields => "frames",
             Self::Colours => "spectra",
             Self::Series | Self::StarSeries => "exposures",
@@ -198,6 +209,10 @@ impl RealGroup {
             Self::Stars => (9216, &[1e3, 1e4, 1e5, 1e6, 1e7], &[1e3]),
             Self::Galaxies => (4096, &[1e3, 1e4, 1e5], &[10.0]),
             Self::Floor => (4096, &[0.0, 0.01, 0.1, 1.0, 10.0], &[0.0, 1.0]),
+            Self::Wings => (4096, &[0.0, 1.0, 2.0, 3.0, 4.0], &[0.0, 2.0]),
+            Self::StarPhotons | Self::GalaxyPhotons => {
+                (4096, &[3.0, 10.0, 30.0, 100.0, 300.0, 1000.0], &[3.0, 300.0])
+            }
             Self::Frames => (256, &[1000.0], &[10.0]),
         };
         let amounts = if quick { quick_amounts } else { amounts };
@@ -221,12 +236,15 @@ impl RealCase {
 mod tests {
     use super::*;
 
-    const ALL: [RealGroup; 10] = [
+    const ALL: [RealGroup; 13] = [
         RealGroup::Pixels,
         RealGroup::Light,
         RealGroup::Stars,
         RealGroup::Galaxies,
         RealGroup::Floor,
+        RealGroup::Wings,
+        RealGroup::StarPhotons,
+        RealGroup::GalaxyPhotons,
         RealGroup::Frames,
         RealGroup::Fields,
         RealGroup::Colours,
@@ -242,9 +260,11 @@ mod tests {
         };
         assert_eq!(
             sides(&[1024, 9216]),
-            [9216, 4096, 9216, 4096, 4096, 256, 256, 9216, 2048, 2048]
+            [
+                9216, 4096, 9216, 4096, 4096, 4096, 4096, 4096, 256, 256, 9216, 2048, 2048
+            ]
         );
-        assert_eq!(sides(&[200, 100]), [200; 10]);
+        assert_eq!(sides(&[200, 100]), [200; 13]);
         let names = ALL.map(|group| group.to_string().parse::<RealGroup>());
         assert_eq!(names.map(Result::unwrap), ALL);
     }

@@ -1,13 +1,15 @@
 //! The scenes of a case of real work, and the PSFs of its frames.
 
 use std::ops::Range;
+use std::sync::Arc;
 use std::time::Instant;
 
 use ndarray::{Array2, s};
 use psf_types::{
     FrameShape, ImageView, NoProgress, PointSource, Position, PsfModelRecord, SersicProfile, SersicSource,
 };
-use psfield::{Psf, PsfieldError, Scene, Simulator};
+use psfield::detector::{Detector, DetectorParams};
+use psfield::{ExposeOptions, Psf, PsfieldError, Scene, ShootBelow, Simulator};
 use rand::seq::IndexedRandom;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -49,6 +51,8 @@ const AT_ONCE: usize = 128;
 pub(super) enum CaseSimulator {
     /// Images of one PSF, or of several spectra.
     Images(Box<Simulator<f32>>),
+    /// Images with the noise of photons, and the sources that are drawn photon by photon.
+    Exposed(Arc<Simulator<f32>>, ShootBelow),
     /// Exposures, each with its own plan.
     Series(Box<SeriesCase>),
 }
@@ -56,14 +60,21 @@ pub(super) enum CaseSimulator {
 /// The stars of a series.
 const STARS_OF_SERIES: usize = 2000;
 
-/// The stars, and as many galaxies, of a case of [`RealGroup::Floor`], and the decades of their fluxes.
+/// The most stars, and as many galaxies, of a case of [`RealGroup::Floor`], and the decades of their fluxes.
 const SOURCES_OF_FLOOR: usize = 10_000;
 const FLUXES_OF_FLOOR: Range<f64> = 0.0..6.0;
+/// The most stars or galaxies of a case of [`RealGroup::StarPhotons`] or [`RealGroup::GalaxyPhotons`].
+const SOURCES_OF_PHOTONS: usize = 100_000;
+/// The fewest pixels of the frame for each of these sources.
+const PIXELS_OF_SOURCE: usize = 100;
+/// The pixels at which a case of [`RealGroup::Wings`] is compared: the direct sum of each has a million terms.
+const PIXELS_OF_WINGS: usize = 10;
 /// The decades of other fluxes.
 const FLUXES: Range<f64> = 2.0..5.0;
 
 /// The scenes of a case.
 pub(super) struct Scenes {
+    group: RealGroup,
     frame: FrameShape,
     /// The number of images.
     pub(super) count: usize,
@@ -84,11 +95,15 @@ impl Scenes {
             RealGroup::Colours => (1, amount),
             _ => (1, 1),
         };
+        let at_most = |count: usize| count.min(frame.pixel_count() / PIXELS_OF_SOURCE);
+        let (of_floor, of_photons) = (at_most(SOURCES_OF_FLOOR), at_most(SOURCES_OF_PHOTONS));
         let (stars, galaxies) = match case.group {
             RealGroup::Stars => (amount, 0),
             RealGroup::StarSeries => (STARS_OF_SERIES, 0),
             RealGroup::Galaxies => (0, amount),
-            RealGroup::Floor => (SOURCES_OF_FLOOR, SOURCES_OF_FLOOR),
+            RealGroup::Floor => (of_floor, of_floor),
+            RealGroup::StarPhotons => (of_photons, 0),
+            RealGroup::GalaxyPhotons => (0, of_photons),
             _ => (0, 0),
         };
         let image = if stars + galaxies == 0 {
@@ -103,13 +118,21 @@ impl Scenes {
             None
         };
         let fluxes = match case.group {
-            RealGroup::Floor => FLUXES_OF_FLOOR,
-            _ => FLUXES,
+            RealGroup::Floor => Some(FLUXES_OF_FLOOR),
+            // All fluxes are equal.
+            RealGroup::StarPhotons | RealGroup::GalaxyPhotons => None,
+            _ => Some(FLUXES),
         };
-        let stars = (0..stars).map(|_| star(frame, fluxes.clone(), &mut rng));
+        let flux = |rng: &mut ChaCha8Rng| match &fluxes {
+            // Each power of ten has equal probability.
+            Some(decades) => 10f64.powf(rng.random_range(decades.clone())),
+            None => case.amount,
+        };
+        let stars = (0..stars).map(|_| star(frame, flux, &mut rng));
         let stars = stars.collect::<Result<_, _>>()?;
-        let galaxies = (0..galaxies).map(|_| galaxy(frame, fluxes.clone(), &mut rng));
+        let galaxies = (0..galaxies).map(|_| galaxy(frame, flux, &mut rng));
         Ok(Self {
+            group: case.group,
             frame,
             count,
             layers,
@@ -148,7 +171,12 @@ impl Scenes {
                 .min(pixels - 1),
             None => rng.random_range(0..pixels),
         };
-        let count = options.pixels.max(1);
+        let count = match self.group {
+            // Photons are random.
+            RealGroup::StarPhotons | RealGroup::GalaxyPhotons => 0,
+            RealGroup::Wings => options.pixels.clamp(1, PIXELS_OF_WINGS),
+            _ => options.pixels.max(1),
+        };
         let pixels = (0..count).map(|_| {
             let source = sources.choose(&mut rng);
             let x = pixel(&mut rng, source.map(|at| at.x()), self.frame.nx());
@@ -168,6 +196,7 @@ impl Scenes {
     ) -> Result<f64, PsfieldError> {
         let simulator = match simulator {
             CaseSimulator::Images(simulator) => simulator,
+            CaseSimulator::Exposed(simulator, below) => return exposed(simulator, &self.get(0)?, *below),
             CaseSimulator::Series(series) => return series.seconds(image),
         };
         if self.count == 1 {
@@ -206,16 +235,40 @@ impl Scenes {
     }
 }
 
-/// Returns a random flux, each power of ten in a range with equal probability.
-fn flux(decades: Range<f64>, rng: &mut ChaCha8Rng) -> f64 {
-    10f64.powf(rng.random_range(decades))
+/// Seconds of an image that is simulated and exposed without sky.
+fn exposed(
+    simulator: &Simulator<f32>,
+    scene: &Scene<'_, f32>,
+    shoot_below: ShootBelow,
+) -> Result<f64, PsfieldError> {
+    let detector = Detector::new(DetectorParams {
+        photon_noise: true,
+        ..DetectorParams::default()
+    })?;
+    let options = ExposeOptions {
+        detector: &detector,
+        seed: 1,
+        shoot_below: Some(shoot_below),
+        bad_pixels: None,
+    };
+    let clock = Instant::now();
+    simulator.expose(scene, options, &NoProgress)?;
+    Ok(clock.elapsed().as_secs_f64())
 }
 
-fn star(frame: FrameShape, fluxes: Range<f64>, rng: &mut ChaCha8Rng) -> Result<PointSource, PsfieldError> {
-    Ok(PointSource::new(random_position(frame, rng)?, flux(fluxes, rng))?)
+fn star(
+    frame: FrameShape,
+    flux: impl Fn(&mut ChaCha8Rng) -> f64,
+    rng: &mut ChaCha8Rng,
+) -> Result<PointSource, PsfieldError> {
+    Ok(PointSource::new(random_position(frame, rng)?, flux(rng))?)
 }
 
-fn galaxy(frame: FrameShape, fluxes: Range<f64>, rng: &mut ChaCha8Rng) -> Result<SersicSource, PsfieldError> {
+fn galaxy(
+    frame: FrameShape,
+    flux: impl Fn(&mut ChaCha8Rng) -> f64,
+    rng: &mut ChaCha8Rng,
+) -> Result<SersicSource, PsfieldError> {
     let radius = LogNormal::new(1.5f64.ln(), 0.5).expect("a finite width");
     let profile = SersicProfile::new(
         radius.sample(rng).clamp(0.3, 8.0),
@@ -225,7 +278,7 @@ fn galaxy(frame: FrameShape, fluxes: Range<f64>, rng: &mut ChaCha8Rng) -> Result
     )?;
     Ok(SersicSource::new(
         random_position(frame, rng)?,
-        flux(fluxes, rng),
+        flux(rng),
         profile,
     )?)
 }

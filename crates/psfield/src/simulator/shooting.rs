@@ -1,6 +1,6 @@
 //! Faint sources, drawn photon by photon.
 
-use conv_core::{ConvReal, PhotonReport, PhotonSources, zeros};
+use conv_core::{ConvReal, ExpectedPhotons, PhotonReport, PhotonSources, zeros};
 use detector::{BadPixelMask, Detector, Exposure};
 use ndarray::Array2;
 use psf_types::{Image, Progress};
@@ -22,7 +22,7 @@ pub enum ShootBelow {
 
 impl<T: ConvReal> Simulator<T> {
     /// Divides a scene in two: the images and the sources that are drawn as light, and the faint sources that
-    /// are drawn photon by photon ([`shoot`](Self::shoot)). A source of flux 1 has `photons_per_flux` photons.
+    /// are drawn photon by photon ([`shoot`](Self::shoot)), for an exposure by a detector.
     ///
     /// # Errors
     /// [`PsfieldError`] if the scene does not fit the simulator, and the errors of [`prepare`](Self::prepare).
@@ -30,24 +30,28 @@ impl<T: ConvReal> Simulator<T> {
         &self,
         scene: &Scene<'a, T>,
         below: ShootBelow,
-        photons_per_flux: f64,
+        detector: &Detector,
     ) -> Result<(Scene<'a, T>, Scene<'a, T>), PsfieldError> {
         self.check_scene(scene)?;
-        let most = match below {
-            ShootBelow::Photons(most) => [most; 2],
+        let photons_of = |flux: f64| flux.abs() * detector.params().electrons_per_flux;
+        let below = match below {
+            ShootBelow::Photons(below) => [below; 2],
             ShootBelow::Auto => match scene.layers().iter().position(Layer::has_sources) {
                 Some(layer) => {
-                    let plan = self.sources(layer)?;
-                    let counts = (scene.stars().count(), scene.points().count());
-                    plan.most_photons_to_shoot(counts, self.frame())
+                    let stars: Vec<f64> = scene.stars().map(|star| photons_of(star.flux())).collect();
+                    let extended = scene.points().skip(stars.len());
+                    let extended: Vec<f64> = extended.map(|(_, flux)| photons_of(flux)).collect();
+                    let photons = ExpectedPhotons {
+                        stars: &stars,
+                        extended: &extended,
+                        has_background: detector.has_background() || scene.has_image(),
+                    };
+                    self.sources(layer)?.photons_to_shoot_below(photons, self.frame())
                 }
                 None => [0.0; 2],
             },
         };
-        Ok(scene.split(|point, is_star| {
-            let photons = point.flux().abs() * photons_per_flux;
-            photons < most[usize::from(!is_star)]
-        }))
+        Ok(scene.split(|point, is_star| photons_of(point.flux()) < below[usize::from(!is_star)]))
     }
 
     /// Draws the sources of a scene photon by photon, and returns the counts `[y, x]` of the image. They are
@@ -129,7 +133,11 @@ impl<T: ConvReal> Simulator<T> {
         let Some(below) = options.shoot_below else {
             return Ok(exposer.expose(&image_of(scene)?)?);
         };
-        let (light, faint) = self.split_faint(scene, below, detector.params().electrons_per_flux)?;
+        detector.check_photon_noise()?;
+        let (light, faint) = self.split_faint(scene, below, detector)?;
+        if !faint.layers().iter().any(Layer::has_sources) {
+            return Ok(exposer.expose(&image_of(scene)?)?);
+        }
         let (photons, _) = self.shoot(&faint, (detector.photons_per_flux(), seed), progress)?;
         let exposer = exposer.with_photons(photons.view())?;
         if !light.has_image() && !light.layers().iter().any(Layer::has_sources) {
