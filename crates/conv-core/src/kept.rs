@@ -1,7 +1,7 @@
 //! Parts of a plan that are kept for later sources.
 
 use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, Mutex, OnceLock};
 
 /// Values by their keys. A value is computed when it is first needed, and kept while all values
 /// together need at most a limit of memory.
@@ -33,9 +33,9 @@ impl<K: Copy + Ord, V> Kept<K, V> {
         }
     }
 
-    /// Returns the value, kept or computed now. `bytes` returns its size. No thread waits for another: several
-    /// threads that need a value at the same time compute it, and keep one of the results. A thread that waited
-    /// could be given work that waits for the same value.
+    /// Returns the value, kept or computed now. `bytes` returns its size. No thread waits for another
+    /// ([`get_or_make`]): several threads that need a value at the same time compute it, and keep one of the
+    /// results.
     pub(crate) fn get(&self, key: K, make: impl FnOnce() -> V, bytes: impl Fn(&V) -> usize) -> Arc<V> {
         let kept = |values: &Values<K, V>| values.by_key.get(&key).map(Arc::clone);
         if let Ok(values) = self.values.lock()
@@ -72,4 +72,14 @@ impl<K: Ord, V> Values<K, V> {
             self.bytes -= size;
         }
     }
+}
+
+/// Returns the kept value. Makes it first if it does not exist yet. No thread waits for another: one that waits
+/// takes up other work, which may need the value, too.
+pub(crate) fn get_or_make<V>(kept: &OnceLock<V>, make: impl FnOnce() -> V) -> &V {
+    if let Some(value) = kept.get() {
+        return value;
+    }
+    let made = make();
+    kept.get_or_init(|| made)
 }

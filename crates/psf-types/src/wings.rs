@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use ndarray::{ArcArray, Array2, Array3, ArrayView3, Ix3};
+use ndarray::{ArcArray, Array2, Array3, ArrayView2, ArrayView3, Ix3};
 use serde::{Deserialize, Serialize};
 
 use crate::basis::SampleCoefficients;
@@ -77,6 +77,11 @@ impl WingsRecord {
         self.stamps.dim().0
     }
 
+    /// The flux of each stamp.
+    pub fn stamp_fluxes(&self) -> Vec<f64> {
+        stamp_fluxes(self.stamps(), self.grid)
+    }
+
     /// The coefficients of the samples.
     pub fn coefficients(&self) -> &SampleCoefficients {
         &self.coefficients
@@ -129,6 +134,11 @@ impl Wings {
         self.grid
     }
 
+    /// The flux of each stamp.
+    pub fn stamp_fluxes(&self) -> Vec<f64> {
+        stamp_fluxes(self.stamps(), self.grid)
+    }
+
     /// The fields of the coefficients.
     pub fn field(&self) -> &Arc<dyn CoefficientField> {
         &self.field
@@ -153,4 +163,13 @@ impl Wings {
         }
         Ok(values)
     }
+}
+
+/// The fluxes of stamps, summed in double precision.
+fn stamp_fluxes(stamps: ArrayView3<'_, f32>, grid: StampGrid) -> Vec<f64> {
+    let sum = |stamp: ArrayView2<'_, f32>| stamp.iter().map(|&v| f64::from(v)).sum();
+    stamps
+        .outer_iter()
+        .map(|stamp| grid.flux_of_sum(sum(stamp)))
+        .collect()
 }

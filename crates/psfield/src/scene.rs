@@ -216,6 +216,11 @@ impl<'a, T: Real> Scene<'a, T> {
         self.layers.iter().any(Layer::has_image)
     }
 
+    /// Returns whether a layer has stars, galaxies or other sources.
+    pub(crate) fn has_sources(&self) -> bool {
+        self.layers.iter().any(Layer::has_sources)
+    }
+
     /// The numbers of the layers that have an image.
     pub(crate) fn layers_with_image(&self) -> Vec<usize> {
         let numbers = 0..self.layers.len();

@@ -20,6 +20,7 @@ use rustc_hash::FxHashMap;
 
 use super::cells::{Cell, integrals, product};
 use super::extent::truncate;
+use crate::kept::get_or_make;
 use crate::stamp_interpolator::{Kernel, MOST_REACH};
 
 /// Number of nodes along each axis of a block.
@@ -261,7 +262,7 @@ impl CellPsf<'_> {
             let psf = self.integrator.model.core_at(self.position)?;
             Ok(self.integrator.coefficients(psf.values()))
         };
-        match self.coefficients.get_or_init(make) {
+        match get_or_make(&self.coefficients, make) {
             Ok(coefficients) => Ok(coefficients),
             // Errors are not copied. The error occurs again.
             Err(_) => Err(make().expect_err("the PSF had no value")),

@@ -12,7 +12,7 @@ use super::corners::{BLOCK, BlockCells, Corner, Corners};
 use super::counts::SharedCounts;
 use super::shot::{AREA, MeanPsf, PhotonBuffers, Placed, Shot};
 use crate::galaxies::ExtendedSources;
-use crate::kept::Kept;
+use crate::kept::{Kept, get_or_make};
 use crate::plan::cost_model::PhotonWork;
 use crate::sources::{BlockKey, SourcePsfs, region_of};
 use crate::stamp_interpolator::Kernel;
@@ -142,7 +142,7 @@ impl PhotonShooter {
 
     fn stamps_of<'a>(&self, tables: &'a Tables, psfs: &SourcePsfs, size: Option<usize>) -> &'a PhotonStamps {
         let make = || PhotonStamps::new(psfs.space(), self.kernel, size);
-        tables.stamps.get_or_init(make)
+        get_or_make(&tables.stamps, make)
     }
 
     /// A shooter for PSFs of another field, which shares the stamps.

@@ -225,7 +225,7 @@ impl Default for PhotonWork {
     }
 }
 
-/// What it takes to draw the sources of one kind.
+/// The seconds to draw sources of one kind.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct KindCosts {
     /// Seconds to draw a source as light.

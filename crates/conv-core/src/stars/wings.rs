@@ -7,7 +7,7 @@
 use std::cmp::Ordering;
 use std::sync::{Arc, OnceLock};
 
-use ndarray::{Array2, ArrayView1, ArrayView2, ArrayViewMut2, Axis};
+use ndarray::{Array2, ArrayView1, ArrayViewMut2, Axis};
 use psf_types::{
     DataError, FrameShape, PixelRegion, PointSource, Position, Progress, PsfModel, StampGrid, Wings,
 };
@@ -21,6 +21,7 @@ use super::row_layout::{CHUNK, RowLayout};
 use super::wing_transform::{WingTransform, divided};
 use crate::dropped_light::DroppedLight;
 use crate::galaxies::{ExtendedSources, representative_points};
+use crate::kept::get_or_make;
 use crate::overlap::{Piece, shared};
 use crate::simd::{Aligned, Lanes, WithIsa};
 use crate::sources::check_stamps;
@@ -319,16 +320,6 @@ impl<T: ConvReal> WingDrawer<T> {
     }
 }
 
-/// Returns the kept value. Makes it first if it does not exist yet. No thread waits for another: one that waits
-/// takes up other work, which may need the value, too.
-fn get_or_make<V>(kept: &OnceLock<V>, make: impl FnOnce() -> V) -> &V {
-    if let Some(value) = kept.get() {
-        return value;
-    }
-    let made = make();
-    kept.get_or_init(|| made)
-}
-
 /// The work of [`WingDrawer::draw_into`].
 struct DrawWings<'a, T> {
     drawer: &'a WingDrawer<T>,
@@ -405,9 +396,7 @@ fn least_light(model: &PsfModel) -> f64 {
         coefficients.outer_iter().map(of_row).sum::<f64>() / coefficients.nrows().max(1) as f64
     };
     let Some(wings) = model.wings() else { return 0.0 };
-    let grid = wings.grid();
-    let flux = |stamp: ArrayView2<'_, f32>| grid.flux_of_sum(stamp.iter().map(|&v| f64::from(v)).sum());
-    let fluxes: Vec<f64> = wings.stamps().outer_iter().map(flux).collect();
+    let fluxes = wings.stamp_fluxes();
     let of_wings = sum(&wings.field().some_coefficients(model.field_shape()), &fluxes);
     let first = usize::from(model.is_mean_centred());
     let mean: f64 = model.stamp_fluxes()[..first].iter().sum();

@@ -255,11 +255,7 @@ fn per_light(grid: StampGrid, mean: ArrayView2<'_, f64>) -> Array2<f64> {
 
 /// The flux of the wings at each sample.
 pub(crate) fn fluxes_of(wings: &WingsRecord) -> Vec<f64> {
-    let flux = |stamp: ArrayView2<'_, f32>| {
-        let sum: f64 = stamp.iter().map(|&v| f64::from(v)).sum();
-        wings.grid().flux_of_sum(sum)
-    };
-    let of_modes: Vec<f64> = wings.stamps().outer_iter().map(flux).collect();
+    let of_modes = wings.stamp_fluxes();
     let rows = wings.coefficients().values();
     let of_row = |row: ArrayView1<'_, f64>| row.iter().zip(&of_modes).map(|(b, f)| b * f).sum();
     rows.outer_iter().map(of_row).collect()

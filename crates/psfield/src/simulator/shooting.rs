@@ -135,12 +135,12 @@ impl<T: ConvReal> Simulator<T> {
         };
         detector.check_photon_noise()?;
         let (light, faint) = self.split_faint(scene, below, detector)?;
-        if !faint.layers().iter().any(Layer::has_sources) {
+        if !faint.has_sources() {
             return Ok(exposer.expose(&image_of(scene)?)?);
         }
         let (photons, _) = self.shoot(&faint, (detector.photons_per_flux(), seed), progress)?;
         let exposer = exposer.with_photons(photons.view())?;
-        if !light.has_image() && !light.layers().iter().any(Layer::has_sources) {
+        if !light.has_image() && !light.has_sources() {
             return Ok(exposer.expose_photons()?);
         }
         Ok(exposer.expose(&image_of(&light)?)?)

@@ -148,10 +148,7 @@ impl<T: ConvReal> Simulator<T> {
     pub fn dropped_light(&self, scene: &Scene<'_, T>) -> Result<Option<DroppedLight>, PsfieldError> {
         self.check_scene(scene)?;
         let options = self.options();
-        if options.floor == 0.0
-            || !options.method.has_plan()
-            || !scene.layers().iter().any(Layer::has_sources)
-        {
+        if options.floor == 0.0 || !options.method.has_plan() || !scene.has_sources() {
             return Ok(None);
         }
         let (frame, region) = (self.frame(), self.setup.geometry.region);
