@@ -71,6 +71,7 @@ pub use catalogue::columns::{CatalogColumns, CatalogOptions, NeededColumn};
 pub use catalogue::curves::{is_wavelength_unit, read_curve};
 pub use catalogue::memory_table::MemoryTable;
 pub use catalogue::sky_coordinates::SkyCoordinates;
+pub use catalogue::sky_motion::ObservationDate;
 pub use catalogue::table_file::{read_columns, write_csv};
 pub use catalogue::world_header::WorldCoordinatesError;
 pub use catalogue::{

@@ -3,8 +3,8 @@
 mod support;
 
 use psf_io::{
-    Card, Catalog, CatalogOptions, HeaderCards, IoError, IoErrorKind, Place, Row, SkyCoordinates,
-    SourceColours, read_catalog_with, read_columns, read_positions_with,
+    Card, Catalog, CatalogColumns, CatalogOptions, HeaderCards, IoError, IoErrorKind, ObservationDate, Place,
+    Row, SkyCoordinates, SourceColours, read_catalog_with, read_columns, read_positions_with,
 };
 use support::{SIMPLE, Scratch, assert_error, chain, f32s, f64s, i16s, i32s, image, names, table};
 
@@ -566,4 +566,141 @@ fn columns_that_change_a_source_and_are_not_read_are_named() {
     assert_eq!(of(colours), "pmRA pmdec parallax epoch");
     let plain = read("x_0,y_0,flux,id\n1,2,3,4\n", &CatalogOptions::new()).unwrap();
     assert_eq!((plain.ignored_columns().len(), plain.stars().len()), (0, 1));
+}
+
+/// World coordinates of a frame that is turned, mirrored or not, with a distortion.
+fn turned_sky(mirrored: bool) -> SkyCoordinates {
+    let mut header = HeaderCards::new();
+    for (keyword, text) in [("CTYPE1", "RA---TAN-SIP"), ("CTYPE2", "DEC--TAN-SIP")] {
+        header.push(Card::new(keyword, text, "").unwrap());
+    }
+    let sign = if mirrored { -1.0 } else { 1.0 };
+    for (keyword, value) in [
+        ("CRPIX1", 900.0),
+        ("CRPIX2", 1100.0),
+        ("CRVAL1", 150.0),
+        ("CRVAL2", 62.0),
+        ("CD1_1", 6e-5),
+        ("CD1_2", 4e-5 * sign),
+        ("CD2_1", -4e-5),
+        ("CD2_2", 5e-5 * sign),
+        ("A_2_0", 3e-6),
+        ("B_1_1", -2e-6),
+    ] {
+        header.push(Card::new(keyword, value, "").unwrap());
+    }
+    header.push(Card::new("A_ORDER", 2, "").unwrap());
+    header.push(Card::new("B_ORDER", 2, "").unwrap());
+    SkyCoordinates::from_header(&header).unwrap()
+}
+
+#[test]
+fn shapes_on_the_sky_become_shapes_in_pixels() {
+    let (ra, dec) = (150.04_f64, 62.03_f64);
+    for mirrored in [false, true] {
+        let sky = turned_sky(mirrored);
+        let options = CatalogOptions::new().with_sky(sky.clone());
+        let profile = |text: &str| read(text, &options).unwrap().galaxies()[0].profile();
+        // The pixels of an offset in arcseconds along a position angle, divided by it.
+        let along = |pa_deg: f64| {
+            let arcsec = 0.01;
+            let (east, north) = pa_deg.to_radians().sin_cos();
+            let at = |sign: f64| {
+                let step = sign * arcsec / 3600.0;
+                let position = sky.pixel(ra + step * east / dec.to_radians().cos(), dec + step * north);
+                position.unwrap()
+            };
+            let (low, high) = (at(-0.5), at(0.5));
+            [(high.x() - low.x()) / arcsec, (high.y() - low.y()) / arcsec]
+        };
+        let scale = |v: [f64; 2]| v[0].hypot(v[1]);
+        let differs = |angle: f64, v: [f64; 2]| {
+            let difference = angle - v[1].atan2(v[0]).to_degrees();
+            (difference + 90.0).rem_euclid(180.0) - 90.0
+        };
+        // A thin galaxy stays along its position angle, within its width.
+        let thin = profile(&format!(
+            "ra,dec,flux,re_arcsec,n,q,pa_deg\n{ra},{dec},1,2,1,0.01,35\n"
+        ));
+        assert!((thin.half_light_radius_px() - 2.0 * scale(along(35.0))).abs() < 2e-3);
+        assert!(differs(thin.angle_deg(), along(35.0)).abs() < 0.02);
+        // All of the ellipse: its area, and both axes of a round one.
+        let round = profile(&format!("ra,dec,flux,re_arcsec,n\n{ra},{dec},1,2,1\n"));
+        let (north, east) = (along(0.0), along(90.0));
+        let area = (east[0] * north[1] - east[1] * north[0]).abs() * 4.0;
+        let semi_axes = round.axis_ratio() * round.half_light_radius_px().powi(2);
+        assert!((semi_axes / area - 1.0).abs() < 1e-6);
+        let thin_area = thin.axis_ratio() * thin.half_light_radius_px().powi(2);
+        assert!((thin_area / (0.01 * area) - 1.0).abs() < 1e-6);
+        // Positive g1 stretches east-west, positive g2 between north and west.
+        for (shear, pa) in [
+            ("0.99,0", 90.0),
+            ("-0.99,0", 0.0),
+            ("0,0.99", -45.0),
+            ("0,-0.99", 45.0),
+        ] {
+            let text = format!("ra,dec,flux,re_arcsec,n,g1,g2\n{ra},{dec},1,0.01,1,{shear}\n");
+            assert!(
+                differs(profile(&text).angle_deg(), along(pa)).abs() < 0.01,
+                "{shear}"
+            );
+        }
+        // The same from a position in pixels.
+        let at = sky.pixel(ra, dec).unwrap();
+        let (x, y) = (at.x(), at.y());
+        let of_pixel = profile(&format!("x,y,flux,re_arcsec,n,q,pa_deg\n{x},{y},1,2,1,0.4,35\n"));
+        let of_sky = profile(&format!(
+            "ra,dec,flux,re_arcsec,n,q,pa_deg\n{ra},{dec},1,2,1,0.4,35\n"
+        ));
+        assert!((of_pixel.angle_deg() - of_sky.angle_deg()).abs() < 1e-6);
+    }
+    let text = "x,y,flux,re_arcsec,n\n1,2,1,2,1\n";
+    let error = read(text, &CatalogOptions::new()).unwrap_err().to_string();
+    assert!(
+        error.contains("re_arcsec") && error.contains("world coordinates"),
+        "{error}"
+    );
+    assert!("re=A,pa_deg=B".parse::<CatalogColumns>().is_err());
+}
+
+#[test]
+fn sources_move_to_the_date_of_the_frame() {
+    let sky = turned_sky(false);
+    let still = CatalogOptions::new().with_sky(sky.clone());
+    let date = ObservationDate::of_julian_year(2026.0).unwrap();
+    let moved = still.clone().with_date(date).with_zero_point(25.0).unwrap();
+    let gaia = "ra,dec,pmra,pmdec,parallax,radial_velocity,ref_epoch,phot_g_mean_mag\n\
+                150.0,62.0,1000,-2000,,,2016.0,20\n150.0,62.0,,,,,2016.0,20\n";
+    let catalog = read(gaia, &moved).unwrap();
+    assert!(catalog.ignored_columns().is_empty());
+    let [first, second] = [0, 1].map(|star| catalog.stars()[star].position());
+    let cos = 62.0_f64.to_radians().cos();
+    let wanted = sky
+        .pixel(150.0 + 10.0 / 3600.0 / cos, 62.0 - 20.0 / 3600.0)
+        .unwrap();
+    assert!((first.x() - wanted.x()).hypot(first.y() - wanted.y()) < 0.02);
+    let still_there = sky.pixel(150.0, 62.0).unwrap();
+    assert!((second.x() - still_there.x()).hypot(second.y() - still_there.y()) < 1e-9);
+    // A parallax of one arcsecond moves a star by about as much.
+    let near = "ra,dec,parallax,flux\n150.0,62.0,1000,1\n";
+    let of_epoch = still.clone().with_date(date).with_epoch(2026.0);
+    let at = read(near, &of_epoch).unwrap().stars()[0].position();
+    let shift_deg = {
+        let (ra, dec) = sky.sky(at).unwrap();
+        ((ra - 150.0) * cos).hypot(dec - 62.0)
+    };
+    assert!((0.4..1.1).contains(&(shift_deg * 3600.0)), "{shift_deg}");
+    // The epoch must be known, and both proper motions.
+    let error = read(near, &still.clone().with_date(date))
+        .unwrap_err()
+        .to_string();
+    assert!(error.contains("parallax") && error.contains("epoch"), "{error}");
+    let half = "ra,dec,pmra,epoch,flux\n150.0,62.0,1,2016,1\n";
+    let error = read(half, &of_epoch).unwrap_err().to_string();
+    assert!(error.contains("pmdec"), "{error}");
+    // Without a date, nothing moves, and the columns are named.
+    let ignored = read(near, &still).unwrap();
+    assert_eq!(ignored.ignored_columns(), ["parallax"]);
+    assert!(ObservationDate::of_julian_year(1800.0).is_none());
+    assert!((ObservationDate::of_mjd(51_544.5).unwrap().julian_year() - 2000.0).abs() < 1e-12);
 }

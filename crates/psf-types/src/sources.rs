@@ -166,20 +166,39 @@ impl SersicProfile {
         if shear == 0.0 {
             return Ok(self);
         }
-        // The ellipse is the image of a circle under the matrix A, and the sheared ellipse is that
-        // under M = S A. The largest singular value of M is the new semi-major axis.
+        let norm = ((1.0 - shear) * (1.0 + shear)).sqrt();
+        self.mapped([[(1.0 + g1) / norm, g2 / norm], [g2 / norm, (1.0 - g1) / norm]])
+    }
+
+    /// This profile under a linear map of the plane, such as that from the sky to pixels. The map takes the offset
+    /// `(u, v)` from the centre to `(m[0][0] u + m[0][1] v, m[1][0] u + m[1][1] v)`. The flux stays.
+    ///
+    /// ```
+    /// use psf_types::SersicProfile;
+    /// let along_x = SersicProfile::new(3.0, 1.0, 0.5, 0.0)?;
+    /// let turned = along_x.mapped([[0.0, -2.0], [2.0, 0.0]])?;
+    /// assert!((turned.half_light_radius_px() - 6.0).abs() < 1e-12);
+    /// assert!((turned.axis_ratio() - 0.5).abs() < 1e-12);
+    /// assert!((turned.angle_deg() - 90.0).abs() < 1e-12);
+    /// # Ok::<(), psf_types::DataError>(())
+    /// ```
+    ///
+    /// # Errors
+    /// [`DataError::Galaxy`] if a parameter of the result is out of range.
+    pub fn mapped(self, m: [[f64; 2]; 2]) -> Result<Self, DataError> {
+        // The ellipse is the image of a circle under the matrix A, and the mapped ellipse is that under M = m A. The
+        // largest singular value of M is the new semi-major axis.
         let (re, q) = (self.half_light_radius_px, self.axis_ratio);
         let (sin, cos) = self.angle_deg.to_radians().sin_cos();
         let a = [[cos * re, -sin * q * re], [sin * re, cos * q * re]];
-        let norm = ((1.0 - shear) * (1.0 + shear)).sqrt();
-        let s = [[(1.0 + g1) / norm, g2 / norm], [g2 / norm, (1.0 - g1) / norm]];
-        let m = |i: usize, j: usize| s[i][0] * a[0][j] + s[i][1] * a[1][j];
+        let product = |i: usize, j: usize| m[i][0] * a[0][j] + m[i][1] * a[1][j];
         // 2 M is the sum of a multiple of a rotation (even) and of a reflection (odd).
-        let (even_x, even_y) = (m(0, 0) + m(1, 1), m(1, 0) - m(0, 1));
-        let (odd_x, odd_y) = (m(0, 0) - m(1, 1), m(1, 0) + m(0, 1));
+        let (even_x, even_y) = (product(0, 0) + product(1, 1), product(1, 0) - product(0, 1));
+        let (odd_x, odd_y) = (product(0, 0) - product(1, 1), product(1, 0) + product(0, 1));
         let major = 0.5 * (even_x.hypot(even_y) + odd_x.hypot(odd_y));
-        // The shear keeps the area, so the product of the semi-axes is that of the old ones.
-        let ratio = (q * (re / major).powi(2)).min(1.0);
+        // The product of the semi-axes is that of the old ones, times the change of areas.
+        let area = (m[0][0] * m[1][1] - m[0][1] * m[1][0]).abs();
+        let ratio = (area * q * (re / major).powi(2)).min(1.0);
         let angle = 0.5 * (odd_y.atan2(odd_x) + even_y.atan2(even_x));
         Self::new(major, self.index, ratio, angle.to_degrees())
     }

@@ -6,6 +6,12 @@ use crate::units::angle_in_deg;
 pub(crate) const PIXELS: &str = "pix";
 /// The unit of angles, and of positions on the sky.
 pub(crate) const DEGREES: &str = "deg";
+pub(crate) const ARCSECONDS: &str = "arcsec";
+pub(crate) const MAS: &str = "mas";
+pub(crate) const MAS_PER_YEAR: &str = "mas / yr";
+pub(crate) const KILOMETRES_PER_SECOND: &str = "km / s";
+/// The unit of epochs: Julian years.
+pub(crate) const YEARS: &str = "yr";
 pub(crate) const MAGNITUDES: &str = "mag";
 pub(crate) const KELVIN: &str = "K";
 pub(crate) const PIXELS_PER_SECOND: &str = "pix / s";
@@ -24,6 +30,21 @@ pub(crate) fn factor(unit: &str, wanted: &str) -> Option<f64> {
     match wanted {
         PIXELS => one(is_pixel(&lower)),
         DEGREES => angle_in_deg(unit),
+        ARCSECONDS => angle_in_deg(unit).map(|degrees| degrees * 3600.0),
+        MAS => angle_in_deg(unit).map(in_mas),
+        MAS_PER_YEAR => {
+            let angle = before_ending(
+                &lower,
+                &["/yr", "/ yr", "/year", "yr-1", "yr^-1", "yr**-1", "year-1"],
+            )?;
+            angle_in_deg(angle).map(in_mas)
+        }
+        KILOMETRES_PER_SECOND => match per_second(&lower)? {
+            "km" => Some(1.0),
+            "m" => Some(1e-3),
+            _ => None,
+        },
+        YEARS => one(["yr", "year", "years", "jyear", "a"].contains(&lower.as_str())),
         MAGNITUDES => one(lower.starts_with("mag") || lower.ends_with("mag") && lower != "mmag"),
         KELVIN => one(["k", "kelvin"].contains(&lower.as_str())),
         PIXELS_PER_SECOND => one(per_second(&lower).is_some_and(is_pixel)),
@@ -47,9 +68,19 @@ fn is_pixel(lower: &str) -> bool {
 
 /// The unit before "per second".
 fn per_second(unit: &str) -> Option<&str> {
-    let endings = ["/s", "/ s", "/sec", "s-1", "s^-1", "s**-1", "s**(-1)"];
+    before_ending(unit, &["/s", "/ s", "/sec", "s-1", "s^-1", "s**-1", "s**(-1)"])
+}
+
+/// The unit before one of some endings.
+fn before_ending<'a>(unit: &'a str, endings: &[&str]) -> Option<&'a str> {
     let before = endings.iter().find_map(|ending| unit.strip_suffix(ending))?;
     Some(before.trim_end_matches([' ', '.', '*']))
+}
+
+/// Degrees in milliarcseconds. The factor of `mas` is exactly 1.
+fn in_mas(degrees: f64) -> f64 {
+    let mas = degrees * 3.6e6;
+    if (mas - 1.0).abs() < 1e-12 { 1.0 } else { mas }
 }
 
 /// A unit of flux, in a pixel or in all, as a multiple of another one: 1 mJy is 1e-3 Jy.

@@ -4,8 +4,11 @@ use std::path::Path;
 
 use psf_types::DataError;
 
-use crate::catalogue::column_units::{DEGREES, MAGNITUDES, NONE, PIXELS};
+use crate::catalogue::column_units::{
+    ARCSECONDS, DEGREES, KILOMETRES_PER_SECOND, MAGNITUDES, MAS, MAS_PER_YEAR, NONE, PIXELS, YEARS,
+};
 use crate::catalogue::sky_coordinates::SkyCoordinates;
+use crate::catalogue::sky_motion::ObservationDate;
 use crate::error::IoError;
 use crate::fits::columns::missing_column;
 use crate::fits::hdu::HduChoice;
@@ -18,7 +21,13 @@ use crate::fits::hdu::HduChoice;
 /// | `ra`, `dec` | `ra`, `dec` | position on the sky in degrees, instead of `x` and `y` |
 /// | `flux` | `flux` | total flux |
 /// | `mag` | `mag` | magnitude instead of flux: `flux = 10^(-0.4 (mag - zero point))` |
+/// | `pmra`, `pmdec` | `pmra`, `pmdec` | proper motion in mas per year, with the factor `cos(dec)` in `pmra`. Only with a date |
+/// | `parallax` | `parallax` | parallax in mas. Only with a date |
+/// | `radial_velocity` | `radial_velocity` | km/s away from the Sun. Only with a date |
+/// | `epoch` | `epoch` or `ref_epoch` | Julian year at which `ra` and `dec` hold. Only with a date |
 /// | `re` | `re` | galaxies: half-light radius along the major axis, in pixels |
+/// | `re_arcsec` | `re_arcsec` | galaxies: this radius in arcseconds on the sky, instead of `re` |
+/// | `pa_deg` | `pa_deg` | galaxies with `re_arcsec`: position angle of the major axis, from north towards east |
 /// | `n` | `n` | galaxies: Sersic index, 0.3 to 8 |
 /// | `q` | `q` | galaxies: minor over major axis, 0.001 to 1; 1 without such a column |
 /// | `angle` | `angle` | galaxies: angle of the major axis in degrees, from +x towards +y; 0 without such a column |
@@ -28,6 +37,14 @@ use crate::fits::hdu::HduChoice;
 /// converted to the unit of the role, or refused: angles and sky coordinates to degrees (from `rad`,
 /// `arcmin`, `arcsec`, `mas` or `hourangle`), fluxes to the unit of the image
 /// ([`CatalogOptions::with_flux_unit`]). A position or `re` in arcseconds is an error.
+///
+/// With `re_arcsec`, the shape is that on the sky: `pa_deg` takes the place of `angle`, and `g1 > 0` stretches
+/// east-west, `g2 > 0` along the diagonal between north and west, as for a galaxy that GalSim draws through world
+/// coordinates. The world coordinates of the frame map it to pixels at the source's position
+/// ([`SkyCoordinates::pixels_per_arcsec`](crate::SkyCoordinates::pixels_per_arcsec)).
+///
+/// If the frame has a date ([`CatalogOptions::with_date`]), sources with `ra` and `dec` are moved from the epoch of the
+/// catalogue to that date. Empty or NaN motions and parallaxes count as 0, as Gaia leaves those of many stars empty.
 ///
 /// The spectra of sources are in a column `sed` or `teff`, which is read only on request
 /// ([`CatalogOptions::with_colours`]). So are the columns `vx` and `vy` with the velocities of sources
@@ -63,8 +80,26 @@ pub struct CatalogColumns {
 }
 
 /// The names of the roles, in the order of [`Role`].
-pub(crate) const ROLES: [&str; 12] = [
-    "x", "y", "ra", "dec", "flux", "mag", "re", "n", "q", "angle", "g1", "g2",
+pub(crate) const ROLES: [&str; 19] = [
+    "x",
+    "y",
+    "ra",
+    "dec",
+    "flux",
+    "mag",
+    "re",
+    "n",
+    "q",
+    "angle",
+    "g1",
+    "g2",
+    "re_arcsec",
+    "pa_deg",
+    "pmra",
+    "pmdec",
+    "parallax",
+    "radial_velocity",
+    "epoch",
 ];
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -81,14 +116,35 @@ pub(crate) enum Role {
     Angle,
     G1,
     G2,
+    ReArcsec,
+    PaDeg,
+    PmRa,
+    PmDec,
+    Parallax,
+    RadialVelocity,
+    Epoch,
 }
+
+/// The roles that tell how sources move on the sky.
+pub(crate) const MOTION: [Role; 5] = [
+    Role::PmRa,
+    Role::PmDec,
+    Role::Parallax,
+    Role::RadialVelocity,
+    Role::Epoch,
+];
 
 impl Role {
     /// The unit of the values. `None` for a flux, which has the unit of the image.
     pub(crate) fn unit(self) -> Option<&'static str> {
         match self {
             Self::X | Self::Y | Self::Re => Some(PIXELS),
-            Self::Ra | Self::Dec | Self::Angle => Some(DEGREES),
+            Self::Ra | Self::Dec | Self::Angle | Self::PaDeg => Some(DEGREES),
+            Self::ReArcsec => Some(ARCSECONDS),
+            Self::PmRa | Self::PmDec => Some(MAS_PER_YEAR),
+            Self::Parallax => Some(MAS),
+            Self::RadialVelocity => Some(KILOMETRES_PER_SECOND),
+            Self::Epoch => Some(YEARS),
             Self::Mag => Some(MAGNITUDES),
             Self::N | Self::Q | Self::G1 | Self::G2 => Some(NONE),
             Self::Flux => None,
@@ -149,6 +205,7 @@ fn purpose(role: Role) -> &'static str {
         Role::X | Role::Y | Role::Ra | Role::Dec => ", but positions need x and y, or ra and dec",
         Role::N => ", but galaxies need their Sersic index",
         Role::G1 | Role::G2 => ", but a shear needs both columns g1 and g2",
+        Role::PmRa | Role::PmDec => ", but a proper motion needs both columns pmra and pmdec",
         _ => "",
     }
 }
@@ -180,18 +237,40 @@ impl CatalogColumns {
         let by_magnitude =
             self.is_given(Role::Mag) || (!self.is_given(Role::Flux) && !has(Role::Flux) && has(Role::Mag));
         let mut roles = vec![if by_magnitude { Role::Mag } else { Role::Flux }];
-        let shape = [Role::Re, Role::N, Role::Q, Role::Angle, Role::G1, Role::G2];
-        if has(Role::Re) || shape.iter().any(|&role| self.is_given(role)) {
-            let optional = |&role: &Role| has(role) || self.is_given(role);
+        let mut all = self.positions(path, names)?;
+        let on_sky = all.place(Role::Ra).is_some();
+        let is_wanted = |role| has(role) || self.is_given(role);
+        // Sizes are preferred on the side on which positions are.
+        let size_on_sky = self.is_given(Role::ReArcsec)
+            || (!self.is_given(Role::Re) && has(Role::ReArcsec) && (on_sky || !has(Role::Re)));
+        let shape = if size_on_sky {
+            [Role::ReArcsec, Role::N, Role::Q, Role::PaDeg, Role::G1, Role::G2]
+        } else {
+            [Role::Re, Role::N, Role::Q, Role::Angle, Role::G1, Role::G2]
+        };
+        if has(shape[0]) || shape.iter().any(|&role| self.is_given(role)) {
+            let optional = |&role: &Role| is_wanted(role);
             roles.extend(&shape[..2]);
             roles.extend(shape[2..4].iter().copied().filter(optional));
             if shape[4..].iter().any(optional) {
                 roles.extend(&shape[4..]);
             }
         }
-        let others = self.picked(path, names, &roles)?;
-        let mut all = self.positions(path, names)?;
-        all.columns.extend(others.columns);
+        all.columns.extend(self.picked(path, names, &roles)?.columns);
+        Ok(all)
+    }
+
+    /// The columns of sources, and those of their motion if positions are on the sky.
+    pub(crate) fn moving_sources(&self, path: &Path, names: &[String]) -> Result<Picked, IoError> {
+        let mut all = self.sources(path, names)?;
+        if all.place(Role::Ra).is_some() {
+            let is_wanted = |role| self.is_in(names, role) || self.is_given(role);
+            let mut roles: Vec<Role> = MOTION.into_iter().filter(|&role| is_wanted(role)).collect();
+            if is_wanted(Role::PmRa) != is_wanted(Role::PmDec) {
+                roles.extend([Role::PmRa, Role::PmDec]);
+            }
+            all.columns.extend(self.picked(path, names, &roles)?.columns);
+        }
         Ok(all)
     }
 
@@ -213,6 +292,8 @@ impl CatalogColumns {
             (Some(name), _) => vec![name],
             (None, Role::X) => vec!["x", "x_0"],
             (None, Role::Y) => vec!["y", "y_0"],
+            (None, Role::Mag) => vec!["mag", "phot_g_mean_mag"],
+            (None, Role::Epoch) => vec!["epoch", "ref_epoch"],
             (None, _) => vec![ROLES[role as usize]],
         }
     }
@@ -252,7 +333,12 @@ impl CatalogColumns {
         if given(Role::X) && given(Role::Ra) {
             return Some("given either for x and y or for ra and dec");
         }
-        (given(Role::Flux) && given(Role::Mag)).then_some("given either for flux or for mag")
+        if given(Role::Flux) && given(Role::Mag) {
+            return Some("given either for flux or for mag");
+        }
+        let in_pixels = given(Role::Re) || given(Role::Angle);
+        (in_pixels && (given(Role::ReArcsec) || given(Role::PaDeg)))
+            .then_some("given either for re and angle or for re_arcsec and pa_deg")
     }
 }
 
@@ -271,7 +357,10 @@ impl std::str::FromStr for CatalogColumns {
                 .iter()
                 .position(|name| name.eq_ignore_ascii_case(role))
                 .ok_or_else(|| {
-                    refused("role=COLUMN, with a role out of x, y, ra, dec, flux, mag, re, n, q, angle, g1 and g2")
+                    refused(
+                        "role=COLUMN, with a role out of x, y, ra, dec, flux, mag, re, n, q, angle, g1, g2, re_arcsec, pa_deg, \
+                         pmra, pmdec, parallax, radial_velocity and epoch",
+                    )
                 })?;
             if columns.given[place].replace(column.to_owned()).is_some() {
                 return Err(refused("given once per role"));
@@ -320,6 +409,8 @@ pub struct CatalogOptions {
     pub(crate) table: Option<HduChoice>,
     pub(crate) sky: Option<SkyCoordinates>,
     pub(crate) flux_unit: Option<String>,
+    pub(crate) date: Option<ObservationDate>,
+    pub(crate) epoch: Option<f64>,
 }
 
 impl CatalogOptions {
@@ -346,6 +437,24 @@ impl CatalogOptions {
     pub fn with_sky(self, sky: SkyCoordinates) -> Self {
         Self {
             sky: Some(sky),
+            ..self
+        }
+    }
+
+    /// Sets the date of the frame, to which sources with sky coordinates are moved.
+    #[must_use]
+    pub fn with_date(self, date: ObservationDate) -> Self {
+        Self {
+            date: Some(date),
+            ..self
+        }
+    }
+
+    /// Sets the Julian year at which the positions of the catalogue hold, if it has no column `epoch`.
+    #[must_use]
+    pub fn with_epoch(self, julian_year: f64) -> Self {
+        Self {
+            epoch: Some(julian_year),
             ..self
         }
     }

@@ -38,7 +38,7 @@ use psf_types::{PointSource, Position, SersicSource};
 use crate::error::{IoError, IoErrorKind, Place};
 use crate::fits::columns::Table;
 use crate::fits::structure::FitsStructure;
-use columns::{CatalogColumns, CatalogOptions};
+use columns::CatalogOptions;
 use memory_table::MemoryTable;
 use rows::Rows;
 use table_file::AnyTable;
@@ -50,6 +50,7 @@ mod ecsv;
 pub(crate) mod memory_table;
 mod rows;
 pub(crate) mod sky_coordinates;
+pub(crate) mod sky_motion;
 pub(crate) mod table_file;
 mod text_table;
 pub(crate) mod world_header;
@@ -73,7 +74,9 @@ pub(crate) mod world_header;
 /// file](crate#bad-files).
 pub fn read_catalog(path: impl AsRef<Path>) -> Result<Vec<PointSource>, IoError> {
     let options = CatalogOptions::new();
-    let rows = Rows::read(path.as_ref(), &options, "x, y, flux", CatalogColumns::points)?;
+    let rows = Rows::read(path.as_ref(), &options, "x, y, flux", |path, names| {
+        options.columns.points(path, names)
+    })?;
     let mut catalog = Catalog::default();
     for row in 0..rows.numbers.rows {
         rows.add_source(row, &mut catalog)?;
@@ -227,7 +230,9 @@ impl Catalog {
 /// - [`IoErrorKind::Setting`] if several tables of a FITS file have the columns and none is chosen
 /// - the [errors of any FITS file](crate#bad-files)
 pub fn read_catalog_with(path: impl AsRef<Path>, options: &CatalogOptions) -> Result<Catalog, IoError> {
-    let rows = Rows::read(path.as_ref(), options, "x, y, flux", CatalogColumns::sources)?;
+    let rows = Rows::read(path.as_ref(), options, "x, y, flux", |path, names| {
+        options.sources(path, names)
+    })?;
     sources_of(rows, options)
 }
 
@@ -238,7 +243,7 @@ pub fn read_catalog_with(path: impl AsRef<Path>, options: &CatalogOptions) -> Re
 /// The errors of [`read_catalog_with`], except those of files.
 pub fn catalog_of(table: &MemoryTable, options: &CatalogOptions) -> Result<Catalog, IoError> {
     let path = table.name();
-    let columns = options.columns.sources(path, &table.names())?;
+    let columns = options.sources(path, &table.names())?;
     let rows = Rows::of_table(path, options, columns, &AnyTable::Memory(table))?;
     sources_of(rows, options)
 }
@@ -285,7 +290,9 @@ pub fn read_positions_with(
     path: impl AsRef<Path>,
     options: &CatalogOptions,
 ) -> Result<Vec<Position>, IoError> {
-    let rows = Rows::read(path.as_ref(), options, "x, y", CatalogColumns::positions)?;
+    let rows = Rows::read(path.as_ref(), options, "x, y", |path, names| {
+        options.columns.positions(path, names)
+    })?;
     let position = |row| {
         rows.position(row)?.ok_or_else(|| {
             const OUTSIDE: &str =

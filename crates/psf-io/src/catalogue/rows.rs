@@ -5,7 +5,8 @@ use std::path::Path;
 use psf_types::{DataError, PointSource, Position, SersicProfile, SersicSource};
 
 use super::column_units::{KELVIN, PIXELS_PER_SECOND, factor, is_logarithmic};
-use super::columns::{CatalogColumns, CatalogOptions, NeededColumn, Picked, ROLES, Role};
+use super::columns::{CatalogOptions, MOTION, NeededColumn, Picked, ROLES, Role};
+use super::sky_motion::SkyMotion;
 use super::table_file::{AnyTable, TableFile};
 use super::{Catalog, SourceColours};
 use crate::error::{IoError, IoErrorKind, Place};
@@ -32,12 +33,10 @@ impl<'a> Rows<'a> {
         path: &'a Path,
         options: &'a CatalogOptions,
         needed: &str,
-        pick: fn(&CatalogColumns, &Path, &[String]) -> Result<Picked, IoError>,
+        pick: impl Fn(&Path, &[String]) -> Result<Picked, IoError>,
     ) -> Result<Self, IoError> {
         let file = TableFile::open(path)?;
-        let (columns, table) = file.pick(options.table.as_ref(), needed, |names| {
-            pick(&options.columns, path, names)
-        })?;
+        let (columns, table) = file.pick(options.table.as_ref(), needed, |names| pick(path, names))?;
         Self::of_table(path, options, columns, &table)
     }
 
@@ -79,16 +78,19 @@ impl<'a> Rows<'a> {
     pub(super) fn add_source(&self, row: usize, catalog: &mut Catalog) -> Result<(), IoError> {
         self.check_colour(row)?;
         self.check_velocity(row)?;
-        let position = self.position(row)?;
+        let place = self.place(row)?;
         let flux = self.flux(row)?;
         let invalid = |source| self.invalid(row, source);
-        match (position, self.profile(row)?) {
-            (None, _) => catalog.rows_off_projection += 1,
-            (Some(at), None) => catalog.stars.push(PointSource::new(at, flux).map_err(invalid)?),
-            (Some(at), Some(profile)) => {
-                catalog
-                    .galaxies
-                    .push(SersicSource::new(at, flux, profile).map_err(invalid)?);
+        let Some(place) = place else {
+            catalog.rows_off_projection += 1;
+            return Ok(());
+        };
+        let at = place.pixel;
+        match self.profile(row, &place)? {
+            None => catalog.stars.push(PointSource::new(at, flux).map_err(invalid)?),
+            Some(profile) => {
+                let galaxy = SersicSource::new(at, flux, profile).map_err(invalid)?;
+                catalog.galaxies.push(galaxy);
             }
         }
         Ok(())
@@ -139,6 +141,11 @@ impl<'a> Rows<'a> {
 
     /// The position of a source, or `None` if the projection does not reach it.
     pub(super) fn position(&self, row: usize) -> Result<Option<Position>, IoError> {
+        Ok(self.place(row)?.map(|place| place.pixel))
+    }
+
+    /// The place of a source, or `None` if the projection does not reach it.
+    fn place(&self, row: usize) -> Result<Option<SourcePlace>, IoError> {
         let Some(sky) = self
             .options
             .sky
@@ -147,21 +154,57 @@ impl<'a> Rows<'a> {
         else {
             let first = if self.options.one_based { 1.0 } else { 0.0 };
             let (x, y) = (self.finite(row, Role::X)?, self.finite(row, Role::Y)?);
-            let position = Position::new(x - first, y - first);
-            return position.map(Some).map_err(|source| self.invalid(row, source));
+            let pixel = Position::new(x - first, y - first);
+            let pixel = pixel.map_err(|source| self.invalid(row, source))?;
+            return Ok(Some(SourcePlace { pixel, sky: None }));
         };
         let (ra, dec) = (self.finite(row, Role::Ra)?, self.finite(row, Role::Dec)?);
-        if (-90.0..=90.0).contains(&dec) {
-            return Ok(sky.pixel(ra, dec));
+        if !(-90.0..=90.0).contains(&dec) {
+            let source = DataError::setting("the declination", "-90 to 90 degrees", dec);
+            return Err(self.invalid(row, source));
         }
-        let source = DataError::setting("the declination", "-90 to 90 degrees", dec);
-        Err(self.invalid(row, source))
+        let (ra, dec) = self.on_date(row, (ra, dec))?;
+        let place = |pixel| SourcePlace {
+            pixel,
+            sky: Some((ra, dec)),
+        };
+        Ok(sky.pixel(ra, dec).map(place))
     }
 
-    /// The profile of a galaxy, or `None` for a star.
-    fn profile(&self, row: usize) -> Result<Option<SersicProfile>, IoError> {
+    /// The position on the sky at the date of the frame.
+    fn on_date(&self, row: usize, position: (f64, f64)) -> Result<(f64, f64), IoError> {
+        let moves = [Role::PmRa, Role::Parallax, Role::RadialVelocity];
+        let Some(date) = self
+            .options
+            .date
+            .filter(|_| moves.iter().any(|&role| self.has(role)))
+        else {
+            return Ok(position);
+        };
+        let epoch = match self.has(Role::Epoch) {
+            true => self.finite(row, Role::Epoch)?,
+            false => self.options.epoch.expect("checked with the columns"),
+        };
+        let or_zero = |role| self.value(row, role).unwrap_or(0.0);
+        let motion = SkyMotion {
+            epoch,
+            pmra: or_zero(Role::PmRa),
+            pmdec: or_zero(Role::PmDec),
+            parallax: or_zero(Role::Parallax),
+            radial_velocity: or_zero(Role::RadialVelocity),
+        };
+        Ok(date.position(position, &motion))
+    }
+
+    /// The profile of a galaxy in pixels, or `None` for a star.
+    fn profile(&self, row: usize, place: &SourcePlace) -> Result<Option<SersicProfile>, IoError> {
         let value = |role| self.value(row, role);
-        let (Some(re), Some(n)) = (value(Role::Re), value(Role::N)) else {
+        let size = if self.has(Role::ReArcsec) {
+            Role::ReArcsec
+        } else {
+            Role::Re
+        };
+        let (Some(re), Some(n)) = (value(size), value(Role::N)) else {
             return Ok(None);
         };
         if re == 0.0 {
@@ -170,17 +213,39 @@ impl<'a> Rows<'a> {
         if re.is_nan() {
             const MISSING: &str =
                 "the half-light radius is missing or NaN: write 0 for a star, or skip invalid rows";
-            return Err(self.refused(row, self.column(Role::Re), MISSING));
+            return Err(self.refused(row, self.column(size), MISSING));
         }
         let q = value(Role::Q).unwrap_or(1.0);
+        let angle = match size {
+            // From west towards north. North itself is at 90 degrees, and east at 180.
+            Role::ReArcsec => value(Role::PaDeg).map(|angle| angle + 90.0),
+            _ => value(Role::Angle),
+        };
         // A circle needs no angle.
-        let angle = value(Role::Angle).filter(|_| q != 1.0).unwrap_or(0.0);
+        let angle = angle.filter(|_| q != 1.0).unwrap_or(0.0);
         let g1 = value(Role::G1).unwrap_or(0.0);
         let g2 = value(Role::G2).unwrap_or(0.0);
         SersicProfile::new(re, n, q, angle)
             .and_then(|profile| profile.sheared(g1, g2))
+            .and_then(|profile| match size {
+                Role::ReArcsec => profile.mapped(self.pixels_per_arcsec(place)),
+                _ => Ok(profile),
+            })
             .map(Some)
             .map_err(|source| self.invalid(row, source))
+    }
+
+    /// The map from the sky to pixels at a source.
+    fn pixels_per_arcsec(&self, place: &SourcePlace) -> [[f64; 2]; 2] {
+        let sky = self.options.sky.as_ref().expect("checked with the columns");
+        let at = place.sky.or_else(|| sky.sky(place.pixel));
+        // A profile of size NaN is refused.
+        at.and_then(|(ra, dec)| sky.pixels_per_arcsec(ra, dec))
+            .unwrap_or([[f64::NAN; 2]; 2])
+    }
+
+    fn has(&self, role: Role) -> bool {
+        self.places[role as usize].is_some()
     }
 
     /// The value in the column of a role, or `None` without such a column.
@@ -226,6 +291,13 @@ impl<'a> Rows<'a> {
     }
 }
 
+/// Where a source is.
+struct SourcePlace {
+    pixel: Position,
+    /// Right ascension and declination in degrees, at the date of the frame. `None` for positions in pixels.
+    sky: Option<(f64, f64)>,
+}
+
 /// Checks that the options suit the columns.
 fn check_options(path: &Path, options: &CatalogOptions, columns: &Picked) -> Result<(), IoError> {
     let refused = |setting, problem: String| {
@@ -250,6 +322,26 @@ fn check_options(path: &Path, options: &CatalogOptions, columns: &Picked) -> Res
             return refused("zero_point", problem);
         }
         _ => {}
+    }
+    if let Some(size) = columns.name(Role::ReArcsec)
+        && options.sky.is_none()
+    {
+        let problem = format!(
+            "the column {size:?} holds sizes on the sky, but the world coordinates of the frame are missing: give an image \
+             whose header has them, or sizes in pixels (re)"
+        );
+        return refused("sky", problem);
+    }
+    let moves = MOTION.iter().find_map(|&role| columns.name(role));
+    if let Some(motion) = moves
+        && columns.name(Role::Epoch).is_none()
+        && options.epoch.is_none()
+    {
+        let problem = format!(
+            "the column {motion:?} moves the sources from the epoch of the catalogue to the date of the frame, but the epoch is \
+             not known: give a column epoch, or the epoch of the catalogue"
+        );
+        return refused("epoch", problem);
     }
     let (Some(ra), Some(dec)) = (columns.name(Role::Ra), columns.name(Role::Dec)) else {
         return Ok(());
@@ -321,8 +413,8 @@ fn in_unit(
     Ok(())
 }
 
-/// Columns that change where a source is, or its light, but are not read.
-const NEVER_READ: [&str; 5] = ["pmra", "pmdec", "parallax", "epoch", "ref_epoch"];
+/// Columns that change where a source is, and are read only with a date of the frame.
+const OF_MOTION: [&str; 5] = ["pmra", "pmdec", "parallax", "epoch", "ref_epoch"];
 
 impl CatalogOptions {
     /// The columns that a catalogue needs of a table with these column names. `table` is the path of the table,
@@ -336,7 +428,7 @@ impl CatalogOptions {
         names: &[String],
     ) -> Result<Vec<NeededColumn>, IoError> {
         let table = table.as_ref();
-        let picked = self.columns.sources(table, names)?;
+        let picked = self.sources(table, names)?;
         let mut wanted: Vec<(&'static str, &str, Option<&'static str>)> = picked
             .iter()
             .map(|(role, name)| (ROLES[role as usize], name, role.unit()))
@@ -358,11 +450,19 @@ impl CatalogOptions {
         wanted.into_iter().map(of).collect()
     }
 
+    /// The columns of sources in a table with these column names.
+    pub(super) fn sources(&self, table: &Path, names: &[String]) -> Result<Picked, IoError> {
+        match self.date {
+            Some(_) => self.columns.moving_sources(table, names),
+            None => self.columns.sources(table, names),
+        }
+    }
+
     /// The columns among `names` that may change a source and are not read.
     pub fn ignored_columns(&self, names: &[String]) -> Vec<String> {
         let is = |name: &str, of: &[&str]| of.iter().any(|other| name.eq_ignore_ascii_case(other));
         let unread = |name: &&String| {
-            is(name, &NEVER_READ)
+            (self.date.is_none() && is(name, &OF_MOTION))
                 || (!self.with_colours && is(name, &[SED, TEFF]))
                 || (!self.with_velocities && is(name, &VELOCITIES))
         };

@@ -165,8 +165,12 @@ impl SkyCoordinates {
         if !longitude_deg.is_finite() || !(-90.0..=90.0).contains(&latitude_deg) {
             return None;
         }
-        let vector = unit_vector(longitude_deg, latitude_deg);
-        let [x, y, z] = self.rotation.map(|row| dot(row, vector));
+        self.pixel_of(unit_vector(longitude_deg, latitude_deg))
+    }
+
+    /// The pixel position of a direction. It need not have unit length.
+    fn pixel_of(&self, direction: [f64; 3]) -> Option<Position> {
+        let [x, y, z] = self.rotation.map(|row| dot(row, direction));
         let plane = self
             .projection
             .proj_xyz(&XYZ::new_renorming_if_necessary(x, y, z))?;
@@ -175,6 +179,27 @@ impl SkyCoordinates {
             .undo_in_plane([plane.x().to_degrees(), plane.y().to_degrees()])?;
         let offset = self.distortion.undo_in_pixels(product(&self.inverse, plane))?;
         Position::new(self.reference[0] + offset[0], self.reference[1] + offset[1]).ok()
+    }
+
+    /// The matrix that takes a small offset on the sky, in arcseconds to the west and to the north, to an offset in
+    /// pixels along x and y. West comes first, so that a frame with north up and east to the left has a positive
+    /// diagonal, as for GalSim. Returns `None` where [`pixel`](Self::pixel) does.
+    pub fn pixels_per_arcsec(&self, longitude_deg: f64, latitude_deg: f64) -> Option<[[f64; 2]; 2]> {
+        /// The step of the difference quotient. Its square is the relative error.
+        const STEP_RAD: f64 = 1e-5;
+        self.pixel(longitude_deg, latitude_deg)?;
+        let [at, east, north] = local_axes(longitude_deg, latitude_deg);
+        let along = |axis: [f64; 3]| {
+            let moved = |step: f64| self.pixel_of([0, 1, 2].map(|i| at[i] + step * axis[i]));
+            let (before, after) = (moved(-STEP_RAD)?, moved(STEP_RAD)?);
+            let arcsec = 2.0 * STEP_RAD.to_degrees() * 3600.0;
+            Some([
+                (after.x() - before.x()) / arcsec,
+                (after.y() - before.y()) / arcsec,
+            ])
+        };
+        let (west, north) = (along(east.map(|e| -e))?, along(north)?);
+        Some([[west[0], north[0]], [west[1], north[1]]])
     }
 
     /// The sky position of a pixel position: longitude from 0 to 360 and latitude, in degrees.
@@ -296,19 +321,21 @@ fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
+/// The direction of a position on the sky, and those to the east and to the north there.
+fn local_axes(longitude_deg: f64, latitude_deg: f64) -> [[f64; 3]; 3] {
+    let (sin_l, cos_l) = longitude_deg.to_radians().sin_cos();
+    let (sin_b, cos_b) = latitude_deg.to_radians().sin_cos();
+    let (east, north) = ([-sin_l, cos_l, 0.0], [-cos_l * sin_b, -sin_l * sin_b, cos_b]);
+    [unit_vector(longitude_deg, latitude_deg), east, north]
+}
+
 /// Returns a rotation that takes a position on the sky to (1, 0, 0), the direction east to +y and
 /// north to +z. East and north are then turned by `turn_deg` about the first axis.
 fn rotation(longitude_deg: f64, latitude_deg: f64, turn_deg: f64) -> [[f64; 3]; 3] {
-    let (sin_l, cos_l) = longitude_deg.to_radians().sin_cos();
-    let (sin_b, cos_b) = latitude_deg.to_radians().sin_cos();
     let (sin_t, cos_t) = turn_deg.to_radians().sin_cos();
-    let (east, north) = ([-sin_l, cos_l, 0.0], [-cos_l * sin_b, -sin_l * sin_b, cos_b]);
+    let [at, east, north] = local_axes(longitude_deg, latitude_deg);
     let combined = |a: f64, b: f64| [0, 1, 2].map(|i| a * east[i] + b * north[i]);
-    [
-        unit_vector(longitude_deg, latitude_deg),
-        combined(cos_t, -sin_t),
-        combined(sin_t, cos_t),
-    ]
+    [at, combined(cos_t, -sin_t), combined(sin_t, cos_t)]
 }
 
 /// The projection code in a CTYPE such as `RA---TAN-SIP`.
