@@ -370,6 +370,63 @@ def bright_and_faint(program):
         draw(ax, plan.simulate(None, stars), name)
 
 
+def observe(program):
+    """The detectors of two exposures on the sky, and a part of a frame with its sources."""
+    shape, scale = (600, 600), 0.2
+    model = psfield.PsfModel.from_telescope(
+        field_shape=shape, samples=(5, 5), stamp_size=48, oversampling=4
+    )
+    model.write("psf.fits", overwrite=True)
+    camera = [
+        {
+            "name": f"N{3 * row + column + 1}",
+            "shape": shape[::-1],
+            "psf": "psf.fits",
+            "settings": "ccd.toml",
+            "geometry": {
+                "pixel_scale_arcsec": scale,
+                "centre_arcsec": [(column - 1) * 640 * scale, (row - 0.5) * 640 * scale],
+            },
+        }
+        for row in range(2)
+        for column in range(3)
+    ]
+    Path("ccd.toml").write_text("photon_noise = true\nsky_e = 60.0\nread_noise_e = 4.0\n")
+    rng = np.random.default_rng(3)
+    count = 3000
+    is_star = np.arange(count) < count // 2
+    sky = {
+        "ra": 150 + rng.uniform(-0.08, 0.08, count),
+        "dec": 2 + rng.uniform(-0.07, 0.07, count),
+        "flux": 10 ** rng.uniform(1.5, 4.5, count),
+        "re_arcsec": np.where(is_star, 0, rng.gamma(2, 0.3, count) + 0.1),
+        "n": rng.choice([1.0, 2.5, 4.0], count),
+        "q": rng.uniform(0.3, 1, count),
+        "pa_deg": rng.uniform(0, 180, count),
+    }
+    pointing = {"ra": 150, "dec": 2, "rotation_deg": 20, "dithers_arcsec": [[0, 0], [30, 20]]}
+    with contextlib.redirect_stderr(io.StringIO()):
+        survey = psfield.Survey(
+            sky,
+            camera,
+            [pointing],
+            "{exposure}_{detector}.fits",
+            truth_table="{exposure}_{detector}_t.fits",
+        )
+        survey.observe(overwrite=True)
+    _, axes = plt.subplots(1, 2, figsize=(8.6, 4.3), layout="constrained")
+    psfield.plot.plot_focal_plane(survey, catalog=sky, ax=axes[0])
+    part = (slice(200, 420), slice(200, 420))
+    counts = fits.getdata("001-1_N2.fits")[part]
+    axes[1].imshow(np.arcsinh((counts - 60) / 10), cmap="gray", vmin=-1, vmax=5)
+    with fits.open("001-1_N2_t.fits") as hdus:
+        table = hdus[1].data
+    x, y = table["x"] - 200, table["y"] - 200
+    inside = (x > 3) & (x < 216) & (y > 3) & (y < 216) & (table["flux"] > 1000)
+    axes[1].plot(x[inside], y[inside], "o", mfc="none", mec="C1", markersize=9)
+    axes[1].set(title="a part of N2, with its table of sources", xticks=[], yticks=[])
+
+
 def core_and_wings(program):
     """One bright star through stamps of two sizes, and through a PSF with wings."""
     y, x = np.mgrid[-700:701, -700:701].astype(float)
@@ -406,7 +463,7 @@ def main(program, names):
     """Make pictures in a folder with the files of the demo, and store them next to this file."""
     makers = (index, python, guide, formats, cluster, gpu, coming_from, accuracy)
     makers += (stability, stages, api, contributing, migration, paths, bright_and_faint)
-    makers += (core_and_wings,)
+    makers += (core_and_wings, observe)
     program = Path(program).resolve()
     with tempfile.TemporaryDirectory() as work:
         os.chdir(work)

@@ -28,6 +28,7 @@ pixel.
 from psfield import detector, metrics, plot
 from psfield._catalog import read_catalog
 from psfield._errors import PsfieldWarning
+from psfield._inject import InjectReport, inject
 from psfield._model import PsfModel
 from psfield._native import __version__
 from psfield._plan import DroppedLight, Plan, SpotCheck
@@ -42,11 +43,14 @@ from psfield._reports import (
 )
 from psfield._series import Series, SeriesExposure, series
 from psfield._simulate import example, simulate
+from psfield._survey import FrameReport, Survey, SurveyFrame, observe
 from psfield._threads import set_threads, threads
 
 __all__ = [
     "DroppedLight",
     "FitReport",
+    "FrameReport",
+    "InjectReport",
     "LeaveOneOutReport",
     "Plan",
     "PlanSummary",
@@ -57,12 +61,16 @@ __all__ = [
     "Series",
     "SeriesExposure",
     "SpotCheck",
+    "Survey",
+    "SurveyFrame",
     "VerificationReport",
     "WingsReport",
     "__version__",
     "detector",
     "example",
+    "inject",
     "metrics",
+    "observe",
     "plot",
     "read_catalog",
     "series",

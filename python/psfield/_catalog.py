@@ -14,7 +14,7 @@ from psfield import _native
 from psfield._arrays import with_missing
 from psfield._astropy import check_linear, in_unit
 from psfield._errors import PsfieldWarning
-from psfield._sky import Sky, is_sky, sky_of
+from psfield._sky import FrameSky, Sky, is_sky, sky_of
 from psfield._tables import column_names
 
 Column = NDArray[np.float64]
@@ -29,6 +29,8 @@ _PLAIN = {
     "skip_invalid": False,
     "table": None,
     "wcs_extension": None,
+    "date": None,
+    "epoch": None,
 }
 _OFF_PROJECTION = "outside the projection of the world coordinates"
 
@@ -43,6 +45,8 @@ def read_catalog(
     table: str | int | None = None,
     wcs: Any = None,
     wcs_extension: str | int | None = None,
+    date: Any = None,
+    epoch: float | None = None,
     spectra: bool = False,
     velocities: bool = False,
 ) -> dict[str, Any]:
@@ -55,9 +59,11 @@ def read_catalog(
         binary table of a FITS file.
     columns : str, optional
         The column of each role, as in ``"x=X_IMAGE,y=Y_IMAGE,mag=MAG_AUTO"``. The roles are x and y
-        (or ra and dec), flux (or mag), and re, n, q, angle, g1 and g2 for galaxies. By default each
-        role uses the column of its own name. Positions may also be called ``x_0`` and ``y_0``. A
-        unit that the file states is converted (angles to degrees), or refused.
+        (or ra and dec), flux (or mag), and re, n, q, angle, g1 and g2 for galaxies. On the sky also
+        re_arcsec and pa_deg, and pmra, pmdec, parallax, radial_velocity and epoch: see Notes. By
+        default each role uses the column of its own name, or of Gaia's. Positions may also be
+        called ``x_0`` and ``y_0``. A unit that the file states is converted (angles to degrees),
+        or refused.
     one_based : bool
         The first pixel is 1, as in SExtractor and FITS.
     zero_point : float, optional
@@ -72,6 +78,11 @@ def read_catalog(
         in degrees.
     wcs_extension : str or int, optional
         The extension of the file ``wcs``: its number or its name.
+    date : str, float or astropy.time.Time, optional
+        Date of the frame: UTC as in ``"2031-05-17T12:00:00"``, a Julian year (2031.25), or a
+        modified Julian date. Default: that of ``wcs`` (``wcs.wcs.mjdobs`` or ``dateobs``).
+    epoch : float, optional
+        Epoch of the positions (Julian year), without a column ``epoch`` or ``ref_epoch``.
     spectra : bool
         Read the column ``sed`` (names of spectra) or, without it, ``teff`` (kelvin), too.
     velocities : bool
@@ -95,7 +106,16 @@ def read_catalog(
     Warns
     -----
     PsfieldWarning
-        Rows were skipped.
+        Rows were skipped, or columns that may change the sources were not read.
+
+    Notes
+    -----
+    Sources with ``ra`` and ``dec`` move with ``pmra`` (with the factor cos(dec)) and ``pmdec``
+    (mas per year), ``parallax`` (mas) and ``radial_velocity`` (km/s) from their epoch to the date
+    of the frame, if both are known. ``re_arcsec`` (half-light radius in arcseconds) replaces
+    ``re``. The shape is then that on the sky: ``pa_deg`` is the position angle of the major axis,
+    from north towards east, and ``g1 > 0`` stretches east-west, ``g2 > 0`` along the diagonal
+    between north and west, as in GalSim. The world coordinates map it to pixels.
 
     Examples
     --------
@@ -115,9 +135,24 @@ def read_catalog(
         "skip_invalid": skip_invalid,
         "table": None if table is None else str(table),
         "wcs_extension": None if wcs_extension is None else str(wcs_extension),
+        "date": _date(date),
+        "epoch": epoch,
     }
     read = Reads(spectra=spectra, velocities=velocities)
     return _read(os.fspath(path), settings, wcs, None, read, 3).columns()
+
+
+def _date(date: Any) -> str | None:
+    """Return the text of a date: a text, a number, a datetime, or a ``Time`` of astropy."""
+    if date is None or isinstance(date, str):
+        return date
+    if hasattr(date, "tdb"):
+        return repr(float(date.tdb.jyear))
+    if getattr(date, "tzinfo", None) is not None:
+        from datetime import timezone
+
+        date = date.astimezone(timezone.utc).replace(tzinfo=None)
+    return str(date.isoformat()) if hasattr(date, "isoformat") else repr(float(date))
 
 
 @dataclass(frozen=True)
@@ -132,7 +167,12 @@ def _read(
     path: str, settings: dict[str, Any], wcs: Any, unit: Any, read: Reads, stacklevel: int
 ) -> _native.Sources:
     """Read a file, as `read_catalog` does. Fluxes that have a unit are converted to ``unit``."""
-    sky = None if is_path(wcs) else sky_of(None, wcs, 1, (0, 0))
+    sky: Sky | FrameSky | None
+    if isinstance(wcs, FrameSky):
+        # A frame may lack them, if its catalogue has positions in pixels.
+        sky = wcs if wcs.known_cards() is not None else None
+    else:
+        sky = None if is_path(wcs) else sky_of(None, wcs, 1, (0, 0))
     more = {
         "wcs": os.fspath(wcs) if is_path(wcs) else None,
         "wcs_cards": None if sky is None else sky.cards(),
@@ -170,7 +210,7 @@ def is_path(value: Any) -> bool:
 
 
 def sources_of(
-    catalog: Any, unit: Any, sky: Sky | None, read: Reads, stacklevel: int
+    catalog: Any, unit: Any, sky: Sky | FrameSky | None, read: Reads, stacklevel: int
 ) -> _native.Sources | None:
     """Return the sources of a catalogue: a table of any kind, or the path of a file.
 
@@ -182,32 +222,27 @@ def sources_of(
         return None
     if is_path(catalog):
         # A file of pixel positions needs no world coordinates, and gwcs has none for files.
-        has_cards = sky is not None and hasattr(sky.wcs, "to_header")
-        wcs = sky if has_cards else None
+        wcs = sky if sky is not None and sky.has_cards() else None
         return _read(os.fspath(catalog), _PLAIN, wcs, unit, read, stacklevel + 1)
-    columns, rows = _table_columns(catalog, unit, sky, read, stacklevel + 1)
-    return _native.Sources(list(columns.items()), rows)
+    return _sources_of_table(catalog, unit, sky, read, stacklevel + 1)
 
 
 def columns_of(
     catalog: Any,
     unit: Any = None,
-    sky: Sky | None = None,
+    sky: Sky | FrameSky | None = None,
     read: Reads = Reads(),
     *,
     stacklevel: int = 3,
 ) -> Columns | None:
-    """Return the columns by their roles of what `sources_of` takes."""
-    if catalog is None or is_path(catalog):
-        sources = sources_of(catalog, unit, sky, read, stacklevel + 1)
-        return None if sources is None else sources.columns()
-    return _table_columns(catalog, unit, sky, read, stacklevel + 1)[0]
+    """Return the columns by their roles of what `sources_of` takes, stars first."""
+    sources = sources_of(catalog, unit, sky, read, stacklevel + 1)
+    return None if sources is None else sources.columns()
 
 
-def _table_columns(
-    catalog: Any, unit: Any, sky: Sky | None, read: Reads, stacklevel: int
-) -> tuple[Columns, list[int] | None]:
-    """Return the columns of a table by their roles, and the rows that they hold, if not all."""
+def _sources_of_table(
+    catalog: Any, unit: Any, sky: Sky | FrameSky | None, read: Reads, stacklevel: int
+) -> _native.Sources:
     table = column_names(catalog)
     if table is None:
         raise TypeError(
@@ -216,16 +251,21 @@ def _table_columns(
             f" got {type(catalog).__name__}"
         )
     named = {str(name): catalog[name] for name in table}
+    cards = None if sky is None else sky.known_cards()
     place = _sky_coord(named)
     if place is not None:
-        # From here on, the pixels are columns of the table.
-        named["x"], named["y"] = _pixels_of(place, sky)
+        # From here on, the positions are columns of the table.
+        if sky is None or cards is None:
+            named["x"], named["y"] = _pixels_of(place, sky)
+        else:
+            _check_known(place)
+            named["ra"], named["dec"] = sky.degrees(place)
     _check_magnitudes(named)
-    picked, ignored = _native.catalog_columns(list(named), read.spectra, read.velocities)
+    picked, ignored = _native.catalog_columns(list(named), read.spectra, read.velocities, cards)
     columns: Columns = {
-        role: _texts(named[name], name)
+        role: texts_of(named[name], name)
         if role == "sed"
-        else _column(named[name], name, unit if of_column is None else of_column)
+        else column_of(named[name], name, unit if of_column is None else of_column)
         for role, name, of_column in picked
     }
     rows = max((array.size for array in columns.values() if array.ndim == 1), default=1)
@@ -235,10 +275,19 @@ def _table_columns(
     if "sed" in columns:
         columns["sed"] = columns["sed"].tolist()
     if "ra" in columns:
+        _check_known((columns["ra"], columns["dec"]))
+    if cards is None and "ra" in columns:
         place = columns.pop("ra"), columns.pop("dec")
         columns["x"], columns["y"] = _pixels_of(place, sky)
+    if place is not None and getattr(getattr(place, "data", None), "differentials", None):
+        ignored.append("of the motion of the SkyCoord (take its apply_space_motion)")
     _warn_of_ignored(ignored, "catalog", stacklevel)
-    return (columns, None) if place is None else _on_projection(columns, stacklevel)
+    numbers = None
+    if cards is None and place is not None:
+        columns, numbers = _on_projection(columns, stacklevel)
+    sources = _native.Sources(list(columns.items()), numbers, cards)
+    _warn_of_skipped(sources.left_out()[1], "catalog", _OFF_PROJECTION, stacklevel)
+    return sources
 
 
 def _sky_coord(named: dict[str, Any]) -> Any:
@@ -254,13 +303,19 @@ def _sky_coord(named: dict[str, Any]) -> Any:
     return named[places[0]] if places else None
 
 
-def _pixels_of(place: Any, sky: Sky | None) -> tuple[Column, Column]:
+def _pixels_of(place: Any, sky: Sky | FrameSky | None) -> tuple[Column, Column]:
     """Return the pixels of a SkyCoord, or of right ascensions and declinations in degrees."""
     if sky is None:
         raise ValueError(
             "catalog: its positions are on the sky: give the world coordinates of the image, wcs=,"
             " or a scene that has them (CCDData)"
         )
+    _check_known(place)
+    return sky.pixels(place)
+
+
+def _check_known(place: Any) -> None:
+    """Refuse positions on the sky that are masked or NaN."""
     mask = (
         np.isnan(place[0]) | np.isnan(place[1])
         if isinstance(place, tuple)
@@ -271,7 +326,6 @@ def _pixels_of(place: Any, sky: Sky | None) -> tuple[Column, Column]:
             f"catalog: {np.count_nonzero(mask)} positions on the sky are masked or NaN: remove"
             f" these rows, the first of which is row {np.flatnonzero(mask)[0]} (0-based)"
         )
-    return sky.pixels(place)
 
 
 def _on_projection(columns: Columns, stacklevel: int) -> tuple[Columns, list[int] | None]:
@@ -288,7 +342,7 @@ def _on_projection(columns: Columns, stacklevel: int) -> tuple[Columns, list[int
     return columns, rows
 
 
-def _texts(values: Any, name: str) -> NDArray[np.str_]:
+def texts_of(values: Any, name: str) -> NDArray[np.str_]:
     """Return a column of texts, in which missing and masked values are empty."""
     array = np.asarray(np.ma.getdata(values), dtype=object)
     if array.ndim > 1:
@@ -301,14 +355,14 @@ def _texts(values: Any, name: str) -> NDArray[np.str_]:
 def _check_magnitudes(named: dict[str, Any]) -> None:
     """Refuse magnitudes in place of fluxes. Only for a file can a zero point be given."""
     lower = {name.lower() for name in named}
-    if "mag" in lower and "flux" not in lower:
+    if lower & {"mag", "phot_g_mean_mag"} and "flux" not in lower:
         raise ValueError(
             "catalog: there is no column flux, only magnitudes: set flux = 10**(-0.4 * (mag -"
             " zero_point)), or read the file with read_catalog(..., zero_point=)"
         )
 
 
-def _column(values: Any, name: str, unit: Any) -> Column:
+def column_of(values: Any, name: str, unit: Any) -> Column:
     """Return a column of doubles in ``unit``, or one double without axes. Missing values are NaN.
 
     ``unit`` is None for fluxes in their own unit.

@@ -24,7 +24,7 @@ from psfield._errors import PsfieldWarning
 from psfield._html import FieldsAsTable, size, table
 from psfield._progress import Progress, as_callback
 from psfield._reports import PlanSummary
-from psfield._sky import sky_of
+from psfield._sky import Sky, sky_of
 from psfield._tables import column_names
 from psfield.detector import Detector, Exposure, exposure_of
 
@@ -710,6 +710,50 @@ class Plan:
             warnings.warn(text, PsfieldWarning, stacklevel=2)
         return exposure_of(*found)
 
+    def truth_table(
+        self, catalog: Any, scene: Any = None, *, flags: Any = None, wcs: Any = None
+    ) -> dict[str, NDArray[Any]]:
+        """Return a table of the sources as they are in the image.
+
+        Parameters
+        ----------
+        catalog, scene, wcs
+            As for `simulate`.
+        flags : numpy.ndarray, optional
+            The ``flags`` of an exposure of this catalogue.
+
+        Returns
+        -------
+        dict of str to numpy.ndarray
+            In the order of the catalogue's rows: ``row`` (from 0), ``x`` and ``y`` (0-based pixels
+            of the image), ``ra`` and ``dec`` (degrees at the date of the image, if psfield knows
+            its world coordinates), ``flux``, ``in_frame``, and with ``flags`` also
+            ``saturated_pixels``: how many pixels the saturated area at the source has (0: none).
+
+        Examples
+        --------
+        >>> import psfield
+        >>> model = psfield.PsfModel.from_samples([[0, 1, 0], [1, 4, 1], [0, 1, 0]], (0, 0))
+        >>> plan = model.plan((12, 16))
+        >>> table = plan.truth_table({"x": [4.0, 99.0], "y": [5.0, 2.0], "flux": [30.0, 2e4]})
+        >>> table["in_frame"].tolist()
+        [True, False]
+        """
+        images, scene = self._images(scene), first_image(scene)
+        light = images[0][1] if images else None
+        sources = self._sources(catalog, scene, light, wcs, 3)
+        if sources is None:
+            raise ValueError("catalog: give a catalogue of stars and galaxies")
+        sky = self._sky(scene, light, wcs)
+        if flags is not None:
+            flags = np.asarray(flags, dtype=np.uint8)
+            if flags.shape != self.image_shape:
+                raise ValueError(
+                    f"flags must have the shape of the image, {self.image_shape}, not {flags.shape}"
+                )
+        cards = None if sky is None else sky.known_cards()
+        return self._handle.truth_table(sources, cards, flags)
+
     def dropped_light(self, catalog: Any, *, wcs: Any = None) -> DroppedLight:
         """Return upper limits of the light that is dropped because it is below the floor.
 
@@ -806,11 +850,15 @@ class Plan:
 
         ``stacklevel`` is that of the user's line, for warnings.
         """
-        is_part = light is not None and light.shape != self.shape
-        first = self.light_region[:2] if is_part else (0, 0)
-        sky = sky_of(scene, wcs, self._settings["oversample"], first)
+        sky = self._sky(scene, light, wcs)
         reads = Reads(spectra=self._settings["bandpass"] is not None)
         return sources_of(catalog, unit_of(scene), sky, reads, stacklevel + 1)
+
+    def _sky(self, scene: Any, light: NDArray[Any] | None, wcs: Any) -> Sky | None:
+        """Return the world coordinates of the image from the scene's first pixel, if any."""
+        is_part = light is not None and light.shape != self.shape
+        first = self.light_region[:2] if is_part else (0, 0)
+        return sky_of(scene, wcs, self._settings["oversample"], first)
 
     def _check_scene_shape(self, shape: tuple[int, ...]) -> None:
         """Refuse a scene that is neither the whole scene nor the part that reaches the region."""

@@ -55,8 +55,67 @@ class Sky(NamedTuple):
                 f"wcs: a file of sources needs an astropy WCS, not {type(self.wcs).__name__}: read"
                 " the table with astropy, and give the table"
             )
+        if self._has_tables():
+            raise ValueError(
+                "wcs: its distortion is a table (CPDIS or D2IMDIS), which a file of sources cannot"
+                " use: read the table with astropy, and give the table"
+            )
         x0, y0 = (-start / self.oversample for start in self.first)
         return _native.image_cards(cards_of(self.wcs), (x0, y0), self.oversample)
+
+    def known_cards(self) -> str | None:
+        """Return the cards if psfield itself knows these world coordinates, else None."""
+        if not hasattr(self.wcs, "to_header") or self._has_tables():
+            return None
+        cards = self.cards()
+        return cards if _native.knows_sky(cards) else None
+
+    def degrees(self, place: Any) -> tuple[Any, Any]:
+        """Return longitude and latitude of a ``SkyCoord`` in the frame of the world coordinates."""
+        from astropy.wcs.utils import wcs_to_celestial_frame
+
+        angles = place.transform_to(wcs_to_celestial_frame(self.wcs)).spherical
+        return angles.lon.deg, angles.lat.deg
+
+    def has_cards(self) -> bool:
+        """Return whether a header can hold these world coordinates."""
+        return hasattr(self.wcs, "to_header")
+
+    def _has_tables(self) -> bool:
+        tables = ("cpdis1", "cpdis2", "det2im1", "det2im2")
+        return any(getattr(self.wcs, table, None) is not None for table in tables)
+
+
+class FrameSky(NamedTuple):
+    """World coordinates of a file, as the text of its cards."""
+
+    text: str
+
+    def has_cards(self) -> bool:
+        """Return whether a header can hold these world coordinates."""
+        return True
+
+    def cards(self) -> str:
+        """Return the cards."""
+        return self.text
+
+    def known_cards(self) -> str | None:
+        """Return the cards if psfield itself knows these world coordinates, else None."""
+        return self.text if _native.knows_sky(self.text) else None
+
+    def pixels(self, place: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Refuse positions on the sky, whose pixels psfield does not know."""
+        raise ValueError(
+            "catalog: its positions are on the sky, but psfield does not know the world coordinates"
+            " of the frame: give positions in pixels"
+        )
+
+    def degrees(self, place: Any) -> tuple[Any, Any]:
+        """Return longitude and latitude of a ``SkyCoord`` in the frame of the world coordinates."""
+        from astropy.io.fits import Header
+        from astropy.wcs import WCS
+
+        return Sky(WCS(Header.fromstring(self.text))).degrees(place)
 
 
 def sky_of(scene: Any, wcs: Any, oversample: int, first: tuple[int, int]) -> Sky | None:

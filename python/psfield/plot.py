@@ -21,8 +21,16 @@ if TYPE_CHECKING:
 
     from psfield._model import PsfModel
     from psfield._plan import Plan
+    from psfield._survey import Survey
 
-__all__ = ["plot_image", "plot_plan", "plot_psf_field", "plot_residuals", "plot_shapes"]
+__all__ = [
+    "plot_focal_plane",
+    "plot_image",
+    "plot_plan",
+    "plot_psf_field",
+    "plot_residuals",
+    "plot_shapes",
+]
 
 #: The asinh scale of images is linear up to this part of their range, or up to their noise.
 FAINTEST_OF_IMAGE = 1e-4
@@ -34,6 +42,102 @@ PSFS, WHISKERS = 49, 240
 FILLED = 0.9
 #: Whiskers get no longer if all ellipticities are below this value, so that round PSFs look round.
 LEAST_ELLIPTICITY = 0.01
+
+
+def plot_focal_plane(
+    survey: Survey,
+    *,
+    exposures: list[str] | None = None,
+    catalog: Any = None,
+    ax: Axes | None = None,
+) -> Axes:
+    """Show where the detectors of a survey are on the sky.
+
+    Each exposure has a colour, and the detectors of the first one have their names. The plane is
+    tangent to the sky at the middle of the frames, with north up and east to the left.
+
+    Parameters
+    ----------
+    survey : psfield.Survey
+        The survey.
+    exposures : list of str, optional
+        Names of exposures. By default all.
+    catalog : table, optional
+        Sources with columns ``ra`` and ``dec`` (degrees), shown as dots.
+    ax : matplotlib.axes.Axes, optional
+        Axes to draw into. By default those of a new figure.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+
+    Examples
+    --------
+    >>> import matplotlib.pyplot as plt
+    >>> import psfield
+    >>> from psfield import plot
+    >>> detector = {"name": "N", "shape": [40, 30], "psf": "psf.fits"}
+    >>> detector["geometry"] = {"pixel_scale_arcsec": 0.5}
+    >>> survey = psfield.Survey("sky.csv", [detector], [{"ra": 10, "dec": 20}], "{exposure}.fits")
+    >>> ax = plot.plot_focal_plane(survey)
+    >>> [text.get_text() for text in ax.texts]
+    ['N']
+    >>> plt.close(ax.figure)
+    """
+    frames = [frame for frame in survey.frames if exposures is None or frame.exposure in exposures]
+    if not frames:
+        raise ValueError(f"exposures: the survey has none of {exposures}")
+    corners = np.array([frame.corners_deg for frame in frames])
+    # The mean direction, which a mean of right ascensions is not at 0 or at a pole.
+    x, y, z = _directions(corners[..., 0], corners[..., 1]).reshape(3, -1).mean(axis=1)
+    centre = np.degrees(np.arctan2(y, x)) % 360, np.degrees(np.arctan2(z, np.hypot(x, y)))
+    if ax is None:
+        ax = _pyplot().subplots(figsize=(6.4, 5.8), layout="constrained")[1]
+    if catalog is not None:
+        east, north = _tangent(np.asarray(catalog["ra"]), np.asarray(catalog["dec"]), centre)
+        ax.plot(east, north, ".", color="0.75", markersize=2, zorder=0)
+    names = list(dict.fromkeys(frame.exposure for frame in sorted(frames, key=lambda f: f.seed)))
+    first = {frame.exposure: frame for frame in reversed(frames)}
+    east, north = _tangent(corners[..., 0], corners[..., 1], centre)
+    for frame, along, across in zip(frames, east, north, strict=True):
+        colour = f"C{names.index(frame.exposure) % 10}"
+        around = np.append(along, along[0]), np.append(across, across[0])
+        label = frame.exposure if frame is first[frame.exposure] else None
+        ax.plot(*around, color=colour, linewidth=1, label=label)
+        # The first corner is the first pixel.
+        ax.plot(along[0], across[0], "o", color=colour, markersize=3)
+        if frame.exposure == names[0]:
+            ax.text(along.mean(), across.mean(), frame.detector, ha="center", va="center")
+    span_x, span_y = np.ptp(east), np.ptp(north)
+    ax.set(
+        xlabel="towards east (arcmin)",
+        ylabel="towards north (arcmin)",
+        aspect="equal",
+        title=f"RA {centre[0]:.4f}, Dec {centre[1]:+.4f}",
+        xlim=(east.max() + 0.05 * span_x, east.min() - 0.05 * span_x),
+        ylim=(north.min() - 0.05 * span_y, north.max() + 0.05 * span_y),
+    )
+    if len(names) > 1:
+        ax.legend(fontsize="small", title="exposure")
+    return ax
+
+
+def _directions(ra: NDArray[np.float64], dec: NDArray[np.float64]) -> NDArray[np.float64]:
+    ra, dec = np.radians(ra), np.radians(dec)
+    return np.array([np.cos(ra) * np.cos(dec), np.sin(ra) * np.cos(dec), np.sin(dec)])
+
+
+def _tangent(
+    ra: NDArray[np.float64], dec: NDArray[np.float64], centre: tuple[float, float]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return offsets towards east and north in arcminutes, on the plane that touches the centre."""
+    ra0, dec0 = np.radians(centre)
+    ra, dec = np.radians(ra) - ra0, np.radians(dec)
+    forward = np.sin(dec0) * np.sin(dec) + np.cos(dec0) * np.cos(dec) * np.cos(ra)
+    forward = np.where(forward > 0, forward, np.nan)
+    east = np.cos(dec) * np.sin(ra) / forward
+    north = (np.cos(dec0) * np.sin(dec) - np.sin(dec0) * np.cos(dec) * np.cos(ra)) / forward
+    return 60 * np.degrees(east), 60 * np.degrees(north)
 
 
 def plot_image(

@@ -192,6 +192,13 @@ def test_clusters(tmp_path, monkeypatch, capsys):
     assert len(list(tmp_path.glob("frames/*.fits"))) == 20
 
 
+@pytest.mark.filterwarnings("ignore::psfield.PsfieldWarning")
+def test_surveys():
+    names = run("docs/observe.md")
+    assert [report.status for report in names["reports"]] == ["done"]
+    assert names["reports"][0].in_frame == 2
+
+
 @pytest.mark.parametrize("page", PAGES)
 def test_links_lead_somewhere(page):
     text = (ROOT / page).read_text(encoding="utf-8")

@@ -12,6 +12,7 @@ import pytest
 import psfield
 
 fits = pytest.importorskip("astropy.io.fits")
+wcs = pytest.importorskip("astropy.wcs")
 
 PAGE = Path(__file__).parents[2] / "docs" / "paths.md"
 BAND = "wavelength_nm,throughput\n450,0\n500,1\n700,1\n750,0\n"
@@ -72,6 +73,14 @@ def files(tmp_path_factory):
     fits.writeto(folder / "fine.fits", fine)
     (folder / "band.csv").write_text(BAND)
     (folder / "stars.csv").write_text(STARS)
+    sky = wcs.WCS(naxis=2)
+    sky.wcs.ctype, sky.wcs.crval = ["RA---TAN", "DEC--TAN"], [10.0, 60.0]
+    sky.wcs.crpix, sky.wcs.cdelt, sky.wcs.mjdobs = [30.5, 25.5], [-1e-4, 1e-4], 60000.0
+    fits.writeto(folder / "frame.fits", np.zeros(SHAPE, np.float32), sky.to_header())
+    (folder / "sky.csv").write_text(
+        "ra,dec,flux,pmra,pmdec,ref_epoch,re_arcsec,n,pa_deg,q\n"
+        "10.001,60.0005,50,200,-90,2016.0,0,,,\n9.9995,59.9992,70,0,0,2016.0,0.8,1,30,0.5\n"
+    )
     (folder / "seds.csv").write_text(f"x,y,flux,sed\n20.3,10,50,{BLUE}\n41,30.5,70,{RED}\n")
     (folder / "noisy.toml").write_text("electrons_per_flux = 100\nphoton_noise = true\n")
     (folder / "camera.toml").write_text("electrons_per_flux = 100\nread_noise_e = 2\n")
@@ -82,6 +91,8 @@ def files(tmp_path_factory):
 FEATURES = {
     "image": ({"scene": "scene.fits"}, {}),
     "stars and galaxies": ({"catalog": "stars.csv"}, {}),
+    "positions on the sky, with motions": ({"catalog": "sky.csv", "wcs": "frame.fits"}, {}),
+    "table of the sources": ({"catalog": "stars.csv"}, {}),
     "wings of the PSF": (
         {"scene": "scene.fits", "catalog": "stars.csv", "psf": "wings.fits"},
         {},
@@ -137,6 +148,8 @@ class Case:
             self.scene = None if named is None else self.pixels(named)
         catalog = options.get("catalog")
         self.catalog = None if catalog is None else str(folder / catalog)
+        named = options.get("wcs")
+        self.sky = None if named is None else wcs.WCS(fits.getheader(folder / named))
         self.model = psfield.PsfModel.read(folder / psf)
         if feature == "own interpolation or basis":
             model = psfield.PsfModel.read(folder / "psf.fits")
@@ -171,7 +184,11 @@ class Case:
             for name, value in options.items()
             for part in ([f"--{name}"] if value is True else [f"--{name}", str(value)])
         ]
+        if self.has_table:
+            named += ["--truth-table", str(self.tmp / "table.fits")]
         self.run("simulate", *scene, *named, "-o", str(out))
+        if self.has_table:
+            assert fits.getdata(self.tmp / "table.fits")["row"].tolist() == [0, 1]
         return fits.getdata(out)
 
     def batch(self):
@@ -179,7 +196,12 @@ class Case:
         jobs = self.folder / "jobs.toml"
         job = toml(self.options)
         jobs.write_text(f"[[job]]\n{job}output = '{out}'\n\n[[job]]\n{job}output = '{out}2.fits'\n")
+        if self.has_table:
+            job += f"truth-table = '{self.tmp}/table.fits'\n"
+            jobs.write_text(f"[[job]]\n{job}output = '{out}'\n")
         self.run("batch", "--overwrite", str(jobs))
+        if self.has_table:
+            assert fits.getdata(self.tmp / "table.fits")["row"].tolist() == [0, 1]
         return fits.getdata(out)
 
     def series(self):
@@ -188,6 +210,9 @@ class Case:
         times = 'start = "2026-11-27T21:00:00"\nexposure_s = 10.0\ncount = 2\n'
         night.write_text(f"{times}{drift}[simulate]\n{toml(self.options)}")
         self.run("series", str(night), "--out", str(self.tmp / "night"))
+        if self.has_table:
+            lines = (self.tmp / "night" / "frame_0000_sources.csv").read_text().splitlines()
+            assert lines[0] == "row,x,y,flux" and len(lines) == 3
         return fits.getdata(self.tmp / "night" / "frame_0000.fits")
 
     def python_plan(self):
@@ -206,14 +231,20 @@ class Case:
         if self.feature == "adjoint":
             image = plan.simulate(self.scene)
             assert np.isclose(np.vdot(image, image), np.vdot(self.scene, plan.adjoint(image)))
-        return plan.simulate(self.scene, self.catalog)
+        if self.has_table:
+            assert plan.truth_table(self.catalog)["row"].tolist() == [0, 1]
+        return plan.simulate(self.scene, self.catalog, wcs=self.sky)
 
     def python_series(self):
-        words = {**self.words, "drift_px_per_s": DRIFT} if self.moves else self.words
+        words = {**self.words, "drift_px_per_s": DRIFT} if self.moves else dict(self.words)
         shape = SHAPE if self.scene is None else None
+        if self.sky is not None:
+            words["wcs"] = self.sky
         night = psfield.series(
             self.model, self.scene, self.catalog, shape=shape, exposure_s=10, count=2, **words
         )
+        if self.has_table:
+            assert night[0].sources["row"].tolist() == [0, 1]
         return night[0].image
 
     def dask_batch(self):
@@ -243,6 +274,10 @@ class Case:
             scene = scene[BLUE]
         lazy = array.from_array(scene, chunks=(30, 30))
         return dask.simulate(lazy, self.model, catalog=self.catalog, **self.words).compute()
+
+    @property
+    def has_table(self):
+        return self.feature == "table of the sources"
 
     @property
     def moves(self):

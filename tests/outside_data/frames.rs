@@ -2,13 +2,17 @@
 //! from the stars.
 
 use libtest_mimic::{Failed, Trial};
-use ndarray::{Array2, ArrayView2};
+use ndarray::{Array2, Array3, ArrayView2};
 use psfield::conv_core::StarPainter;
 use psfield::fit::{fit, model_of};
+use psfield::inject::{InjectOptions, RealFrame};
 use psfield::measure::MeasureOptions;
+use psfield::psf_io::{Card, Catalog, HeaderCards};
 use psfield::psf_stars::{Rejection, StarSamples, StarSampling};
-use psfield::psf_types::{Anchor, Image, NoProgress, PointSource, Position, PsfSamples};
-use psfield::{FitOptions, psf_io};
+use psfield::psf_types::{
+    Anchor, Image, NoProgress, PointSource, Position, PsfSamples, SamplePositions, StampGrid,
+};
+use psfield::{FitOptions, Psf, SimulateOptions, psf_io};
 use psfield_lab::{RoundTrip, RoundTripOptions};
 
 use crate::data::{ensure, file, trial};
@@ -56,11 +60,95 @@ pub(crate) fn trials() -> Vec<Trial> {
         format!("{}: isolated stars keep their light", FRAMES[0]),
         isolated_light,
     );
+    let injected = FRAMES.into_iter().map(|name| {
+        trial(format!("{name}: injected stars keep flux and noise"), move || {
+            injected_stars(name)
+        })
+    });
     agreed
+        .chain(injected)
         .chain(trips)
         .chain(controls)
         .chain([scene, light])
         .collect()
+}
+
+/// Seeds of injections.
+const SEEDS: u64 = 200;
+/// The flux of injected stars, and electrons per unit of the frames.
+const INJECTED: (f64, f64) = (20_000.0, 1.5);
+/// Standard deviations of a mean that it may be off.
+const SIGMAS: f64 = 4.0;
+
+/// Injects stars with many seeds. The mean of their light is their flux, within 1e-3, and its scatter that of
+/// their photons. All other pixels and cards stay.
+fn injected_stars(name: &str) -> Result<(), Failed> {
+    const STEP: usize = 32;
+    const HALF: usize = STEP / 2;
+    let directory = tempfile::tempdir()?;
+    let at = |name: &str| directory.path().join(name);
+    let (flux, gain) = INJECTED;
+    let before = frame(name)?;
+    let cards = [Card::new("GAIN", gain, "")?, Card::new("OBSERVER", "a test", "")?];
+    psf_io::write_image(at("real.fits"), &before, &HeaderCards::new(), &cards, false)?;
+    let real = RealFrame::open(at("real.fits"), None)?;
+    let (ny, nx) = before.pixels().dim();
+    let stamp = Array3::from_shape_fn((1, 45, 45), |(_, y, x)| {
+        let square = (y as f64 - 22.0).powi(2) + (x as f64 - 22.0).powi(2);
+        (-square / (2.0 * 3.9_f64.powi(2))).exp()
+    });
+    let grid = StampGrid::new(45, 45)?.with_oversampling(3.0)?;
+    let centre = SamplePositions::new(vec![Position::of_pixel(0, 0)], None)?;
+    let psf = Psf::from(PsfSamples::new(stamp, centre, grid)?);
+    // Stars in squares of their own, at several places within a pixel.
+    let places = |count: usize| (0..count / STEP).map(|k| (HALF + k * STEP) as f64 + 0.13 * (k % 7) as f64);
+    let stars: Result<Vec<PointSource>, _> = places(ny)
+        .flat_map(|y| places(nx).map(move |x| (x, y)))
+        .map(|(x, y)| PointSource::new(Position::new(x, y)?, flux))
+        .collect();
+    let catalog = Catalog::new(stars?, Vec::new());
+    let options = SimulateOptions {
+        tolerance: 1e-5,
+        ..SimulateOptions::default()
+    };
+    let light = real.light_of(&psf, &catalog, options, &NoProgress)?;
+    let count = catalog.stars().len();
+    let (mut sums, mut squares) = (0.0, 0.0);
+    for seed in 1..=SEEDS {
+        let options = InjectOptions {
+            seed,
+            overwrite: true,
+            ..InjectOptions::default()
+        };
+        real.inject(&light, at("new.fits"), &options)?;
+        let after = psf_io::read_image::<f64>(at("new.fits"))?;
+        let added = &after.image().pixels().to_owned() - &before.pixels();
+        for square in added.exact_chunks((STEP, STEP)) {
+            let star = square.sum();
+            sums += star;
+            squares += (star - flux).powi(2);
+        }
+        let kept = after.header().get("OBSERVER").is_some() && after.header().get("GAIN").is_some();
+        ensure(kept, || "a card is lost".to_owned())?;
+        // The corner between four stars has no light.
+        ensure(added[[0, 0]] == 0.0 && added[[STEP, STEP]] == 0.0, || {
+            "a pixel without light has changed".to_owned()
+        })?;
+    }
+    let draws = (SEEDS as usize * count) as f64;
+    let noise = (flux / gain).sqrt();
+    let (mean, scatter) = (sums / draws, (squares / draws).sqrt() / noise);
+    println!(
+        "{name}: {count} stars, {SEEDS} seeds: mean {:.6} of the flux, noise {scatter:.4}",
+        mean / flux
+    );
+    ensure(
+        (mean - flux).abs() < SIGMAS * noise / draws.sqrt() && (mean / flux - 1.0).abs() < 1e-3,
+        || format!("the mean is {mean}, not {flux}"),
+    )?;
+    ensure((scatter - 1.0).abs() < SIGMAS / (2.0 * draws).sqrt(), || {
+        format!("the noise is {scatter} of that of the photons")
+    })
 }
 
 fn frame(name: &str) -> Result<Image<f64>, Failed> {

@@ -141,6 +141,30 @@ impl Default for DetectorParams {
     }
 }
 
+impl DetectorParams {
+    /// Reads the keys of a TOML file, without a check of their values.
+    ///
+    /// # Errors
+    /// [`DetectorError::Read`], and [`DetectorError::InFile`] for text that is not TOML with these keys.
+    pub fn from_toml_file(path: impl AsRef<Path>) -> Result<Self, DetectorError> {
+        let path = path.as_ref();
+        let text = psf_types::read_text_file(path).map_err(|source| DetectorError::Read {
+            path: path.to_owned(),
+            source,
+        })?;
+        let parsed = toml::from_str(&text).map_err(|error| DetectorError::Toml(Box::new(error)));
+        parsed.map_err(in_file(path))
+    }
+}
+
+/// Adds the name of a file to an error.
+fn in_file(path: &Path) -> impl Fn(DetectorError) -> DetectorError + '_ {
+    |source| DetectorError::InFile {
+        path: path.to_owned(),
+        source: Box::new(source),
+    }
+}
+
 /// The unit of counts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
@@ -278,14 +302,7 @@ impl Detector {
     /// [`DetectorError::Read`] or [`DetectorError::InFile`], which name the file.
     pub fn from_toml_file(path: impl AsRef<Path>) -> Result<Self, DetectorError> {
         let path = path.as_ref();
-        let text = psf_types::read_text_file(path).map_err(|source| DetectorError::Read {
-            path: path.to_owned(),
-            source,
-        })?;
-        Self::from_toml_str(&text).map_err(|source| DetectorError::InFile {
-            path: path.to_owned(),
-            source: Box::new(source),
-        })
+        Self::new(DetectorParams::from_toml_file(path)?).map_err(in_file(path))
     }
 
     /// The parameters that the detector was made from. To make another detector, change a copy and

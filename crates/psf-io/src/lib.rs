@@ -70,8 +70,10 @@ mod units;
 pub use catalogue::columns::{CatalogColumns, CatalogOptions, NeededColumn};
 pub use catalogue::curves::{is_wavelength_unit, read_curve};
 pub use catalogue::memory_table::MemoryTable;
+pub use catalogue::sky_catalog::SkyCatalog;
 pub use catalogue::sky_coordinates::SkyCoordinates;
 pub use catalogue::sky_motion::ObservationDate;
+pub use catalogue::sky_pointing::SkyPointing;
 pub use catalogue::table_file::{read_columns, write_csv};
 pub use catalogue::world_header::WorldCoordinatesError;
 pub use catalogue::{
@@ -79,6 +81,7 @@ pub use catalogue::{
 };
 pub use error::{CardError, IoError, IoErrorKind, Place, Row};
 pub use fits::card::{Card, CardValue};
+pub use fits::edit::{StoredRow, edit_image};
 pub use fits::hdu::HduChoice;
 pub use fits::header_cards::HeaderCards;
 pub use fits::image::{
@@ -86,6 +89,8 @@ pub use fits::image::{
     read_image, read_image_hdu,
 };
 pub use fits::image_out::{ImageWriter, IntegerKind, write_cube, write_image, write_integers};
+pub use fits::join::join_images;
+pub use fits::table_out::{ColumnValues, TableColumn, write_table};
 pub use output::temporary::remove_unfinished;
 pub use output::{OutputLock, check_output, write_atomically, write_bytes, write_text, write_together};
 pub use psf::detect::{FileKind, detect, detect_hdu, foreign_psf};

@@ -80,6 +80,11 @@ pub(crate) fn with_option(text: impl std::fmt::Display, setting: Option<&str>) -
     }
 }
 
+/// Names the option in a message of the library that advises to overwrite.
+pub(crate) fn with_overwrite(text: &str) -> String {
+    text.replace("again with overwrite", "again with --overwrite")
+}
+
 /// Keeps only the text of an error, so that [`message_of`] appends no option to it. For errors of
 /// files to which the options of the command do not apply.
 pub(crate) fn without_option(error: impl std::error::Error + 'static) -> anyhow::Error {

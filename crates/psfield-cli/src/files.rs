@@ -418,6 +418,7 @@ mod tests {
         "to",
         "grid",
         "columns",
+        "date",
         "table",
         "shape",
         "scene_pixels",

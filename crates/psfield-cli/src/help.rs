@@ -12,7 +12,12 @@ use crate::values::text_of_bytes;
 /// Commands by purpose. All others are listed under [`LAST_GROUP`].
 const GROUPS: [(&str, &[&str]); 3] = [
     ("Make a PSF", &["sample", "fit", "convert", "evaluate"]),
-    ("Simulate", &["simulate", "expose", "series", "batch", "demo"]),
+    (
+        "Simulate",
+        &[
+            "simulate", "expose", "series", "batch", "observe", "inject", "demo",
+        ],
+    ),
     ("Look and check", &["preview", "measure", "compare", "validate"]),
 ];
 const LAST_GROUP: &str = "Measure psfield itself";

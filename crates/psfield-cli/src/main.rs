@@ -5,6 +5,7 @@
 
 mod batch;
 mod bench;
+mod catalog_args;
 mod compare;
 mod context;
 mod convert;
@@ -15,9 +16,12 @@ mod expose;
 mod files;
 mod fit;
 mod help;
+mod inject;
 #[cfg(unix)]
 mod interrupts;
+mod json_lines;
 mod measure;
+mod observe;
 mod old_names;
 mod out_of_memory;
 mod preview;
@@ -92,6 +96,8 @@ enum Command {
     Simulate(Box<simulate::SimulateArgs>),
     Expose(Box<expose::ExposeArgs>),
     Batch(batch::BatchArgs),
+    Observe(observe::ObserveArgs),
+    Inject(Box<inject::InjectArgs>),
     Series(simulate::SeriesArgs),
     Demo(demo::DemoArgs),
     Preview(preview::PreviewArgs),
@@ -141,6 +147,8 @@ impl Cli {
             Command::Fit(args) => args.run(&context),
             Command::Simulate(args) => args.run(&context),
             Command::Batch(args) => args.run(&context),
+            Command::Observe(args) => args.run(&context),
+            Command::Inject(args) => args.run(&context),
             Command::Series(args) => args.run(&context),
             Command::Evaluate(args) => args.run(&context),
             Command::Expose(args) => args.run(&context),

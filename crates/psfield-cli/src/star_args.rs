@@ -35,7 +35,7 @@ pub(crate) struct StarArgs {
     /// card gives a level, the frame's largest value counts as saturated, provided that at least
     /// two pixels have it.
     #[arg(long, value_name = "LEVEL")]
-    saturation: Option<f64>,
+    pub(crate) saturation: Option<f64>,
     /// Gain (electrons per unit of the frame)
     ///
     /// With it, the signal-to-noise ratio includes the photon noise of the star.

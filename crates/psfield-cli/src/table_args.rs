@@ -13,7 +13,8 @@ pub(crate) struct TableArgs {
     /// Names of the columns, as in x=X_IMAGE,y=Y_IMAGE
     ///
     /// Roles: x and y. A catalogue also has flux (or mag), and for galaxies re, n, q, angle, g1 and
-    /// g2. In a catalogue, ra and dec may replace x and y.
+    /// g2. In a catalogue, ra and dec may replace x and y, with pmra, pmdec, parallax,
+    /// radial_velocity and epoch, and re_arcsec and pa_deg may replace re and angle.
     #[arg(long, value_name = "ROLE=COLUMN,...")]
     columns: Option<CatalogColumns>,
     /// Positions of the table count from 1, as in SExtractor and FITS

@@ -157,6 +157,11 @@ pub(crate) fn plain_text(error: &clap::Error) -> String {
         .replace("..=", " to ")
 }
 
+/// Parses a finite number.
+pub(crate) fn finite(text: &str) -> Result<f64, String> {
+    number(text, |value: &f64| value.is_finite(), "a finite number")
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

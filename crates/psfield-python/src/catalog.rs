@@ -6,8 +6,8 @@ use numpy::{IntoPyArray, PyReadonlyArray1};
 use psfield::colours::spectrum_in;
 use psfield::error::error_text;
 use psfield::psf_io::{
-    Catalog, CatalogOptions, HduChoice, HeaderCards, MemoryTable, NeededColumn, SkyCoordinates,
-    SourceColours, catalog_of, read_cards, read_catalog_with,
+    Catalog, CatalogOptions, HduChoice, HeaderCards, MemoryTable, NeededColumn, ObservationDate,
+    SkyCoordinates, SourceColours, catalog_of, read_cards, read_catalog_with,
 };
 use psfield::psf_types::{PointSource, SersicSource};
 use pyo3::prelude::*;
@@ -34,15 +34,29 @@ pub(crate) fn catalog_columns(
     names: Vec<String>,
     spectra: bool,
     velocities: bool,
+    wcs_cards: Option<&str>,
 ) -> PyResult<(Vec<RoleOfColumn>, Vec<String>)> {
-    let options = CatalogOptions::new()
+    let mut options = CatalogOptions::new()
         .with_colours(spectra)
         .with_velocities(velocities);
+    if let Some(cards) = wcs_cards {
+        options = options.with_sky(sky_of(&HeaderCards::from_text(cards))?);
+    }
     let picked = options.columns_of("catalog", &names);
     let ignored = options.ignored_columns(&names);
     let picked = picked.map_err(|e| invalid(error_text(&e)))?;
     let of = |column: NeededColumn| (column.role, column.name, column.unit);
     Ok((picked.into_iter().map(of).collect(), ignored))
+}
+
+pub(crate) fn sky_of(cards: &HeaderCards) -> PyResult<SkyCoordinates> {
+    SkyCoordinates::from_header(cards).map_err(|e| invalid(format!("wcs: {}", error_text(&e))))
+}
+
+/// Returns whether psfield knows the world coordinates of these cards.
+#[pyfunction]
+pub(crate) fn knows_sky(cards: &str) -> bool {
+    SkyCoordinates::from_header(&HeaderCards::from_text(cards)).is_ok()
 }
 
 /// A column of a table in memory, where NaN is a missing number.
@@ -69,6 +83,8 @@ pub(crate) struct ReadSettings {
     wcs_cards: Option<String>,
     /// The unit of the image.
     flux_unit: Option<String>,
+    date: Option<String>,
+    epoch: Option<f64>,
     spectra: bool,
     velocities: bool,
 }
@@ -89,6 +105,13 @@ impl ReadSettings {
         if let Some(unit) = self.flux_unit {
             options = options.with_flux_unit(unit);
         }
+        if let Some(date) = self.date.as_deref() {
+            let date: ObservationDate = date.parse().map_err(|e| invalid(format!("date: {e}")))?;
+            options = options.with_date(date);
+        }
+        if let Some(epoch) = self.epoch {
+            options = options.with_epoch(epoch);
+        }
         if let Some(table) = self.table.as_deref() {
             options = options.with_table(parsed::<HduChoice>(table)?);
         }
@@ -104,10 +127,7 @@ impl ReadSettings {
             (None, cards) => cards.map(HeaderCards::from_text),
         };
         if let Some(cards) = cards {
-            options = options.with_sky(
-                SkyCoordinates::from_header(&cards)
-                    .map_err(|e| invalid(format!("wcs: {}", error_text(&e))))?,
-            );
+            options = options.with_sky(sky_of(&cards)?);
         }
         Ok(options)
     }
@@ -125,11 +145,19 @@ pub(crate) struct Sources {
 #[pymethods]
 impl Sources {
     /// Takes the sources of columns, which may be some `rows` of a table, and their spectra (`sed`, `teff`)
-    /// and velocities (`vx`, `vy`) if there are such columns.
+    /// and velocities (`vx`, `vy`) if there are such columns. `wcs_cards` are the text of a header with the world
+    /// coordinates of positions on the sky.
     #[new]
-    #[pyo3(signature = (columns, rows=None))]
-    fn new(columns: Vec<(String, Column<'_>)>, rows: Option<Vec<usize>>) -> PyResult<Self> {
-        let options = CatalogOptions::new().with_colours(true).with_velocities(true);
+    #[pyo3(signature = (columns, rows=None, wcs_cards=None))]
+    fn new(
+        columns: Vec<(String, Column<'_>)>,
+        rows: Option<Vec<usize>>,
+        wcs_cards: Option<&str>,
+    ) -> PyResult<Self> {
+        let mut options = CatalogOptions::new().with_colours(true).with_velocities(true);
+        if let Some(cards) = wcs_cards {
+            options = options.with_sky(sky_of(&HeaderCards::from_text(cards))?);
+        }
         let made = || {
             let mut table = MemoryTable::new("catalog");
             for (name, column) in columns {

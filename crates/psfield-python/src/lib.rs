@@ -15,6 +15,7 @@ mod catalog;
 mod colour;
 mod detector;
 mod error;
+mod inject;
 mod memory;
 mod metrics;
 mod plan;
@@ -23,6 +24,7 @@ mod sampling;
 mod series;
 mod settings;
 mod simulators;
+mod survey;
 mod threads;
 
 use pyo3::prelude::*;
@@ -31,9 +33,11 @@ use pyo3::prelude::*;
 #[pymodule]
 mod _native {
     #[pymodule_export]
-    use crate::catalog::{Sources, catalog_columns, image_cards};
+    use crate::catalog::{Sources, catalog_columns, image_cards, knows_sky};
     #[pymodule_export]
     use crate::detector::Detector;
+    #[pymodule_export]
+    use crate::inject::RealFrame;
     #[pymodule_export]
     use crate::metrics::{
         adaptive_moments, compare, fit_gaussian, measure_image, measure_stamps, quadrupole_moments,
@@ -46,6 +50,8 @@ mod _native {
     use crate::sampling::{sample_function, sample_telescope};
     #[pymodule_export]
     use crate::series::Series;
+    #[pymodule_export]
+    use crate::survey::Survey;
     #[pymodule_export]
     use crate::threads::{set_threads, threads};
 

@@ -7,10 +7,11 @@ use ndarray::{Array, Array2, Array3, ArrayViewMut2, ArrayViewMut3, Axis, Dimensi
 use numpy::{Element, IntoPyArray, PyReadonlyArray2};
 use psfield::conv_core::{ConvReal, DroppedLight, zeros};
 use psfield::detector::BadPixelMask;
+use psfield::psf_io::{ColumnValues, HeaderCards, TableColumn};
 use psfield::psf_types::{Image, ImageView, NoProgress, PixelRegion};
 use psfield::{
     ExposeOptions, Method, Preparation, PsfieldError, Scene, ShootBelow, SimulateOptions, SimulationWarning,
-    Simulator,
+    Simulator, TruthTable,
 };
 use pyo3::exceptions::PyOSError;
 use pyo3::prelude::*;
@@ -18,7 +19,7 @@ use pyo3::types::{PyDict, PyMapping};
 use rayon::ThreadPool;
 
 use crate::arrays::{Borrowed, readonly, writable};
-use crate::catalog::Sources;
+use crate::catalog::{Sources, sky_of};
 use crate::colour::{Colour, ColourArguments};
 use crate::detector::{Detector, Exposed, exposure_in_python};
 use crate::error::{Failure, invalid, with_argument};
@@ -328,6 +329,34 @@ impl Plan {
             let (exposure, warnings) = made?;
             Ok((exposure_in_python(py, exposure), texts(&warnings)))
         })
+    }
+
+    /// The columns of a truth table. `wcs_cards` are the world coordinates of the image from the scene's first pixel.
+    fn truth_table<'py>(
+        &self,
+        py: Python<'py>,
+        sources: PyRef<'py, Sources>,
+        wcs_cards: Option<&str>,
+        flags: Option<PyReadonlyArray2<'py, u8>>,
+    ) -> PyResult<Bound<'py, PyDict>> {
+        let sky = wcs_cards
+            .map(|cards| sky_of(&HeaderCards::from_text(cards)))
+            .transpose()?;
+        let shown = in_precision!(self, simulators => simulators.first.shown_region());
+        let mut table = TruthTable::new(&sources.catalog, shown, sky.as_ref());
+        if let Some(flags) = flags {
+            table = table.with_flags(flags.as_array());
+        }
+        let columns = PyDict::new(py);
+        for TableColumn { name, values, .. } in table.columns() {
+            match values {
+                ColumnValues::Numbers(values) => columns.set_item(name, values.into_pyarray(py))?,
+                ColumnValues::Integers(values) => columns.set_item(name, values.into_pyarray(py))?,
+                ColumnValues::Flags(values) => columns.set_item(name, values.into_pyarray(py))?,
+                _ => unreachable!("a column of another kind"),
+            }
+        }
+        Ok(columns)
     }
 
     /// Upper limits of the light of sources that is dropped: in any pixel, and as a fraction of their flux.

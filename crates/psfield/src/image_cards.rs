@@ -1,11 +1,12 @@
 //! Header cards of simulated images.
 
+use std::path::Path;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use conv_core::{ConvReal, DroppedLight, PhotonReport};
-use psf_io::{Card, CardError, HeaderCards};
+use psf_io::{Card, CardError, CardValue, HduChoice, HeaderCards};
 
-use crate::error::{ErrorKind, PsfieldError};
+use crate::error::{ErrorKind, PsfieldError, error_text};
 use crate::simulator::{Preparation, Simulator};
 use crate::spot_check::SpotCheck;
 
@@ -14,6 +15,42 @@ pub const JOB_KEYWORD: &str = "PSFJOB";
 
 /// The keyword that holds the name of the PSF's file, without its folder.
 pub const PSF_FILE_KEYWORD: &str = "PSFFILE";
+
+/// Checks that a file was made by the job with this digest of its options, and did not fail its spot check. The
+/// digest stands in the primary header.
+///
+/// # Errors
+/// A message that says what the file is, and what to do.
+pub fn check_made_by(file: &Path, digest: &str) -> Result<(), String> {
+    let header = psf_io::read_cards(file, Some(&HduChoice::Number(0))).map_err(|e| {
+        format!(
+            "{} exists and is not an image of this job: delete it, or run all jobs again with overwrite ({})",
+            file.display(),
+            error_text(&e)
+        )
+    })?;
+    let text = |keyword: &str| match header.get(keyword).and_then(Card::value) {
+        Some(CardValue::Text(text)) => Some(text),
+        _ => None,
+    };
+    match text(JOB_KEYWORD) {
+        None => Err(format!(
+            "{} exists and was not made by such a job: delete it, or run all jobs again with overwrite",
+            file.display()
+        )),
+        Some(found) if found != digest => Err(format!(
+            "{} exists and was made with other options ({JOB_KEYWORD} {found}, now {digest}): delete it, choose another output, \
+             or run all jobs again with overwrite",
+            file.display()
+        )),
+        Some(_) if text(SpotCheck::VERDICT_KEYWORD).as_deref() == Some(SpotCheck::FAILED) => Err(format!(
+            "{} exists but failed its spot check when it was made: it differs from the direct sum by more than the method promises. \
+             Choose another method for this job, and delete its files or run all jobs again with overwrite",
+            file.display()
+        )),
+        Some(_) => Ok(()),
+    }
+}
 
 /// The keywords of [`Simulator::dropped_cards`].
 const DROPPED_KEYWORDS: [&str; 3] = ["PSFFLOOR", "PSFDROPM", "PSFDROPF"];

@@ -60,6 +60,7 @@ pub mod evaluate;
 pub mod exposure_files;
 pub mod fit;
 pub mod image_cards;
+pub mod inject;
 mod light_on_pixels;
 pub mod measure;
 pub mod psf;
@@ -72,6 +73,8 @@ mod simulator;
 mod spot_check;
 pub mod stack_size;
 mod stamp_plane;
+pub mod survey;
+mod truth_table;
 
 pub use {
     coeff_field, conv_core, detector, metrics, psf_basis, psf_io, psf_optics, psf_sample, psf_stars,
@@ -91,6 +94,7 @@ pub use simulator::{
     ExposeOptions, Preparation, SamplingErrors, ShootBelow, SimulationWarning, Simulator, SimulatorBuilder,
 };
 pub use spot_check::SpotCheck;
+pub use truth_table::TruthTable;
 
 /// The names that most programs need.
 pub mod prelude {

@@ -185,6 +185,13 @@ impl<T: ConvReal> Simulator<T> {
         self.setup.geometry.frame
     }
 
+    /// The part of the scene that images show, in frame pixels counted from the scene's first pixel: the frame, or the
+    /// region of it.
+    pub fn shown_region(&self) -> PixelRegion {
+        let frame = self.frame();
+        self.setup.geometry.region.shifted(frame.x0(), frame.y0())
+    }
+
     /// The number of layers that scenes have: one for each state of the PSF, or 1. An exposure with trails has
     /// further layers.
     pub fn layer_count(&self) -> usize {

@@ -21,13 +21,13 @@ use crate::fits::hdu::HduChoice;
 /// | `ra`, `dec` | `ra`, `dec` | position on the sky in degrees, instead of `x` and `y` |
 /// | `flux` | `flux` | total flux |
 /// | `mag` | `mag` | magnitude instead of flux: `flux = 10^(-0.4 (mag - zero point))` |
-/// | `pmra`, `pmdec` | `pmra`, `pmdec` | proper motion in mas per year, with the factor `cos(dec)` in `pmra`. Only with a date |
-/// | `parallax` | `parallax` | parallax in mas. Only with a date |
-/// | `radial_velocity` | `radial_velocity` | km/s away from the Sun. Only with a date |
-/// | `epoch` | `epoch` or `ref_epoch` | Julian year at which `ra` and `dec` hold. Only with a date |
+/// | `pmra`, `pmdec` | `pmra`, `pmdec` | proper motion in mas per year, with the factor `cos(dec)` in `pmra` |
+/// | `parallax` | `parallax` | parallax in mas |
+/// | `radial_velocity` | `radial_velocity` | km/s away from the Sun |
+/// | `epoch` | `epoch` or `ref_epoch` | Julian year at which `ra` and `dec` hold |
 /// | `re` | `re` | galaxies: half-light radius along the major axis, in pixels |
 /// | `re_arcsec` | `re_arcsec` | galaxies: this radius in arcseconds on the sky, instead of `re` |
-/// | `pa_deg` | `pa_deg` | galaxies with `re_arcsec`: position angle of the major axis, from north towards east |
+/// | `pa_deg` | `pa_deg` | galaxies with `re_arcsec`: position angle of the major axis, from north towards east; 0 without such a column |
 /// | `n` | `n` | galaxies: Sersic index, 0.3 to 8 |
 /// | `q` | `q` | galaxies: minor over major axis, 0.001 to 1; 1 without such a column |
 /// | `angle` | `angle` | galaxies: angle of the major axis in degrees, from +x towards +y; 0 without such a column |
@@ -43,8 +43,10 @@ use crate::fits::hdu::HduChoice;
 /// coordinates. The world coordinates of the frame map it to pixels at the source's position
 /// ([`SkyCoordinates::pixels_per_arcsec`](crate::SkyCoordinates::pixels_per_arcsec)).
 ///
-/// If the frame has a date ([`CatalogOptions::with_date`]), sources with `ra` and `dec` are moved from the epoch of the
-/// catalogue to that date. Empty or NaN motions and parallaxes count as 0, as Gaia leaves those of many stars empty.
+/// Sources with `ra` and `dec` are moved from the epoch of the catalogue to the date of the frame, if both are known: the
+/// epoch from its column or by [`CatalogOptions::with_epoch`], the date by [`CatalogOptions::with_date`] or else from the
+/// header of the world coordinates. Otherwise the columns of motions are not read. Empty or NaN motions and
+/// parallaxes count as 0, as Gaia leaves those of many stars empty.
 ///
 /// The spectra of sources are in a column `sed` or `teff`, which is read only on request
 /// ([`CatalogOptions::with_colours`]). So are the columns `vx` and `vy` with the velocities of sources
@@ -237,12 +239,12 @@ impl CatalogColumns {
         let by_magnitude =
             self.is_given(Role::Mag) || (!self.is_given(Role::Flux) && !has(Role::Flux) && has(Role::Mag));
         let mut roles = vec![if by_magnitude { Role::Mag } else { Role::Flux }];
+        // A table without a brightness is refused for that first.
+        self.picked(path, names, &roles)?;
         let mut all = self.positions(path, names)?;
         let on_sky = all.place(Role::Ra).is_some();
         let is_wanted = |role| has(role) || self.is_given(role);
-        // Sizes are preferred on the side on which positions are.
-        let size_on_sky = self.is_given(Role::ReArcsec)
-            || (!self.is_given(Role::Re) && has(Role::ReArcsec) && (on_sky || !has(Role::Re)));
+        let size_on_sky = self.size_is_on_sky(names, on_sky);
         let shape = if size_on_sky {
             [Role::ReArcsec, Role::N, Role::Q, Role::PaDeg, Role::G1, Role::G2]
         } else {
@@ -258,6 +260,27 @@ impl CatalogColumns {
         }
         all.columns.extend(self.picked(path, names, &roles)?.columns);
         Ok(all)
+    }
+
+    /// Returns whether the sizes of galaxies are those on the sky. They are preferred on the side on which positions
+    /// are.
+    fn size_is_on_sky(&self, names: &[String], on_sky: bool) -> bool {
+        let has = |role| self.is_in(names, role);
+        self.is_given(Role::ReArcsec)
+            || (!self.is_given(Role::Re) && has(Role::ReArcsec) && (on_sky || !has(Role::Re)))
+    }
+
+    /// The angle of galaxies that does not belong to their sizes, if it is the only one in the table: `angle` beside
+    /// `re_arcsec`, or `pa_deg` beside `re`.
+    pub(crate) fn unused_angle(&self, names: &[String]) -> Option<&'static str> {
+        let has = |role| self.is_in(names, role) || self.is_given(role);
+        let on_sky = self.size_is_on_sky(names, has(Role::Ra) && !has(Role::X));
+        let (size, used, other) = if on_sky {
+            (Role::ReArcsec, Role::PaDeg, Role::Angle)
+        } else {
+            (Role::Re, Role::Angle, Role::PaDeg)
+        };
+        (has(size) && !has(used) && has(other)).then_some(ROLES[other as usize])
     }
 
     /// The columns of sources, and those of their motion if positions are on the sky.
@@ -311,6 +334,11 @@ impl CatalogColumns {
                 first.as_str()
             })
         })
+    }
+
+    /// Returns whether a table with these column names has the epochs of its rows.
+    pub(crate) fn has_epoch(&self, names: &[String]) -> bool {
+        self.is_in(names, Role::Epoch) || self.is_given(Role::Epoch)
     }
 
     fn is_in(&self, names: &[String], role: Role) -> bool {
@@ -411,6 +439,8 @@ pub struct CatalogOptions {
     pub(crate) flux_unit: Option<String>,
     pub(crate) date: Option<ObservationDate>,
     pub(crate) epoch: Option<f64>,
+    /// The table is read for frames with dates of their own.
+    pub(crate) for_frames: bool,
 }
 
 impl CatalogOptions {
@@ -441,7 +471,8 @@ impl CatalogOptions {
         }
     }
 
-    /// Sets the date of the frame, to which sources with sky coordinates are moved.
+    /// Sets the date of the frame, to which sources with sky coordinates are moved. By default, it is that of the world
+    /// coordinates ([`SkyCoordinates::date`]).
     #[must_use]
     pub fn with_date(self, date: ObservationDate) -> Self {
         Self {

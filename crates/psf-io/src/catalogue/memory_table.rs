@@ -22,6 +22,8 @@ pub struct MemoryTable {
     /// Stands for the path of a file in messages.
     name: PathBuf,
     columns: Vec<(String, Column)>,
+    /// The units of some columns, by their names.
+    units: Vec<(String, String)>,
     rows: Option<usize>,
 }
 
@@ -46,6 +48,13 @@ impl MemoryTable {
     /// [`IoErrorKind::Table`] for a column with more or fewer rows than the others.
     pub fn with_column(self, name: &str, values: Vec<f64>) -> Result<Self, IoError> {
         self.with(name, values.len(), Column::Numbers(values))
+    }
+
+    /// States the unit of a column, as a file does. Without one, its values have the unit of its role.
+    #[must_use]
+    pub fn with_unit(mut self, name: &str, unit: &str) -> Self {
+        self.units.push((name.to_owned(), unit.to_owned()));
+        self
     }
 
     /// Adds a column of texts.
@@ -76,6 +85,32 @@ impl MemoryTable {
     fn column(&self, name: &str) -> Result<&(String, Column), IoError> {
         let place = find(&self.name, self.columns.iter().map(|(name, _)| name), name)?;
         Ok(&self.columns[place])
+    }
+
+    /// A digest of all names, units and values. It is the same on all machines and in all releases.
+    pub fn digest(&self) -> u64 {
+        // The hash FNV-1a.
+        let mut hash = 0xcbf2_9ce4_8422_2325_u64;
+        let mut add = |bytes: &[u8]| {
+            for &byte in bytes {
+                hash = (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3);
+            }
+        };
+        for (name, column) in &self.columns {
+            add(name.as_bytes());
+            add(self.unit(name).as_bytes());
+            match column {
+                Column::Numbers(values) => values.iter().for_each(|value| add(&value.to_le_bytes())),
+                Column::Texts(texts) => texts.iter().for_each(|text| add(text.as_bytes())),
+            }
+        }
+        hash
+    }
+
+    /// The unit of a column. Empty if it is not stated.
+    pub(super) fn unit(&self, name: &str) -> String {
+        let found = self.units.iter().find(|(of, _)| of.eq_ignore_ascii_case(name));
+        found.map_or_else(String::new, |(_, unit)| unit.clone())
     }
 
     pub(super) fn name(&self) -> &Path {

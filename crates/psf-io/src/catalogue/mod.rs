@@ -12,7 +12,7 @@
 //!
 //! Case is ignored in names, columns may be in any order, and further columns are ignored.
 //! For other names, 1-based pixels, magnitudes, sky coordinates and galaxies see
-//! [`read_catalog_with`] and [`CatalogColumns`].
+//! [`read_catalog_with`] and [`CatalogColumns`](crate::CatalogColumns).
 //!
 //! - **Text**: fields are separated by commas, tabs or blanks, and may be quoted. The names of
 //!   the columns are in the first line that does not start with `#`. If that line is a row of
@@ -33,13 +33,14 @@
 
 use std::path::Path;
 
-use psf_types::{PointSource, Position, SersicSource};
+use psf_types::{DataError, PointSource, Position, SersicSource};
 
-use crate::error::{IoError, IoErrorKind, Place};
+use crate::error::{IoError, IoErrorKind};
 use crate::fits::columns::Table;
 use crate::fits::structure::FitsStructure;
 use columns::CatalogOptions;
 use memory_table::MemoryTable;
+use read_columns::ReadColumns;
 use rows::Rows;
 use table_file::AnyTable;
 
@@ -48,9 +49,12 @@ pub(crate) mod columns;
 pub(crate) mod curves;
 mod ecsv;
 pub(crate) mod memory_table;
+mod read_columns;
 mod rows;
+pub(crate) mod sky_catalog;
 pub(crate) mod sky_coordinates;
 pub(crate) mod sky_motion;
+pub(crate) mod sky_pointing;
 pub(crate) mod table_file;
 mod text_table;
 pub(crate) mod world_header;
@@ -74,11 +78,13 @@ pub(crate) mod world_header;
 /// file](crate#bad-files).
 pub fn read_catalog(path: impl AsRef<Path>) -> Result<Vec<PointSource>, IoError> {
     let options = CatalogOptions::new();
-    let rows = Rows::read(path.as_ref(), &options, "x, y, flux", |path, names| {
+    let path = path.as_ref();
+    let read = ReadColumns::of_file(path, &options, "x, y, flux", |path, names| {
         options.columns.points(path, names)
     })?;
+    let rows = Rows::new(path, &options, &read)?;
     let mut catalog = Catalog::default();
-    for row in 0..rows.numbers.rows {
+    for row in 0..rows.count() {
         rows.add_source(row, &mut catalog)?;
     }
     Ok(catalog.stars)
@@ -192,13 +198,27 @@ impl Catalog {
         &self.ignored_columns
     }
 
+    /// Returns this catalogue with all fluxes multiplied by a factor, such as an exposure time.
+    ///
+    /// # Errors
+    /// [`DataError`] if a product is 0 or not finite.
+    pub fn with_flux_times(mut self, factor: f64) -> Result<Self, DataError> {
+        for star in &mut self.stars {
+            *star = PointSource::new(star.position(), star.flux() * factor)?;
+        }
+        for galaxy in &mut self.galaxies {
+            *galaxy = SersicSource::new(galaxy.position(), galaxy.flux() * factor, galaxy.profile())?;
+        }
+        Ok(self)
+    }
+
     /// Returns the stars and galaxies without a copy.
     pub fn into_parts(self) -> (Vec<PointSource>, Vec<SersicSource>) {
         (self.stars, self.galaxies)
     }
 }
 
-/// Reads a catalogue of stars and galaxies. See [`CatalogColumns`] for its columns and [this
+/// Reads a catalogue of stars and galaxies. See [`CatalogColumns`](crate::CatalogColumns) for its columns and [this
 /// module](self) for the kinds of files.
 ///
 /// In a catalogue with galaxies, a row with `re` 0 is a star. A row whose `re` is empty or NaN is
@@ -230,10 +250,12 @@ impl Catalog {
 /// - [`IoErrorKind::Setting`] if several tables of a FITS file have the columns and none is chosen
 /// - the [errors of any FITS file](crate#bad-files)
 pub fn read_catalog_with(path: impl AsRef<Path>, options: &CatalogOptions) -> Result<Catalog, IoError> {
-    let rows = Rows::read(path.as_ref(), options, "x, y, flux", |path, names| {
+    let path = path.as_ref();
+    let read = ReadColumns::of_file(path, options, "x, y, flux", |path, names| {
         options.sources(path, names)
     })?;
-    sources_of(rows, options)
+    let rows = Rows::new(path, options, &read)?;
+    sources_of(&rows, 0..rows.count())
 }
 
 /// Takes the stars and galaxies of a table in memory, as [`read_catalog_with`] takes those of a file. The
@@ -244,19 +266,20 @@ pub fn read_catalog_with(path: impl AsRef<Path>, options: &CatalogOptions) -> Re
 pub fn catalog_of(table: &MemoryTable, options: &CatalogOptions) -> Result<Catalog, IoError> {
     let path = table.name();
     let columns = options.sources(path, &table.names())?;
-    let rows = Rows::of_table(path, options, columns, &AnyTable::Memory(table))?;
-    sources_of(rows, options)
+    let read = ReadColumns::of_table(path, options, columns, &AnyTable::Memory(table))?;
+    let rows = Rows::new(path, options, &read)?;
+    sources_of(&rows, 0..rows.count())
 }
 
-/// The sources of all rows.
-fn sources_of(rows: Rows<'_>, options: &CatalogOptions) -> Result<Catalog, IoError> {
+/// The sources of some rows, in their order.
+fn sources_of(rows: &Rows<'_>, chosen: impl IntoIterator<Item = usize>) -> Result<Catalog, IoError> {
     let mut catalog = Catalog::default();
     // The rows of the stars and of the galaxies.
     let (mut of_stars, mut of_galaxies) = (Vec::new(), Vec::new());
-    for row in 0..rows.numbers.rows {
+    for row in chosen {
         match rows.add_source(row, &mut catalog) {
             Ok(()) => {}
-            Err(_) if options.skip_invalid => catalog.invalid_rows += 1,
+            Err(_) if rows.options.skip_invalid => catalog.invalid_rows += 1,
             Err(error) => return Err(error),
         }
         // The row has added at most one source.
@@ -264,7 +287,7 @@ fn sources_of(rows: Rows<'_>, options: &CatalogOptions) -> Result<Catalog, IoErr
         of_galaxies.resize(catalog.galaxies.len(), row);
     }
     let order = || of_stars.iter().chain(&of_galaxies);
-    catalog.colours = rows.colours.as_ref().map(|colours| match colours {
+    catalog.colours = rows.read.colours.as_ref().map(|colours| match colours {
         SourceColours::Names(all) => SourceColours::Names(order().map(|&row| all[row].clone()).collect()),
         SourceColours::Temperatures(all) => {
             SourceColours::Temperatures(order().map(|&row| all[row]).collect())
@@ -272,11 +295,12 @@ fn sources_of(rows: Rows<'_>, options: &CatalogOptions) -> Result<Catalog, IoErr
     });
     let of = |velocities: &[Vec<f64>; 2], row: usize| [velocities[0][row], velocities[1][row]];
     catalog.velocities = rows
+        .read
         .velocities
         .as_ref()
         .map(|velocities| order().map(|&row| of(velocities, row)).collect());
     catalog.rows = order().copied().collect();
-    catalog.ignored_columns = rows.ignored;
+    catalog.ignored_columns.clone_from(&rows.read.ignored);
     Ok(catalog)
 }
 
@@ -290,15 +314,17 @@ pub fn read_positions_with(
     path: impl AsRef<Path>,
     options: &CatalogOptions,
 ) -> Result<Vec<Position>, IoError> {
-    let rows = Rows::read(path.as_ref(), options, "x, y", |path, names| {
+    let path = path.as_ref();
+    let read = ReadColumns::of_file(path, options, "x, y", |path, names| {
         options.columns.positions(path, names)
     })?;
+    let rows = Rows::new(path, options, &read)?;
     let position = |row| {
         rows.position(row)?.ok_or_else(|| {
             const OUTSIDE: &str =
                 "the position on the sky is outside the projection of the frame: remove the row";
-            IoError::new(rows.path, IoErrorKind::Data, OUTSIDE).at(Place::Row(rows.numbers.place(row)))
+            IoError::new(rows.path, IoErrorKind::Data, OUTSIDE).at(rows.row_place(row))
         })
     };
-    (0..rows.numbers.rows).map(position).collect()
+    (0..rows.count()).map(position).collect()
 }

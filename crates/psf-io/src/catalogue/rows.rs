@@ -4,73 +4,42 @@ use std::path::Path;
 
 use psf_types::{DataError, PointSource, Position, SersicProfile, SersicSource};
 
-use super::column_units::{KELVIN, PIXELS_PER_SECOND, factor, is_logarithmic};
-use super::columns::{CatalogOptions, MOTION, NeededColumn, Picked, ROLES, Role};
+use super::columns::{CatalogOptions, MOTION, Picked, Role};
+use super::read_columns::{ReadColumns, SED, TEFF, VELOCITIES};
 use super::sky_motion::SkyMotion;
-use super::table_file::{AnyTable, TableFile};
 use super::{Catalog, SourceColours};
 use crate::error::{IoError, IoErrorKind, Place};
-use crate::fits::columns::{Nans, NumberColumns, bad_value, find, missing_column};
+use crate::fits::columns::bad_value;
 
-/// The rows of a catalogue's table, with the columns that are needed.
+/// The rows of a catalogue's table.
 pub(super) struct Rows<'a> {
     pub(super) path: &'a Path,
-    options: &'a CatalogOptions,
-    columns: Picked,
-    /// The place of the column of each role.
-    places: [Option<usize>; ROLES.len()],
-    pub(super) numbers: NumberColumns,
-    /// The columns that change a source and are not read.
-    pub(super) ignored: Vec<String>,
-    pub(super) colours: Option<SourceColours>,
-    pub(super) velocities: Option<[Vec<f64>; 2]>,
+    pub(super) options: &'a CatalogOptions,
+    pub(super) read: &'a ReadColumns,
 }
 
 impl<'a> Rows<'a> {
-    /// Reads the columns that `pick` chooses from a table. If the file has no tables, the error
-    /// lists the columns in `needed`.
-    pub(super) fn read(
+    /// Takes the columns of the table `path`.
+    ///
+    /// # Errors
+    /// [`IoErrorKind::Setting`] for options that do not suit the columns.
+    pub(super) fn new(
         path: &'a Path,
         options: &'a CatalogOptions,
-        needed: &str,
-        pick: impl Fn(&Path, &[String]) -> Result<Picked, IoError>,
+        read: &'a ReadColumns,
     ) -> Result<Self, IoError> {
-        let file = TableFile::open(path)?;
-        let (columns, table) = file.pick(options.table.as_ref(), needed, |names| pick(path, names))?;
-        Self::of_table(path, options, columns, &table)
+        check_options(path, options, &read.columns)?;
+        Ok(Self { path, options, read })
     }
 
-    /// Reads these columns of a table, in the units of their roles.
-    pub(super) fn of_table(
-        path: &'a Path,
-        options: &'a CatalogOptions,
-        columns: Picked,
-        table: &AnyTable<'_>,
-    ) -> Result<Self, IoError> {
-        check_options(path, options, &columns)?;
-        let mut numbers = table.read(&columns.names(), Nans::Kept)?;
-        for ((role, name), values) in columns.iter().zip(&mut numbers.values) {
-            let wanted = role.unit().or(options.flux_unit.as_deref());
-            in_unit(path, table, name, wanted, values)?;
-        }
-        Ok(Self {
-            path,
-            options,
-            numbers,
-            places: columns.places(),
-            ignored: options.ignored_columns(&table.names()),
-            colours: if options.with_colours {
-                colours_of(path, table)?
-            } else {
-                None
-            },
-            velocities: if options.with_velocities {
-                velocities_of(path, table)?
-            } else {
-                None
-            },
-            columns,
-        })
+    /// The number of rows.
+    pub(super) fn count(&self) -> usize {
+        self.read.numbers.rows
+    }
+
+    /// The place of a row in the file.
+    pub(super) fn row_place(&self, row: usize) -> Place {
+        Place::Row(self.read.numbers.place(row))
     }
 
     /// Adds the source of a row to the catalogue. A source that the projection does not reach is
@@ -86,19 +55,20 @@ impl<'a> Rows<'a> {
             return Ok(());
         };
         let at = place.pixel;
-        match self.profile(row, &place)? {
-            None => catalog.stars.push(PointSource::new(at, flux).map_err(invalid)?),
-            Some(profile) => {
+        match self.shape(row, &place)? {
+            Shape::Star => catalog.stars.push(PointSource::new(at, flux).map_err(invalid)?),
+            Shape::Galaxy(profile) => {
                 let galaxy = SersicSource::new(at, flux, profile).map_err(invalid)?;
                 catalog.galaxies.push(galaxy);
             }
+            Shape::OffProjection => catalog.rows_off_projection += 1,
         }
         Ok(())
     }
 
     /// Returns an error for a source without a spectrum.
     fn check_colour(&self, row: usize) -> Result<(), IoError> {
-        let (column, problem) = match &self.colours {
+        let (column, problem) = match &self.read.colours {
             Some(SourceColours::Names(names)) if names[row].is_empty() => {
                 (SED, "the name of the spectrum is missing")
             }
@@ -113,7 +83,7 @@ impl<'a> Rows<'a> {
 
     /// Returns an error for a source whose velocity is missing.
     fn check_velocity(&self, row: usize) -> Result<(), IoError> {
-        for (column, values) in VELOCITIES.iter().zip(self.velocities.iter().flatten()) {
+        for (column, values) in VELOCITIES.iter().zip(self.read.velocities.iter().flatten()) {
             if !values[row].is_finite() {
                 const MISSING: &str =
                     "the velocity must be a finite number of pixels per second, 0 for a source at rest";
@@ -150,7 +120,7 @@ impl<'a> Rows<'a> {
             .options
             .sky
             .as_ref()
-            .filter(|_| self.places[Role::Ra as usize].is_some())
+            .filter(|_| self.read.places[Role::Ra as usize].is_some())
         else {
             let first = if self.options.one_based { 1.0 } else { 0.0 };
             let (x, y) = (self.finite(row, Role::X)?, self.finite(row, Role::Y)?);
@@ -176,14 +146,19 @@ impl<'a> Rows<'a> {
         let moves = [Role::PmRa, Role::Parallax, Role::RadialVelocity];
         let Some(date) = self
             .options
-            .date
+            .date()
             .filter(|_| moves.iter().any(|&role| self.has(role)))
         else {
             return Ok(position);
         };
-        let epoch = match self.has(Role::Epoch) {
-            true => self.finite(row, Role::Epoch)?,
-            false => self.options.epoch.expect("checked with the columns"),
+        let epoch = if self.has(Role::Epoch) {
+            let epoch = self.finite(row, Role::Epoch)?;
+            if !EPOCHS.contains(&epoch) {
+                return Err(self.refused(row, self.column(Role::Epoch), OF_EPOCH));
+            }
+            epoch
+        } else {
+            self.options.epoch.expect("checked with the columns")
         };
         let or_zero = |role| self.value(row, role).unwrap_or(0.0);
         let motion = SkyMotion {
@@ -196,8 +171,8 @@ impl<'a> Rows<'a> {
         Ok(date.position(position, &motion))
     }
 
-    /// The profile of a galaxy in pixels, or `None` for a star.
-    fn profile(&self, row: usize, place: &SourcePlace) -> Result<Option<SersicProfile>, IoError> {
+    /// The shape of a source in pixels.
+    fn shape(&self, row: usize, place: &SourcePlace) -> Result<Shape, IoError> {
         let value = |role| self.value(row, role);
         let size = if self.has(Role::ReArcsec) {
             Role::ReArcsec
@@ -205,10 +180,10 @@ impl<'a> Rows<'a> {
             Role::Re
         };
         let (Some(re), Some(n)) = (value(size), value(Role::N)) else {
-            return Ok(None);
+            return Ok(Shape::Star);
         };
         if re == 0.0 {
-            return Ok(None);
+            return Ok(Shape::Star);
         }
         if re.is_nan() {
             const MISSING: &str =
@@ -216,46 +191,49 @@ impl<'a> Rows<'a> {
             return Err(self.refused(row, self.column(size), MISSING));
         }
         let q = value(Role::Q).unwrap_or(1.0);
-        let angle = match size {
-            // From west towards north. North itself is at 90 degrees, and east at 180.
-            Role::ReArcsec => value(Role::PaDeg).map(|angle| angle + 90.0),
-            _ => value(Role::Angle),
+        let on_sky = size == Role::ReArcsec;
+        // From west towards north: north itself is at 90 degrees, and east at 180.
+        let angle = match value(if on_sky { Role::PaDeg } else { Role::Angle }) {
+            Some(angle) if on_sky => angle + 90.0,
+            Some(angle) => angle,
+            None if on_sky => 90.0,
+            None => 0.0,
         };
         // A circle needs no angle.
-        let angle = angle.filter(|_| q != 1.0).unwrap_or(0.0);
+        let angle = if q == 1.0 { 0.0 } else { angle };
         let g1 = value(Role::G1).unwrap_or(0.0);
         let g2 = value(Role::G2).unwrap_or(0.0);
-        SersicProfile::new(re, n, q, angle)
-            .and_then(|profile| profile.sheared(g1, g2))
-            .and_then(|profile| match size {
-                Role::ReArcsec => profile.mapped(self.pixels_per_arcsec(place)),
-                _ => Ok(profile),
-            })
-            .map(Some)
-            .map_err(|source| self.invalid(row, source))
+        let profile = SersicProfile::new(re, n, q, angle).and_then(|profile| profile.sheared(g1, g2));
+        let profile = profile.map_err(|source| self.invalid(row, source))?;
+        if !on_sky {
+            return Ok(Shape::Galaxy(profile));
+        }
+        // Far off the frame, the projection may turn an ellipse into a line.
+        let mapped = self
+            .pixels_per_arcsec(place)
+            .and_then(|map| profile.mapped(map).ok());
+        Ok(mapped.map_or(Shape::OffProjection, Shape::Galaxy))
     }
 
-    /// The map from the sky to pixels at a source.
-    fn pixels_per_arcsec(&self, place: &SourcePlace) -> [[f64; 2]; 2] {
+    /// The map from the sky to pixels at a source, if the projection has one there.
+    fn pixels_per_arcsec(&self, place: &SourcePlace) -> Option<[[f64; 2]; 2]> {
         let sky = self.options.sky.as_ref().expect("checked with the columns");
-        let at = place.sky.or_else(|| sky.sky(place.pixel));
-        // A profile of size NaN is refused.
-        at.and_then(|(ra, dec)| sky.pixels_per_arcsec(ra, dec))
-            .unwrap_or([[f64::NAN; 2]; 2])
+        let (ra, dec) = place.sky.or_else(|| sky.sky(place.pixel))?;
+        sky.pixels_per_arcsec(ra, dec)
     }
 
     fn has(&self, role: Role) -> bool {
-        self.places[role as usize].is_some()
+        self.read.places[role as usize].is_some()
     }
 
     /// The value in the column of a role, or `None` without such a column.
     fn value(&self, row: usize, role: Role) -> Option<f64> {
-        self.places[role as usize].map(|column| self.numbers.values[column][row])
+        self.read.places[role as usize].map(|column| self.read.numbers.values[column][row])
     }
 
     /// The name of the column of a role.
     fn column(&self, role: Role) -> &str {
-        self.columns.name(role).map_or("", String::as_str)
+        self.read.columns.name(role).map_or("", String::as_str)
     }
 
     fn finite(&self, row: usize, role: Role) -> Result<f64, IoError> {
@@ -270,7 +248,7 @@ impl<'a> Rows<'a> {
         };
         Err(bad_value(
             self.path,
-            self.numbers.place(row),
+            self.read.numbers.place(row),
             self.column(role),
             &got,
         ))
@@ -278,7 +256,7 @@ impl<'a> Rows<'a> {
 
     /// The error for a value that no source may have, but which stands in catalogues.
     fn refused(&self, row: usize, column: &str, problem: &str) -> IoError {
-        let (row, column) = (self.numbers.place(row), column.to_owned());
+        let (row, column) = (self.read.numbers.place(row), column.to_owned());
         IoError::new(self.path, IoErrorKind::Data, problem)
             .at(Place::Value { row, column })
             .with_setting("invalid_skipped")
@@ -286,9 +264,17 @@ impl<'a> Rows<'a> {
 
     fn invalid(&self, row: usize, source: DataError) -> IoError {
         IoError::new(self.path, IoErrorKind::Data, "the row is not valid")
-            .at(Place::Row(self.numbers.place(row)))
+            .at(Place::Row(self.read.numbers.place(row)))
             .because(source)
     }
+}
+
+/// The light of a source, in pixels.
+enum Shape {
+    Star,
+    Galaxy(SersicProfile),
+    /// The projection does not reach it.
+    OffProjection,
 }
 
 /// Where a source is.
@@ -297,6 +283,10 @@ struct SourcePlace {
     /// Right ascension and declination in degrees, at the date of the frame. `None` for positions in pixels.
     sky: Option<(f64, f64)>,
 }
+
+/// The Julian years that may be epochs of catalogues.
+const EPOCHS: std::ops::RangeInclusive<f64> = 1800.0..=2200.0;
+const OF_EPOCH: &str = "the epoch must be a Julian year from 1800 to 2200, as in 2016.0";
 
 /// Checks that the options suit the columns.
 fn check_options(path: &Path, options: &CatalogOptions, columns: &Picked) -> Result<(), IoError> {
@@ -323,6 +313,9 @@ fn check_options(path: &Path, options: &CatalogOptions, columns: &Picked) -> Res
         }
         _ => {}
     }
+    if options.epoch.is_some_and(|epoch| !EPOCHS.contains(&epoch)) {
+        return refused("epoch", OF_EPOCH.to_owned());
+    }
     if let Some(size) = columns.name(Role::ReArcsec)
         && options.sky.is_none()
     {
@@ -344,7 +337,16 @@ fn check_options(path: &Path, options: &CatalogOptions, columns: &Picked) -> Res
         return refused("epoch", problem);
     }
     let (Some(ra), Some(dec)) = (columns.name(Role::Ra), columns.name(Role::Dec)) else {
-        return Ok(());
+        let moved = [
+            ("date", options.date.is_some()),
+            ("epoch", options.epoch.is_some()),
+        ];
+        let Some((setting, _)) = moved.iter().find(|(_, is_given)| *is_given) else {
+            return Ok(());
+        };
+        let problem = "the positions are pixels, which do not move: leave date and epoch out, or name columns of \
+                       positions on the sky (ra and dec)";
+        return refused(setting, problem.to_owned());
     };
     if options.one_based {
         let problem = format!(
@@ -362,131 +364,3 @@ fn check_options(path: &Path, options: &CatalogOptions, columns: &Picked) -> Res
     }
     Ok(())
 }
-
-/// Reads the columns of the velocities, if both exist.
-fn velocities_of(path: &Path, table: &AnyTable<'_>) -> Result<Option<[Vec<f64>; 2]>, IoError> {
-    let names = table.names();
-    let has = |column: &&str| names.iter().any(|name| name.eq_ignore_ascii_case(column));
-    match VELOCITIES.iter().filter(|column| has(column)).count() {
-        0 => return Ok(None),
-        1 => {
-            let missing = VELOCITIES.iter().find(|column| !has(column)).expect("one of two");
-            return Err(missing_column(path, &names, missing, ""));
-        }
-        _ => {}
-    }
-    let mut columns = table.read(&VELOCITIES, Nans::Kept)?.values;
-    for (name, values) in VELOCITIES.iter().zip(&mut columns) {
-        in_unit(path, table, name, Some(PIXELS_PER_SECOND), values)?;
-    }
-    Ok(columns.try_into().ok())
-}
-
-/// Converts the values of a column to a unit, or without one keeps those of any flux.
-fn in_unit(
-    path: &Path,
-    table: &AnyTable<'_>,
-    name: &str,
-    wanted: Option<&str>,
-    values: &mut [f64],
-) -> Result<(), IoError> {
-    let unit = table.unit(name)?;
-    let factor = match wanted {
-        Some(wanted) => factor(&unit, wanted),
-        None => (!is_logarithmic(&unit)).then_some(1.0),
-    };
-    let Some(factor) = factor else {
-        let needed = match wanted {
-            None => "a flux".to_owned(),
-            Some("") => "a number without a unit".to_owned(),
-            Some(wanted) => format!("a number in {wanted}"),
-        };
-        let problem = format!("the unit is {unit:?}, but {needed} is needed: convert the column");
-        let place = Place::Column(name.to_owned());
-        return Err(IoError::new(path, IoErrorKind::Table, problem).at(place));
-    };
-    if factor != 1.0 {
-        for value in values {
-            *value *= factor;
-        }
-    }
-    Ok(())
-}
-
-/// Columns that change where a source is, and are read only with a date of the frame.
-const OF_MOTION: [&str; 5] = ["pmra", "pmdec", "parallax", "epoch", "ref_epoch"];
-
-impl CatalogOptions {
-    /// The columns that a catalogue needs of a table with these column names. `table` is the path of the table,
-    /// or its name in messages.
-    ///
-    /// # Errors
-    /// [`IoErrorKind::Table`] for a column that does not exist.
-    pub fn columns_of(
-        &self,
-        table: impl AsRef<Path>,
-        names: &[String],
-    ) -> Result<Vec<NeededColumn>, IoError> {
-        let table = table.as_ref();
-        let picked = self.sources(table, names)?;
-        let mut wanted: Vec<(&'static str, &str, Option<&'static str>)> = picked
-            .iter()
-            .map(|(role, name)| (ROLES[role as usize], name, role.unit()))
-            .collect();
-        let has = |column: &str| names.iter().any(|name| name.eq_ignore_ascii_case(column));
-        if self.with_colours && has(SED) {
-            wanted.push((SED, SED, None));
-        } else if self.with_colours && has(TEFF) {
-            wanted.push((TEFF, TEFF, Some(KELVIN)));
-        }
-        if self.with_velocities {
-            let velocities = VELOCITIES.into_iter().filter(|column| has(column));
-            wanted.extend(velocities.map(|name| (name, name, Some(PIXELS_PER_SECOND))));
-        }
-        let of = |(role, name, unit)| {
-            let name = names[find(table, names.iter(), name)?].clone();
-            Ok(NeededColumn { role, name, unit })
-        };
-        wanted.into_iter().map(of).collect()
-    }
-
-    /// The columns of sources in a table with these column names.
-    pub(super) fn sources(&self, table: &Path, names: &[String]) -> Result<Picked, IoError> {
-        match self.date {
-            Some(_) => self.columns.moving_sources(table, names),
-            None => self.columns.sources(table, names),
-        }
-    }
-
-    /// The columns among `names` that may change a source and are not read.
-    pub fn ignored_columns(&self, names: &[String]) -> Vec<String> {
-        let is = |name: &str, of: &[&str]| of.iter().any(|other| name.eq_ignore_ascii_case(other));
-        let unread = |name: &&String| {
-            (self.date.is_none() && is(name, &OF_MOTION))
-                || (!self.with_colours && is(name, &[SED, TEFF]))
-                || (!self.with_velocities && is(name, &VELOCITIES))
-        };
-        names.iter().filter(unread).cloned().collect()
-    }
-}
-
-/// The columns of the velocities of sources.
-const VELOCITIES: [&str; 2] = ["vx", "vy"];
-
-/// Reads the spectra of all rows of a table: the column `sed` or, without it, the column `teff`.
-fn colours_of(path: &Path, table: &AnyTable<'_>) -> Result<Option<SourceColours>, IoError> {
-    let has = |column: &str| table.names().iter().any(|name| name.eq_ignore_ascii_case(column));
-    if has(SED) {
-        return Ok(Some(SourceColours::Names(table.read_texts(SED)?)));
-    }
-    if !has(TEFF) {
-        return Ok(None);
-    }
-    let mut columns = table.read(&[TEFF], Nans::Kept)?.values;
-    in_unit(path, table, TEFF, Some(KELVIN), &mut columns[0])?;
-    Ok(columns.pop().map(SourceColours::Temperatures))
-}
-
-/// The columns of the names of spectra and of the temperatures of black bodies.
-const SED: &str = "sed";
-const TEFF: &str = "teff";

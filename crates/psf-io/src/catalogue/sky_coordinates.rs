@@ -7,6 +7,7 @@ use mapproj::zenithal::{arc::Arc as ArcProjection, sin::Sin, stg::Stg, tan::Tan,
 use mapproj::{ProjXY, Projection, XYZ};
 use psf_types::Position;
 
+use crate::catalogue::sky_motion::ObservationDate;
 use crate::catalogue::world_header::{
     Distortion, World, WorldCoordinatesError, inverted, product, unsupported,
 };
@@ -66,6 +67,7 @@ pub struct SkyCoordinates {
     matrix: [[f64; 2]; 2],
     inverse: [[f64; 2]; 2],
     distortion: Distortion,
+    date: Option<ObservationDate>,
 }
 
 impl SkyCoordinates {
@@ -75,6 +77,7 @@ impl SkyCoordinates {
     /// [`WorldCoordinatesError`] with the keyword that is missing or not supported, or for a matrix
     /// that has no inverse.
     pub fn from_header(header: &HeaderCards) -> Result<Self, WorldCoordinatesError> {
+        let date = ObservationDate::of_header(header);
         let header = World { header };
         let types = [header.text("CTYPE1")?, header.text("CTYPE2")?];
         let kind = |name: &str| name.split('-').next().unwrap_or_default().to_owned();
@@ -155,7 +158,13 @@ impl SkyCoordinates {
             matrix,
             inverse,
             distortion,
+            date,
         })
+    }
+
+    /// The date of the observation, if the header states it ([`ObservationDate::of_header`]).
+    pub fn date(&self) -> Option<ObservationDate> {
+        self.date
     }
 
     /// The pixel position (0-based) of a position on the sky in degrees. Returns `None` if the
@@ -217,11 +226,7 @@ impl SkyCoordinates {
         let turned = [turned.x(), turned.y(), turned.z()];
         // The inverse of a rotation is its transpose.
         let [x, y, z] = [0, 1, 2].map(|i| dot(self.rotation.map(|row| row[i]), turned));
-        let place = (
-            y.atan2(x).to_degrees().rem_euclid(360.0),
-            z.atan2(x.hypot(y)).to_degrees(),
-        );
-        Some(place)
+        Some(place([x, y, z]))
     }
 }
 
@@ -272,7 +277,7 @@ fn projection(
 }
 
 /// The degrees of the unit that a card names. Without the card, the unit is a degree.
-fn degrees(header: &World<'_>, keyword: &str) -> Result<f64, WorldCoordinatesError> {
+pub(super) fn degrees(header: &World<'_>, keyword: &str) -> Result<f64, WorldCoordinatesError> {
     const UNITS: &str = "deg, arcmin, arcsec, mas or rad";
     match header.header.get(keyword).and_then(Card::value) {
         None => Ok(1.0),
@@ -311,18 +316,26 @@ fn zpn(header: &World<'_>, axis: &str) -> Result<Zpn, WorldCoordinatesError> {
     Ok(projection)
 }
 
-fn unit_vector(longitude_deg: f64, latitude_deg: f64) -> [f64; 3] {
+pub(super) fn unit_vector(longitude_deg: f64, latitude_deg: f64) -> [f64; 3] {
     let (sin_l, cos_l) = longitude_deg.to_radians().sin_cos();
     let (sin_b, cos_b) = latitude_deg.to_radians().sin_cos();
     [cos_l * cos_b, sin_l * cos_b, sin_b]
 }
 
-fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
+/// Longitude from 0 to 360 and latitude of a direction, in degrees.
+pub(super) fn place([x, y, z]: [f64; 3]) -> (f64, f64) {
+    (
+        y.atan2(x).to_degrees().rem_euclid(360.0),
+        z.atan2(x.hypot(y)).to_degrees(),
+    )
+}
+
+pub(super) fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
 /// The direction of a position on the sky, and those to the east and to the north there.
-fn local_axes(longitude_deg: f64, latitude_deg: f64) -> [[f64; 3]; 3] {
+pub(super) fn local_axes(longitude_deg: f64, latitude_deg: f64) -> [[f64; 3]; 3] {
     let (sin_l, cos_l) = longitude_deg.to_radians().sin_cos();
     let (sin_b, cos_b) = latitude_deg.to_radians().sin_cos();
     let (east, north) = ([-sin_l, cos_l, 0.0], [-cos_l * sin_b, -sin_l * sin_b, cos_b]);

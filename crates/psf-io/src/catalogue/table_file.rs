@@ -99,7 +99,7 @@ impl AnyTable<'_> {
         match self {
             Self::Text(table) => table.unit(name),
             Self::Fits(table) => table.unit(name),
-            Self::Memory(_) => Ok(String::new()),
+            Self::Memory(table) => Ok(table.unit(name)),
         }
     }
 

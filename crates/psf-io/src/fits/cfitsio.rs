@@ -72,6 +72,16 @@ impl Fits {
         Self::new(handle, path, status, "creating the file", true)
     }
 
+    /// Opens an existing file for reading and writing. Errors name `path`.
+    pub(crate) fn open_to_change(at: &Path, path: &Path) -> Result<Self, IoError> {
+        let name = c_name(at, path)?;
+        let (mut handle, mut status) = (ptr::null_mut(), 0);
+        let mode = sys::READWRITE as c_int;
+        // SAFETY: as in `open`.
+        unsafe { sys::ffdkopn(&raw mut handle, name.as_ptr(), mode, &raw mut status) };
+        Self::new(handle, path, status, "opening the file", true)
+    }
+
     fn new(
         handle: *mut sys::fitsfile,
         path: &Path,
@@ -212,6 +222,50 @@ impl Fits {
         })
     }
 
+    /// Appends the current HDU of another file, header and data. A primary image becomes an extension.
+    pub(crate) fn copy_hdu(&mut self, from: &mut Self) -> Result<(), IoError> {
+        self.writes_image = false;
+        let from = from.handle.as_ptr();
+        // SAFETY: both handles are open.
+        self.call("copying an image", |fits, status| unsafe {
+            sys::ffcopy(from, fits, 0, status)
+        })
+    }
+
+    /// Appends the current HDU of another file, which is an image compressed in tiles, as an uncompressed image.
+    pub(crate) fn copy_uncompressed(&mut self, from: &mut Self) -> Result<(), IoError> {
+        self.writes_image = false;
+        let from = from.handle.as_ptr();
+        // SAFETY: both handles are open.
+        self.call("uncompressing an image", |fits, status| unsafe {
+            sys::fits_img_decompress(from, fits, status)
+        })
+    }
+
+    /// The current HDU, counted from 0.
+    pub(crate) fn current(&self) -> usize {
+        let mut number = 1;
+        // SAFETY: the handle is open, and `number` outlives the call.
+        unsafe { sys::ffghdn(self.handle.as_ptr(), &raw mut number) };
+        usize::try_from(number - 1).unwrap_or(0)
+    }
+
+    /// Sets the scale and the zero of the current image, in place of those of its header, which stay in the file.
+    pub(crate) fn set_scaling(&mut self, (scale, zero): (f64, f64)) -> Result<(), IoError> {
+        // SAFETY: the handle is open.
+        self.call("setting the scale of an image", |fits, status| unsafe {
+            sys::ffpscl(fits, scale, zero, status)
+        })
+    }
+
+    /// Computes the cards `DATASUM` and `CHECKSUM` of the current HDU.
+    pub(crate) fn renew_checksum(&mut self) -> Result<(), IoError> {
+        // SAFETY: the handle is open.
+        self.call("writing the checksum", |fits, status| unsafe {
+            sys::ffpcks(fits, status)
+        })
+    }
+
     /// Writes pixels of the image, from pixel `first` (0-based) on.
     pub(crate) fn write_pixels<T: Copy + 'static>(
         &mut self,
@@ -298,12 +352,27 @@ impl Fits {
     }
 
     /// Writes values to a column, starting at its first row. `column` is counted from 1.
-    pub(crate) fn write_column(&mut self, column: usize, values: &[f64]) -> Result<(), IoError> {
+    pub(crate) fn write_column<T: Copy + 'static>(
+        &mut self,
+        column: usize,
+        values: &[T],
+    ) -> Result<(), IoError> {
         let (column, count) = (column as c_int, values.len() as sys::LONGLONG);
         let data = values.as_ptr().cast_mut().cast();
         // SAFETY: as in `write_pixels`.
         self.call("writing a table column", |fits, status| unsafe {
-            sys::ffpcl(fits, datatype::<f64>(), column, 1, 1, count, data, status)
+            sys::ffpcl(fits, datatype::<T>(), column, 1, 1, count, data, status)
+        })
+    }
+
+    /// Writes logical values to a column, starting at its first row. `column` is counted from 1.
+    pub(crate) fn write_flags(&mut self, column: usize, values: &[bool]) -> Result<(), IoError> {
+        let values: Vec<c_char> = values.iter().map(|&value| c_char::from(value)).collect();
+        let (column, count) = (column as c_int, values.len() as sys::LONGLONG);
+        let data = values.as_ptr().cast_mut().cast();
+        // SAFETY: as in `write_pixels`. CFITSIO takes a `char` for each logical value.
+        self.call("writing a table column", |fits, status| unsafe {
+            sys::ffpcl(fits, sys::TLOGICAL as c_int, column, 1, 1, count, data, status)
         })
     }
 
@@ -390,9 +459,10 @@ fn datatype<T: 'static>() -> c_int {
         (TypeId::of::<f32>(), sys::TFLOAT),
         (TypeId::of::<f64>(), sys::TDOUBLE),
         (TypeId::of::<c_int>(), sys::TINT),
+        (TypeId::of::<i64>(), sys::TLONGLONG),
     ];
     let found = types.iter().find(|(id, _)| *id == TypeId::of::<T>());
-    found.expect("pixels are f32, f64 or i32").1 as c_int
+    found.expect("values are f32, f64, i32 or i64").1 as c_int
 }
 
 /// Returns the absolute name, because CFITSIO would drop leading blanks and expand a leading `~`.

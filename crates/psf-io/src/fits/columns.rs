@@ -297,7 +297,7 @@ pub(crate) enum Nans {
 }
 
 /// Columns of numbers from any kind of table, in the requested order.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub(crate) struct NumberColumns {
     pub(crate) values: Vec<Vec<f64>>,
     pub(crate) rows: usize,

@@ -5,9 +5,8 @@ use std::hash::Hasher;
 use std::path::{Path, PathBuf};
 
 use clap::{ArgAction, Args, Command, FromArgMatches};
-use psf_io::{Card, CardValue, IoError, OutputLock};
-use psfield::SpotCheck;
-use psfield::image_cards::JOB_KEYWORD;
+use psf_io::{IoError, OutputLock};
+use psfield::image_cards::check_made_by;
 
 use crate::UsageError;
 use crate::batch::jobs_file::{JobsFile, Setting, Settings};
@@ -286,7 +285,7 @@ impl JobState {
         let mut there = 0;
         // `symlink_metadata` also finds a dangling link, which would be in the way of the output.
         for file in job.files.iter().filter(|file| file.symlink_metadata().is_ok()) {
-            if let Err(why) = judge(file, &job.digest) {
+            if let Err(why) = check_made_by(file, &job.digest) {
                 return Self::Refused(why);
             }
             there += 1;
@@ -296,37 +295,5 @@ impl JobState {
             n if n < job.files.len() => Self::Partial,
             _ => Self::Done,
         }
-    }
-}
-
-/// Checks that a file was made by the job with this digest, and did not fail its spot check.
-fn judge(file: &Path, digest: &str) -> Result<(), String> {
-    let header = psf_io::read_header(file).map_err(|e| {
-        format!(
-            "{} exists and is not an image of this job: delete it, or run all jobs again with --overwrite ({})",
-            file.display(),
-            psfield::error::error_text(&e)
-        )
-    })?;
-    let text = |keyword: &str| match header.get(keyword).and_then(Card::value) {
-        Some(CardValue::Text(text)) => Some(text),
-        _ => None,
-    };
-    match text(JOB_KEYWORD) {
-        None => Err(format!(
-            "{} exists and was not made by a batch: delete it, or run all jobs again with --overwrite",
-            file.display()
-        )),
-        Some(found) if found != digest => Err(format!(
-            "{} exists and was made with other options ({JOB_KEYWORD} {found}, now {digest}): delete it, choose another output, \
-             or run all jobs again with --overwrite",
-            file.display()
-        )),
-        Some(_) if text(SpotCheck::VERDICT_KEYWORD).as_deref() == Some(SpotCheck::FAILED) => Err(format!(
-            "{} exists but failed its spot check when it was made: it differs from the direct sum by more than the method promises. \
-             Choose another method for this job, and delete its files or run all jobs again with --overwrite",
-            file.display()
-        )),
-        Some(_) => Ok(()),
     }
 }

@@ -3,19 +3,17 @@
 mod job;
 mod jobs_file;
 
-use std::fs::File;
-use std::io::{ErrorKind, Read, Seek, SeekFrom, Write};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use anyhow::Context as _;
 use psf_types::Progress;
 use serde::Serialize;
 
 use crate::batch::job::{Job, JobState};
 use crate::batch::jobs_file::{JobsFile, assignment};
-use crate::context::{Context, message_of};
+use crate::context::{Context, message_of, with_overwrite};
+use crate::json_lines::{LineWriter, failures};
 use crate::simulate::{Report, Simulators};
 
 pub(crate) use crate::batch::job::{parsed, simulate_command};
@@ -118,31 +116,16 @@ impl BatchArgs {
         bar.start(jobs.len() as u64);
         for job in &jobs {
             let report = report_of(job, self.overwrite, &mut simulators, context);
-            bar.aside(|| lines.write(&report))?;
+            bar.aside(|| lines.write(&report, report.status == Status::Failed))?;
             bar.advance(1);
             if report.status == Status::Failed {
                 failed.push(format!("{} ({})", job.number, job.name));
             }
         }
         drop(bar);
-        if failed.is_empty() {
-            return Ok(());
-        }
-        let more = match failed.len().checked_sub(MOST_NAMED) {
-            Some(more @ 1..) => format!(" and {more} more"),
-            _ => String::new(),
-        };
-        anyhow::bail!(
-            "{} of {} jobs failed: {}{more}",
-            failed.len(),
-            jobs.len(),
-            failed[..failed.len().min(MOST_NAMED)].join(", ")
-        )
+        failures("jobs", &failed, jobs.len())
     }
 }
-
-/// The largest number of failed jobs that are named at the end.
-const MOST_NAMED: usize = 10;
 
 /// Simulates a job. A panic is the failure of this job alone. What it may have left half made is not used
 /// again.
@@ -202,7 +185,7 @@ fn report_of<'a>(
             let done = matches!(state, JobState::Done);
             report.reason = Some(if done { "exists" } else { "in progress" });
         }
-        JobState::Refused(why) => report.error = Some(why),
+        JobState::Refused(why) => report.error = Some(with_overwrite(&why)),
         JobState::Missing | JobState::Partial => {
             let context = context.for_part(&format!("job {} ({})", job.number, job.name));
             let made = simulators.made;
@@ -246,79 +229,6 @@ struct JobReport<'a> {
     reused: Option<bool>,
     seconds: f64,
     report: Option<Report>,
-}
-
-/// Writes the lines of the jobs to standard output and to the log.
-struct LineWriter {
-    log: Option<(File, PathBuf)>,
-    failures_only: bool,
-    /// True after standard output has lost its reader.
-    closed: bool,
-}
-
-impl LineWriter {
-    fn new(log: Option<&Path>, context: &Context) -> anyhow::Result<Self> {
-        let log = log
-            .map(|path| {
-                let log = open(path).with_context(|| format!("cannot write the log {}", path.display()))?;
-                anyhow::Ok((log, path.to_owned()))
-            })
-            .transpose()?;
-        Ok(Self {
-            log,
-            failures_only: context.quiet && !context.json,
-            closed: false,
-        })
-    }
-
-    /// Writes the line of a job without delay.
-    fn write(&mut self, report: &JobReport<'_>) -> anyhow::Result<()> {
-        let line = serde_json::to_string(report)? + "\n";
-        if let Some((log, path)) = &mut self.log {
-            append(log, &line).with_context(|| format!("cannot write the log {}", path.display()))?;
-        }
-        if self.closed || (self.failures_only && report.status != Status::Failed) {
-            return Ok(());
-        }
-        let mut out = std::io::stdout().lock();
-        match out.write_all(line.as_bytes()).and_then(|()| out.flush()) {
-            // The jobs continue without a reader, because the images are the result.
-            Err(e) if e.kind() == ErrorKind::BrokenPipe => self.closed = true,
-            other => other.context("cannot write to standard output")?,
-        }
-        Ok(())
-    }
-}
-
-/// Opens a log. If its last line is incomplete, because an earlier batch was killed, ends that
-/// line.
-fn open(path: &Path) -> std::io::Result<File> {
-    let log = File::options().create(true).append(true).open(path)?;
-    // Pipes and devices have no last line. A log that cannot be read counts as complete.
-    let found = log.metadata()?;
-    if found.is_file() && found.len() > 0 && !ends_a_line(path).unwrap_or(true) {
-        append(&log, "\n")?;
-    }
-    Ok(log)
-}
-
-fn ends_a_line(path: &Path) -> std::io::Result<bool> {
-    let mut last = [0];
-    let mut log = File::open(path)?;
-    log.seek(SeekFrom::End(-1))?;
-    log.read_exact(&mut last)?;
-    Ok(last == *b"\n")
-}
-
-/// Appends a whole line or nothing, also on a full disk.
-fn append(mut log: &File, line: &str) -> std::io::Result<()> {
-    let before = log.metadata()?;
-    log.write_all(line.as_bytes()).inspect_err(|_| {
-        if before.is_file() {
-            // The caller needs the error of the write, not an error of this truncation.
-            let _ = log.set_len(before.len());
-        }
-    })
 }
 
 #[cfg(test)]

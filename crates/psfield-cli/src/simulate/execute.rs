@@ -6,10 +6,10 @@ use std::time::Instant;
 use conv_core::{ConvReal, DroppedLight, PhotonReport, RowStream, TileCounts};
 use detector::ExposureReport;
 use ndarray::{ArrayView2, ArrayViewMut2};
-use psf_io::{Card, ImageReader, ImageWriter};
+use psf_io::{Card, ImageReader, ImageWriter, IoError};
 use psf_types::{Image, NoProgress};
 use psfield::image_cards::shot_cards;
-use psfield::{Preparation, PsfieldError, Scene, Simulator, SpotCheck};
+use psfield::{Preparation, PsfieldError, Scene, Simulator, SpotCheck, TruthTable};
 
 use crate::context::Context;
 use crate::simulate::SimulateArgs;
@@ -35,6 +35,8 @@ pub(super) struct Ready<'a, 's, T: ConvReal> {
     pub(super) simulator: &'a Simulator<T>,
     pub(super) scene: &'a Scene<'s, T>,
     pub(super) made: Preparation<'a>,
+    /// The sources, if a table of them is wanted.
+    pub(super) sources: Option<TruthTable>,
 }
 
 impl SimulateArgs {
@@ -93,9 +95,16 @@ impl SimulateArgs {
         let exposure = if let Some(exposing) = exposing {
             let photons = photons.as_ref().map(|(photons, _)| photons.view());
             let truth = || simulator.simulate(all);
-            Some(exposing.write((&image, photons), truth, (&header, &cards))?)
+            let table = |flags: ArrayView2<'_, u8>| {
+                let sources = ready.sources.clone().map(|sources| sources.with_flags(flags));
+                self.write_truth_table(sources.as_ref(), &cards)
+            };
+            Some(exposing.write((&image, photons), truth, table, (&header, &cards))?)
         } else {
-            psf_io::write_image(&self.output, &image, &header, &cards, self.overwrite)?;
+            psf_io::write_together(|| {
+                self.write_truth_table(ready.sources.as_ref(), &cards)?;
+                psf_io::write_image(&self.output, &image, &header, &cards, self.overwrite)
+            })?;
             None
         };
         seconds.write = clock.elapsed().as_secs_f64();
@@ -153,9 +162,12 @@ impl SimulateArgs {
         let nan_pixels = readers.map(|(_, reader)| reader.nan_pixels()).sum();
 
         let clock = Instant::now();
-        let cards = spot_check.as_ref().map(SpotCheck::cards).transpose()?;
-        rows.writer
-            .finish_with(cards.as_ref().map_or(&[], |cards| cards))?;
+        let late = spot_check.as_ref().map(SpotCheck::cards).transpose()?;
+        let late = late.as_ref().map_or(&[][..], |cards| cards);
+        psf_io::write_together(|| {
+            self.write_truth_table(ready.sources.as_ref(), &[&cards, late].concat())?;
+            rows.writer.finish_with(late)
+        })?;
         seconds.write += clock.elapsed().as_secs_f64();
         Ok(Outcome {
             counts,
@@ -165,6 +177,14 @@ impl SimulateArgs {
             exposure: None,
             nan_pixels,
         })
+    }
+
+    /// Writes the table of `--truth-table`, if there is one.
+    fn write_truth_table(&self, sources: Option<&TruthTable>, cards: &[Card]) -> Result<(), IoError> {
+        let Some((sources, path)) = sources.zip(self.truth_table.as_ref()) else {
+            return Ok(());
+        };
+        sources.write(path, cards, self.overwrite)
     }
 
     /// Returns the number of pixels compared with the direct sum, and the seed that chooses them.

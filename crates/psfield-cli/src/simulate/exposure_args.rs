@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use conv_core::{ConvReal, PhotonReport};
 use detector::{Detector, DetectorParams, ExposureReport};
 use ndarray::{Array2, ArrayView2};
-use psf_io::{Card, HeaderCards};
+use psf_io::{Card, HeaderCards, IoError};
 use psf_types::{Image, Progress, Real};
 use psfield::exposure_files::ExposureFiles;
 use psfield::{PsfieldError, Scene, ShootBelow, Simulator};
@@ -119,7 +119,7 @@ impl ExposureArgs {
 
 /// The noise of a dark pixel of a detector. The exposure time is that of a series, if it is given.
 pub(super) fn noise_of(path: &Path, exposure_s: Option<f64>) -> anyhow::Result<f64> {
-    let params = Detector::from_toml_file(path)?.params().clone();
+    let params = DetectorParams::from_toml_file(path)?;
     let exposure_s = exposure_s.or(params.exposure_s);
     Ok(Detector::new(DetectorParams { exposure_s, ..params })?.noise())
 }
@@ -185,11 +185,12 @@ impl Exposing {
     }
 
     /// Exposes an image, with photons that were drawn one by one, and writes all files. `truth` makes the image of
-    /// all light, if it is to be written.
+    /// all light, if it is to be written. `table` writes a table of the sources, with the flags of the pixels.
     pub(super) fn write<T: Real>(
         &self,
         (image, photons): (&Image<T>, Option<ArrayView2<'_, i32>>),
         truth: impl FnOnce() -> Result<Image<T>, PsfieldError>,
+        table: impl FnOnce(ArrayView2<'_, u8>) -> Result<(), IoError>,
         (header, cards): (&HeaderCards, &[Card]),
     ) -> anyhow::Result<ExposureReport> {
         let mut exposer = self.detector.exposer(image.shape(), self.seed)?;
@@ -201,8 +202,10 @@ impl Exposing {
             }
         }
         let exposure = exposer.expose(image)?;
-        self.files
-            .write(&exposure, &light, &self.detector, header, cards)?;
+        psf_io::write_together(|| {
+            table(exposure.flags())?;
+            self.files.write(&exposure, &light, &self.detector, header, cards)
+        })?;
         Ok(exposure.report().clone())
     }
 }

@@ -14,7 +14,7 @@ use conv_core::{ConvReal, PlanSummary};
 use psf_io::Card;
 use psf_types::{Anchor, ToleranceOn};
 use psfield::image_cards::{JOB_KEYWORD, PSF_FILE_KEYWORD};
-use psfield::{ErrorKind, Method, PsfieldError, SimulateOptions};
+use psfield::{ErrorKind, Method, PsfieldError, SimulateOptions, TruthTable};
 use psfield_lab::{available_memory_bytes, peak_memory_bytes};
 
 use crate::UsageError;
@@ -54,6 +54,13 @@ pub(crate) struct SimulateArgs {
     /// Replace outputs that exist
     #[arg(long)]
     overwrite: bool,
+    /// Also write a FITS table of the catalogue's sources as they are in the image
+    ///
+    /// Its columns: row (of the catalogue, from 0), x, y (0-based pixels of the image), ra, dec (at the date of
+    /// the image, if it has world coordinates), flux, in_frame, and with --detector saturated_pixels: the size of
+    /// the saturated area at the source.
+    #[arg(long, value_name = "TABLE.fits")]
+    truth_table: Option<OutputFile>,
     // The heading of a group also applies to the options after it, unless they name their own.
     #[command(flatten)]
     scene: SceneArgs,
@@ -271,6 +278,8 @@ impl SimulateArgs {
             Some("--stream applies only to the methods auto and lowrank")
         } else if self.stream && self.exposure.detector.is_some() {
             Some("--stream cannot be used with --detector: expose the image afterwards (psfield expose)")
+        } else if self.truth_table.is_some() && self.scene.catalog.is_none() {
+            Some("--truth-table needs a catalogue (--catalog)")
         } else {
             self.device.misused(planned, self.precision == Precision::F32)
         };
@@ -346,6 +355,10 @@ impl SimulateArgs {
         self.warn_of_empty_catalog(read.files.sources, context);
 
         let simulator = self.simulator::<T>(&psf, &read, simulators, context)?;
+        let sources = self.truth_table.as_ref().map(|_| {
+            let sky = self.scene.sky(&read.files.header).ok();
+            TruthTable::new(read.light.catalog(), simulator.shown_region(), sky.as_ref())
+        });
         let readers = std::mem::take(&mut read.rows);
         let light = read.light.into_scene()?;
         let scene = &light;
@@ -357,6 +370,7 @@ impl SimulateArgs {
             simulator,
             scene,
             made,
+            sources,
         };
         let outcome = if streamed {
             self.by_bands(&ready, &read.files, readers, &mut seconds, context)?

@@ -6,15 +6,16 @@ use anyhow::Context as _;
 use conv_core::ConvReal;
 use psf_io::{
     Card, CardValue, Catalog, CatalogOptions, HduChoice, HeaderCards, ImageReader, IoError, SkyCoordinates,
+    WorldCoordinatesError,
 };
 use psf_types::{FrameShape, PixelRegion};
 use psfield::{SceneLight, ScenePixels, SimulateOptions, Simulator};
 
 use crate::UsageError;
+use crate::catalog_args::CatalogArgs;
 use crate::context::{GivenOptions, with_nan_setting, with_option};
 use crate::simulate::colour::{ColourArgs, folder_of};
-use crate::table_args::TableArgs;
-use crate::values::{number, pair, region};
+use crate::values::{finite, pair, region};
 
 /// The scene: an image, a catalogue, or both.
 #[derive(Debug, Clone, clap::Args)]
@@ -32,6 +33,11 @@ pub(super) struct SceneArgs {
     /// axis (pixels of the output image). n: Sersic index, 0.3 to 8. q: axis ratio [default: 1].
     /// angle: degrees from +x towards +y [default: 0]. g1, g2: reduced shear, applied to this
     /// galaxy, which keeps its area [default: 0]. re = 0 is a star.
+    ///
+    /// With the world coordinates of the scene (or of --wcs), ra and dec (degrees) may replace x
+    /// and y, and re_arcsec and pa_deg (position angle, from north towards east) may replace re and
+    /// angle. With re_arcsec, the shear is that on the sky. Sources move by pmra, pmdec (mas per
+    /// year), parallax (mas) and radial_velocity (km/s) from their epoch to the date of the frame.
     #[arg(long, value_name = "CATALOG", help_heading = SCENE)]
     pub(super) catalog: Option<PathBuf>,
     /// Columns and rows of a scene without an image (pixels) [default: the field of the PSF, if its
@@ -337,6 +343,16 @@ impl SceneArgs {
         Ok(FrameShape::new(nx * s, ny * s)?)
     }
 
+    /// The world coordinates of the pixels in which the positions of the catalogue count.
+    pub(super) fn sky(&self, header: &HeaderCards) -> Result<SkyCoordinates, WorldCoordinatesError> {
+        // The header of a scene refers to pixels of the scene, but the header of --wcs to pixels of
+        // the image.
+        match self.scene {
+            Some(_) => SkyCoordinates::from_header(&header.binned(self.finer())),
+            None => SkyCoordinates::from_header(header),
+        }
+    }
+
     /// Reads the catalogue, which may be missing. The positions that it returns are in pixels of the
     /// output image. `more` chooses further columns.
     fn read_catalog(
@@ -347,12 +363,7 @@ impl SceneArgs {
         let Some(path) = &self.catalog else {
             return Ok(Catalog::default());
         };
-        // The header of a scene refers to pixels of the scene, but the header of --wcs to pixels of
-        // the image.
-        let sky = match self.scene {
-            Some(_) => SkyCoordinates::from_header(&header.binned(self.finer())),
-            None => SkyCoordinates::from_header(header),
-        };
+        let sky = self.sky(header);
         let mut options = more(self.columns.options()?);
         let unit = header.get("BUNIT").filter(|_| self.scene.is_some());
         match unit.and_then(Card::value) {
@@ -384,37 +395,4 @@ impl SceneArgs {
             (result, _) => Ok(result?),
         }
     }
-}
-
-/// Options for the columns, positions and magnitudes of a catalogue.
-#[derive(Debug, Clone, Default, clap::Args)]
-#[command(next_help_heading = "Catalogue")]
-struct CatalogArgs {
-    #[command(flatten)]
-    table: TableArgs,
-    /// Magnitude of flux 1 (required with a column mag)
-    ///
-    /// flux = 10^(-0.4 (mag - MAG)).
-    #[arg(long, value_name = "MAG", value_parser = finite)]
-    zero_point: Option<f64>,
-    /// Skip invalid rows and count them [default: an invalid row is an error]
-    ///
-    /// A row is invalid if position, flux, mag or re is missing, if flux is 0, or if dec, re, n, q,
-    /// angle or the shear (g1, g2) is out of range. A negative flux is valid.
-    #[arg(long, hide_short_help = true)]
-    skip_invalid: bool,
-}
-
-impl CatalogArgs {
-    pub(crate) fn options(&self) -> anyhow::Result<CatalogOptions> {
-        let options = self.table.options().with_invalid_skipped(self.skip_invalid);
-        Ok(match self.zero_point {
-            Some(zero_point) => options.with_zero_point(zero_point)?,
-            None => options,
-        })
-    }
-}
-
-fn finite(text: &str) -> Result<f64, String> {
-    number(text, |value: &f64| value.is_finite(), "a finite number")
 }

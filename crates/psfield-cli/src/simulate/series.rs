@@ -110,12 +110,16 @@ struct PointingTable {
 }
 
 /// Options of `simulate` that a series refuses, and why.
-const REFUSED: [(&str, &str); 5] = [
+const REFUSED: [(&str, &str); 6] = [
     ("output", "cannot be set: the series names its files itself"),
     ("truth", "cannot be set: the series names its files itself"),
     (
         "overwrite",
         "applies to the whole series: psfield series --overwrite",
+    ),
+    (
+        "truth-table",
+        "cannot be set: the series writes a table of the sources for each exposure",
     ),
     ("quality", "cannot be used in a series: use psfield simulate"),
     ("stream", "cannot be used in a series: use psfield simulate"),
@@ -303,6 +307,7 @@ impl SeriesArgs {
             simulator,
             scene,
             made,
+            sources: None,
         };
         let [dx, dy] = exposure.shift_px;
         let mut cards = exposure_time_cards(start, times)?.to_vec();

@@ -260,7 +260,12 @@ fn what_other_options_made_is_not_taken_as_done() {
     assert_eq!(run.code, Some(1), "{run:?}");
     let said = lines(&run);
     assert_eq!(column(&said, "status"), ["failed", "failed", "done"]);
-    assert!(said[0]["error"].as_str().unwrap().contains("not made by a batch"));
+    assert!(
+        said[0]["error"]
+            .as_str()
+            .unwrap()
+            .contains("was not made by such a job")
+    );
     assert!(said[1]["error"].as_str().unwrap().contains("notes.fits"));
     assert_eq!(desk.bytes("notes.fits"), b"not an image");
 }

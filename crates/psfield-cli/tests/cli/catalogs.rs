@@ -560,3 +560,134 @@ fn old_cards_of_the_matrix_change_positions() {
     assert!(new.slice(s![.., ..30]).sum() > 50.0, "the star lies on the left");
     assert_eq!(new, old);
 }
+
+/// Sources move to the date of the frame, and a table says where they are.
+#[test]
+fn sources_move_and_are_listed() {
+    let desk = desk();
+    let image = Image::new(Array2::<f64>::zeros((NY, NX))).unwrap();
+    let number = |keyword: &str, value: f64| Card::new(keyword, value, "").unwrap();
+    let mut cards = vec![
+        Card::new("CTYPE1", "RA---TAN", "").unwrap(),
+        Card::new("CTYPE2", "DEC--TAN", "").unwrap(),
+        number("CRPIX1", 31.0),
+        number("CRPIX2", 26.0),
+        number("CRVAL1", 150.0),
+        number("CRVAL2", 60.0),
+        number("CDELT1", -1e-4),
+        number("CDELT2", 1e-4),
+    ];
+    psf_io::write_image(
+        desk.path("plain.fits"),
+        &image,
+        &HeaderCards::new(),
+        &cards,
+        false,
+    )
+    .unwrap();
+    cards.push(Card::new("DATE-OBS", "2026-01-01T12:00:00", "").unwrap());
+    psf_io::write_image(
+        desk.path("dated.fits"),
+        &image,
+        &HeaderCards::new(),
+        &cards,
+        false,
+    )
+    .unwrap();
+    desk.write(
+        "gaia.csv",
+        "ra,dec,phot_g_mean_mag,pmra,pmdec,parallax,ref_epoch\n150,60,20,360,0,,2016.0\n150,70,20,0,0,1,2016\n",
+    );
+    desk.write("no_epoch.csv", "ra,dec,flux,pmra,pmdec\n150,60,100,360,0\n");
+    let mut count = 0;
+    let mut x_of = |options: &str| {
+        count += 1;
+        let (image, table) = (format!("i{count}.fits"), format!("t{count}.fits"));
+        let run = desk.run(&format!(
+            "simulate --psf fine.fits {SHAPE} {options} -o {image} --truth-table {table}"
+        ));
+        assert_eq!(run.code, Some(0), "{}", run.stderr);
+        let truth = psf_io::read_columns(desk.path(&table), ["row", "x", "dec"]);
+        let [row, x, dec] = truth.unwrap();
+        assert_eq!((row[0], (dec[0] - 60.0).abs() < 1e-6), (0.0, true));
+        x[0]
+    };
+    // 3.6 arcseconds in ten years are ten pixels.
+    let gaia = "--catalog gaia.csv --zero-point 25";
+    assert!((x_of(&format!("--wcs dated.fits {gaia}")) - 20.0).abs() < 0.05);
+    assert!((x_of(&format!("--wcs plain.fits {gaia}")) - 30.0).abs() < 1e-6);
+    assert!((x_of(&format!("--wcs plain.fits {gaia} --date 2021.0")) - 25.0).abs() < 0.05);
+    assert!((x_of("--wcs dated.fits --catalog no_epoch.csv")) > 29.9);
+    assert!((x_of("--wcs dated.fits --catalog no_epoch.csv --epoch 2021") - 25.0).abs() < 0.05);
+    // A scene's part: pixels of the image.
+    let part = x_of(&format!("--wcs dated.fits {gaia} --frame 5,4,40,30"));
+    assert!((part - 15.0).abs() < 0.05);
+    let none = "simulate --psf fine.fits --wcs plain.fits -o n.fits";
+    desk.refused(
+        &format!("{none} {SHAPE} --catalog no_epoch.csv --date 2021"),
+        1,
+        &["no_epoch.csv", "\"pmra\"", "epoch", "--epoch"],
+    );
+    desk.refused(
+        &format!("{none} {SHAPE} --catalog stars.csv --date 2021"),
+        1,
+        &["pixels", "--date"],
+    );
+    desk.refused(
+        &format!("{none} {SHAPE} --catalog stars.csv --date May"),
+        2,
+        &["a date is needed"],
+    );
+    desk.refused(
+        "simulate scene.fits --psf fine.fits -o n.fits --truth-table t.fits",
+        2,
+        &["--truth-table", "--catalog"],
+    );
+}
+
+/// The size of a galaxy on the sky, and a table with saturated pixels.
+#[test]
+fn sizes_on_the_sky_and_saturated_stars() {
+    let desk = desk();
+    let image = Image::new(Array2::<f64>::zeros((NY, NX))).unwrap();
+    let number = |keyword: &str, value: f64| Card::new(keyword, value, "").unwrap();
+    let cards = [
+        Card::new("CTYPE1", "RA---TAN", "").unwrap(),
+        Card::new("CTYPE2", "DEC--TAN", "").unwrap(),
+        number("CRPIX1", 31.0),
+        number("CRPIX2", 26.0),
+        number("CRVAL1", 150.0),
+        number("CRVAL2", 60.0),
+        // Turned by 90 degrees: north points to +x, and east to +y.
+        number("CD1_1", 0.0),
+        number("CD1_2", 1e-4),
+        number("CD2_1", 1e-4),
+        number("CD2_2", 0.0),
+    ];
+    psf_io::write_image(
+        desk.path("turned.fits"),
+        &image,
+        &HeaderCards::new(),
+        &cards,
+        false,
+    )
+    .unwrap();
+    desk.write(
+        "sky.csv",
+        "ra,dec,flux,re_arcsec,n,q,pa_deg\n150,60,1000,1.08,1,0.5,0\n150.001,60,9000,0,,,\n",
+    );
+    desk.write(
+        "pixels.csv",
+        "x,y,flux,re,n,q,angle\n30,25,1000,3,1,0.5,0\n30,30,9000,0,,,\n",
+    );
+    let on_sky = stars(&desk, "--catalog sky.csv --wcs turned.fits", "a.fits");
+    let in_pixels = stars(&desk, "--catalog pixels.csv", "b.fits");
+    // The projection is not quite linear.
+    assert!(difference(&on_sky, &in_pixels) < 1e-4);
+    desk.write("ccd.toml", "photon_noise = true\nfull_well_e = 300.0\n");
+    desk.done(&format!(
+        "simulate --psf fine.fits {SHAPE} --catalog pixels.csv --detector ccd.toml --no-truth -o c.fits --truth-table t.fits"
+    ));
+    let [saturated] = psf_io::read_columns(desk.path("t.fits"), ["saturated_pixels"]).unwrap();
+    assert!(saturated[0] == 0.0 && saturated[1] > 3.0, "{saturated:?}");
+}

@@ -17,6 +17,7 @@ mod library;
 mod measuring;
 mod memory;
 mod misuse;
+mod observe;
 mod preview;
 mod reports;
 mod sampling;
