@@ -50,7 +50,7 @@ class Sky(NamedTuple):
 
     def cards(self) -> str:
         """Return the cards of a header with these world coordinates of the image."""
-        if not hasattr(self.wcs, "to_header"):
+        if not self.has_cards():
             raise TypeError(
                 f"wcs: a file of sources needs an astropy WCS, not {type(self.wcs).__name__}: read"
                 " the table with astropy, and give the table"
@@ -65,7 +65,7 @@ class Sky(NamedTuple):
 
     def known_cards(self) -> str | None:
         """Return the cards if psfield itself knows these world coordinates, else None."""
-        if not hasattr(self.wcs, "to_header") or self._has_tables():
+        if not self.has_cards() or self._has_tables():
             return None
         cards = self.cards()
         return cards if _native.knows_sky(cards) else None

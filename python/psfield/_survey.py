@@ -303,12 +303,12 @@ class Survey:
         ('done', 1)
         """
         callback = as_callback(progress)
-        frames = self._handle.frames()
+        count = len(self._handle)
         reports: list[FrameReport] = []
-        for number in range(len(frames)):
+        for number in range(count):
             reports.append(self._observe(number, overwrite))
             if callback is not None:
-                callback(number + 1, len(frames))
+                callback(number + 1, count)
         self._finish(reports, overwrite, 3)
         return reports
 

@@ -109,6 +109,11 @@ dithers_arcsec = [[0, 0], [6, -3]]
     return tmp_path
 
 
+def files():
+    """Return the contents of all files of the survey by their names."""
+    return {path.name: path.read_bytes() for path in pathlib.Path("raw").iterdir()}
+
+
 def quiet(survey, **words):
     """Make the frames of a survey without warnings about small stamps."""
     with warnings.catch_warnings():
@@ -203,20 +208,18 @@ def test_a_survey_continues_and_gives_the_same_bytes(folder, monkeypatch):
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "1800000000")
     survey = psfield.Survey.read("survey.toml")
     quiet(survey)
-    first = {path.name: path.read_bytes() for path in pathlib.Path("raw").iterdir()}
+    first = files()
     assert len(first) == 7
     assert {report.status for report in quiet(survey)} == {"skipped"}
     pathlib.Path("raw/a-1.fits").unlink()
     pathlib.Path("raw/a-2_N0_sources.fits").unlink()
     statuses = [report.status for report in quiet(survey)]
     assert sorted(statuses) == ["done", "done", "done", "skipped"]
-    again = {path.name: path.read_bytes() for path in pathlib.Path("raw").iterdir()}
-    assert again == first
+    assert files() == first
     # A table is made again for a frame that the file of its exposure holds already.
     pathlib.Path("raw/a-1_N1_sources.fits").unlink()
     assert sorted(report.status for report in quiet(survey)) == ["done", *["skipped"] * 3]
-    again = {path.name: path.read_bytes() for path in pathlib.Path("raw").iterdir()}
-    assert again == first
+    assert files() == first
     # Other settings are not mistaken for these, unless files may be replaced.
     text = pathlib.Path("survey.toml").read_text().replace("seed = 5", "seed = 6")
     pathlib.Path("survey.toml").write_text(text)
@@ -230,8 +233,7 @@ def test_a_survey_continues_and_gives_the_same_bytes(folder, monkeypatch):
 def test_tables_and_dicts_make_a_survey_too(folder, monkeypatch):
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "1800000000")
     quiet(psfield.Survey.read("survey.toml"))
-    files = pathlib.Path("raw").iterdir()
-    expected = {path.name: path.read_bytes() for path in files if path.suffix == ".fits"}
+    expected = {name: content for name, content in files().items() if name.endswith(".fits")}
     camera = [
         {"name": f"N{number}", "shape": (NX, NY), "wcs": wcs.WCS(camera_header(number)),
          "psf": "psf.fits", "settings": "ccd.toml"}
@@ -272,9 +274,9 @@ def test_dask_makes_the_same_bytes(folder, monkeypatch):
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "1800000000")
     survey = psfield.Survey.read("survey.toml")
     quiet(survey)
-    first = {path.name: path.read_bytes() for path in pathlib.Path("raw").iterdir()}
-    for path in pathlib.Path("raw").iterdir():
-        path.unlink()
+    first = files()
+    for name in first:
+        pathlib.Path("raw", name).unlink()
     with (
         LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster,
         Client(cluster) as client,
@@ -283,7 +285,7 @@ def test_dask_makes_the_same_bytes(folder, monkeypatch):
         warnings.simplefilter("ignore", psfield.PsfieldWarning)
         reports = psfield.dask.observe(survey, client=client)
     assert [report.status for report in reports] == ["done"] * 4
-    assert {path.name: path.read_bytes() for path in pathlib.Path("raw").iterdir()} == first
+    assert files() == first
 
 
 def test_galaxies_equal_galsim_on_a_distorted_detector(folder):
@@ -551,12 +553,12 @@ def test_the_command_makes_the_same_files(command, folder, monkeypatch):
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "1800000000")
     survey = psfield.Survey.read("survey.toml")
     quiet(survey)
-    first = {path.name: path.read_bytes() for path in pathlib.Path("raw").iterdir()}
-    for path in pathlib.Path("raw").iterdir():
-        path.unlink()
+    first = files()
+    for name in first:
+        pathlib.Path("raw", name).unlink()
     run = subprocess.run([command, "observe", "survey.toml"], capture_output=True, check=True)
     assert [json.loads(line)["status"] for line in run.stdout.splitlines()] == ["done"] * 4
-    assert {path.name: path.read_bytes() for path in pathlib.Path("raw").iterdir()} == first
+    assert files() == first
 
 
 def test_the_focal_plane_is_drawn(folder):

@@ -49,6 +49,21 @@ pub trait LightProfile {
     /// An upper limit of the flux farther than `distance_px` from the centre, from 0 to 1.
     fn flux_beyond(&self, distance_px: f64) -> f64;
 
+    /// The distance from the centre beyond which a fraction of the flux lies, by [`flux_beyond`](Self::flux_beyond).
+    fn radius_beyond(&self, fraction: f64) -> f64 {
+        // Logarithms of the radius.
+        let (mut low, mut high) = (-60.0_f64, 60.0_f64);
+        for _ in 0..50 {
+            let middle = f64::midpoint(low, high);
+            if self.flux_beyond(middle.exp()) > fraction {
+                low = middle;
+            } else {
+                high = middle;
+            }
+        }
+        high.exp()
+    }
+
     /// Returns the distribution of the light over the isophotes, from which photons are drawn.
     ///
     /// The default implementation integrates the [`brightness`](Self::brightness), which takes 10 000 values

@@ -187,7 +187,7 @@ impl InjectArgs {
         if let Ok(sky) = &sky {
             options = options.with_sky(sky.clone());
         }
-        if let Some(unit) = frame.unit() {
+        if let Some(unit) = frame.header().pixel_unit() {
             options = options.with_flux_unit(unit);
         }
         let catalog = psf_io::read_catalog_with(&path, &options).map_err(|error| match &sky {
@@ -197,12 +197,8 @@ impl InjectArgs {
             }
             _ => error.into(),
         })?;
-        if !catalog.ignored_columns().is_empty() {
-            let columns = catalog.ignored_columns().join(", ");
-            context.warn(&format!(
-                "{}: not read, though they may change the sources: the columns {columns}",
-                path.display()
-            ));
+        if let Some(warning) = catalog.ignored_warning() {
+            context.warn(&format!("{}: {warning}", path.display()));
         }
         if catalog.rows().is_empty() {
             context.warn(&format!("{}: the catalogue has no sources", path.display()));

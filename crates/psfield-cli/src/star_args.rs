@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use ndarray::{Array2, Zip};
-use psf_io::{Card, CardValue, HduChoice, HeaderCards, ImageReader};
+use psf_io::{HduChoice, HeaderCards, ImageReader};
 use psf_stars::{
     BackgroundMesh, Camera, Detection, Registration, RegistrationMethod, Selection, StarError, StarSampling,
 };
@@ -143,12 +143,7 @@ impl StarArgs {
     ) -> anyhow::Result<(Array2<f64>, HeaderCards, StarSampling)> {
         let mut reader = ImageReader::open_hdu(path, self.extension.as_ref())?;
         let header = reader.header().clone();
-        let in_header = match header.get("SATURATE").and_then(Card::value) {
-            Some(CardValue::Real(level)) => Some(level),
-            Some(CardValue::Integer(level)) => Some(level as f64),
-            _ => None,
-        };
-        let sampling = self.sampling(in_header);
+        let sampling = self.sampling(header.number("SATURATE"));
         let sampling = sampling.map_err(|e| UsageError(e.to_string()))?;
         Ok((mask.read(&mut reader, path)?, header, sampling))
     }

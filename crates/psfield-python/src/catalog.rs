@@ -66,6 +66,21 @@ pub(crate) enum Column<'py> {
     Texts(Vec<String>),
 }
 
+/// Makes a table of columns: their names, values and units. An empty unit is that of the column's role.
+pub(crate) fn memory_table<'py>(
+    columns: impl IntoIterator<Item = (String, Column<'py>, String)>,
+) -> PyResult<MemoryTable> {
+    let add = |table: MemoryTable, (name, column, unit): (String, Column<'_>, String)| {
+        let table = table.with_unit(&name, &unit);
+        match column {
+            Column::Numbers(values) => table.with_column(&name, values.as_array().to_vec()),
+            Column::Texts(texts) => table.with_texts(&name, texts),
+        }
+    };
+    let table = columns.into_iter().try_fold(MemoryTable::new("catalog"), add);
+    table.map_err(|e| invalid(error_text(&e)))
+}
+
 /// The arguments of `psfield.read_catalog` that say how a file is read.
 #[derive(FromPyObject)]
 #[pyo3(from_item_all)]
@@ -158,17 +173,12 @@ impl Sources {
         if let Some(cards) = wcs_cards {
             options = options.with_sky(sky_of(&HeaderCards::from_text(cards))?);
         }
-        let made = || {
-            let mut table = MemoryTable::new("catalog");
-            for (name, column) in columns {
-                table = match column {
-                    Column::Numbers(values) => table.with_column(&name, values.as_array().to_vec())?,
-                    Column::Texts(texts) => table.with_texts(&name, texts)?,
-                };
-            }
-            catalog_of(&table, &options)
-        };
-        let catalog = made().map_err(|e| invalid(error_text(&e)))?;
+        let table = memory_table(
+            columns
+                .into_iter()
+                .map(|(name, column)| (name, column, String::new())),
+        )?;
+        let catalog = catalog_of(&table, &options).map_err(|e| invalid(error_text(&e)))?;
         Ok(Self {
             catalog: match rows {
                 Some(rows) => catalog.with_rows_of(&rows),

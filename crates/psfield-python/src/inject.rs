@@ -39,7 +39,7 @@ impl RealFrame {
 
     /// The unit of the frame, if it is known.
     fn unit(&self) -> Option<String> {
-        self.0.unit()
+        self.0.header().pixel_unit()
     }
 
     /// The cards of the header, 80 characters each.

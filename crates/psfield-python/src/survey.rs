@@ -4,13 +4,12 @@ use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use psfield::PsfieldError;
-use psfield::error::error_text;
 use psfield::psf_io::MemoryTable;
 use psfield::survey::{Observer, SurveyFile, SurveyFrame};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
-use crate::catalog::Column;
+use crate::catalog::{Column, memory_table};
 use crate::error::{Failure, invalid};
 use crate::threads::{self, pool};
 
@@ -32,23 +31,7 @@ impl Survey {
         folder: PathBuf,
         columns: Option<Vec<(String, Column<'_>, String)>>,
     ) -> PyResult<Self> {
-        let made = |columns: Vec<(String, Column<'_>, String)>| {
-            let mut table = MemoryTable::new("catalog");
-            for (name, column, unit) in columns {
-                table = match column {
-                    Column::Numbers(values) => table.with_column(&name, values.as_array().to_vec())?,
-                    Column::Texts(texts) => table.with_texts(&name, texts)?,
-                };
-                if !unit.is_empty() {
-                    table = table.with_unit(&name, &unit);
-                }
-            }
-            Ok(table)
-        };
-        let table = columns
-            .map(made)
-            .transpose()
-            .map_err(|e: psfield::psf_io::IoError| invalid(error_text(&e)))?;
+        let table = columns.map(memory_table).transpose()?;
         Self::of(SurveyFile::from_json(json, &folder), table)
     }
 
@@ -56,6 +39,11 @@ impl Survey {
     #[staticmethod]
     fn read(path: PathBuf) -> PyResult<Self> {
         Self::of(SurveyFile::read(path), None)
+    }
+
+    /// The number of frames.
+    fn __len__(&self) -> usize {
+        self.shared.frames().len()
     }
 
     /// The frames: dicts of their properties.

@@ -4,7 +4,7 @@ use std::path::Path;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use conv_core::{ConvReal, DroppedLight, PhotonReport};
-use psf_io::{Card, CardError, CardValue, HduChoice, HeaderCards};
+use psf_io::{Card, CardError, HduChoice, HeaderCards};
 
 use crate::error::{ErrorKind, PsfieldError, error_text};
 use crate::simulator::{Preparation, Simulator};
@@ -29,11 +29,8 @@ pub fn check_made_by(file: &Path, digest: &str) -> Result<(), String> {
             error_text(&e)
         )
     })?;
-    let text = |keyword: &str| match header.get(keyword).and_then(Card::value) {
-        Some(CardValue::Text(text)) => Some(text),
-        _ => None,
-    };
-    match text(JOB_KEYWORD) {
+    let failed = header.text(SpotCheck::VERDICT_KEYWORD).as_deref() == Some(SpotCheck::FAILED);
+    match header.text(JOB_KEYWORD) {
         None => Err(format!(
             "{} exists and was not made by such a job: delete it, or run all jobs again with overwrite",
             file.display()
@@ -43,7 +40,7 @@ pub fn check_made_by(file: &Path, digest: &str) -> Result<(), String> {
              or run all jobs again with overwrite",
             file.display()
         )),
-        Some(_) if text(SpotCheck::VERDICT_KEYWORD).as_deref() == Some(SpotCheck::FAILED) => Err(format!(
+        Some(_) if failed => Err(format!(
             "{} exists but failed its spot check when it was made: it differs from the direct sum by more than the method promises. \
              Choose another method for this job, and delete its files or run all jobs again with overwrite",
             file.display()

@@ -5,7 +5,7 @@ use std::sync::OnceLock;
 
 use detector::{Detector, DetectorParams, PixelFlags};
 use ndarray::Array2;
-use psf_io::{Card, CardValue, Catalog, HduChoice, HeaderCards, IoError, SkyCoordinates, StoredRow};
+use psf_io::{Card, Catalog, HduChoice, HeaderCards, IoError, SkyCoordinates, StoredRow};
 use psf_stars::{Camera, StarSampling};
 use psf_types::{FrameShape, Image, Progress};
 use rand::{RngExt, SeedableRng};
@@ -109,7 +109,7 @@ pub struct InjectReport {
     pub electrons: f64,
     /// Pixels that hold injected light.
     pub pixels: usize,
-    /// Those of them that are saturated now.
+    /// Pixels that hold injected light and are saturated now.
     pub saturated_pixels: usize,
 }
 
@@ -148,14 +148,6 @@ impl RealFrame {
         SkyCoordinates::from_header(&self.header).ok()
     }
 
-    /// The unit of the frame (`BUNIT`), if the header states it.
-    pub fn unit(&self) -> Option<String> {
-        match self.header.get("BUNIT")?.value()? {
-            CardValue::Text(unit) if !unit.trim().is_empty() => Some(unit),
-            _ => None,
-        }
-    }
-
     /// Electrons per unit of the frame: the given number, or that of the card `EGAIN` or `GAIN`. (`EGAIN` comes first,
     /// because some cameras write the number of a setting to `GAIN`.)
     ///
@@ -172,7 +164,7 @@ impl RealFrame {
         }
         let in_header = ["EGAIN", "GAIN"]
             .into_iter()
-            .filter_map(|keyword| self.number(keyword));
+            .filter_map(|keyword| self.header.number(keyword));
         in_header.into_iter().find(is_gain).ok_or_else(|| {
             let problem = format!(
                 "{file}: the header states no gain (GAIN or EGAIN): give the electrons per unit of the frame"
@@ -197,7 +189,7 @@ impl RealFrame {
         if let Some(known) = self.header_saturation.get() {
             return Ok(*known);
         }
-        let level = match self.number("SATURATE") {
+        let level = match self.header.number("SATURATE") {
             Some(level) => (level > self.median()?).then_some(level),
             None => None,
         };
@@ -230,19 +222,11 @@ impl RealFrame {
         if let Some(level) = options.saturation {
             camera = camera.with_saturation(level)?;
         }
-        if let Some(level) = self.number("SATURATE").filter(|level| level.is_finite()) {
+        if let Some(level) = self.header.number("SATURATE").filter(|level| level.is_finite()) {
             camera = camera.with_header_saturation(level)?;
         }
         let found = StarSampling::default().with_camera(camera).run_masked(pixels)?;
         Ok(Psf::from(found.samples))
-    }
-
-    fn number(&self, keyword: &str) -> Option<f64> {
-        match self.header.get(keyword)?.value()? {
-            CardValue::Real(value) => Some(value),
-            CardValue::Integer(value) => Some(value as f64),
-            _ => None,
-        }
     }
 
     /// The light of a catalogue's sources through a PSF. Positions are pixels of the frame.

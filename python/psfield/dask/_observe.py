@@ -78,7 +78,7 @@ def observe(
     if not isinstance(survey, Survey):
         raise TypeError(f"survey must be a psfield.Survey, got {type(survey).__name__}")
     retries, callback = integer(retries, "retries"), as_callback(progress)
-    count = len(survey.frames)
+    count = len(survey._handle)
     reports: list[FrameReport | None] = [None] * count
     token = tokenize(survey.__reduce__()[1])
     with _client(client, count) as client:

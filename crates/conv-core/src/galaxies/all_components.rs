@@ -8,7 +8,7 @@ use super::far_field::farthest_edge;
 use super::galaxy_drawer::{ExtendedToDraw, GalaxyDrawer, Window, window_at};
 use super::kernels::Kernels;
 use super::power_spectrum::Outline;
-use super::real_space::{Integrator, Sky, corner_radius, radius_of};
+use super::real_space::{Integrator, Sky, corner_radius};
 use super::window::{Drawn, Spectra, WindowDrawer};
 use crate::{ConvError, ConvReal};
 
@@ -149,8 +149,8 @@ impl<T: ConvReal> GalaxyDrawer<T> {
         for galaxy in lit {
             let (x, y) = catalogue.position(galaxy);
             let (light, flux) = (catalogue.light(galaxy), catalogue.flux(galaxy).abs());
-            let farthest = radius_of(light.as_ref(), IGNORED * extent.left_out());
-            let drawn = radius_of(light.as_ref(), extent.left_out());
+            let farthest = light.radius_beyond(IGNORED * extent.left_out());
+            let drawn = light.radius_beyond(extent.left_out());
             let window = farthest_edge(extent.side_and_reach(light.as_ref()).0);
             let corner = corner_radius(light.as_ref(), 0.5 * width, 0.5 * height);
             let mut of_galaxy = None;

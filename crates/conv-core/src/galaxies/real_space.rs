@@ -96,31 +96,16 @@ impl<'a> Sky<'a> {
     /// The light of a galaxy, for images of some accuracy. Pixels are dark if they only see light from
     /// beyond the radius that holds all flux but this fraction.
     pub(super) fn new(light: &'a (dyn LightProfile + Sync), accuracy: f64) -> Self {
-        let half = radius_of(light, 0.5);
+        let half = light.radius_beyond(0.5);
         let area = std::f64::consts::PI * light.axis_ratio() * half * half;
         Self {
             light,
-            dark: radius_of(light, DARK),
-            farthest: radius_of(light, accuracy),
+            dark: light.radius_beyond(DARK),
+            farthest: light.radius_beyond(accuracy),
             accuracy,
             peak: (0.5 / area).min(1.0),
         }
     }
-}
-
-/// The radius beyond which a fraction of the flux lies.
-pub(super) fn radius_of(light: &dyn LightProfile, fraction: f64) -> f64 {
-    // Logarithms of the radius.
-    let (mut low, mut high) = (-60.0_f64, 60.0_f64);
-    for _ in 0..50 {
-        let middle = f64::midpoint(low, high);
-        if light.flux_beyond(middle.exp()) > fraction {
-            low = middle;
-        } else {
-            high = middle;
-        }
-    }
-    high.exp()
 }
 
 /// The largest radius in a rectangle around the centre of a galaxy, which is that of a corner.

@@ -1,6 +1,9 @@
 //! A table in memory.
 
+use std::hash::Hasher as _;
 use std::path::{Path, PathBuf};
+
+use fnv::FnvHasher;
 
 use crate::error::{IoError, IoErrorKind, Place, Row};
 use crate::fits::columns::{Nans, NumberColumns, bad_value, find};
@@ -89,22 +92,21 @@ impl MemoryTable {
 
     /// A digest of all names, units and values. It is the same on all machines and in all releases.
     pub fn digest(&self) -> u64 {
-        // The hash FNV-1a.
-        let mut hash = 0xcbf2_9ce4_8422_2325_u64;
-        let mut add = |bytes: &[u8]| {
-            for &byte in bytes {
-                hash = (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3);
-            }
+        let mut hasher = FnvHasher::default();
+        let add = |hasher: &mut FnvHasher, text: &str| {
+            hasher.write(text.as_bytes());
+            // A separator after each text keeps ("ab", "c") apart from ("a", "bc").
+            hasher.write(&[0xff]);
         };
         for (name, column) in &self.columns {
-            add(name.as_bytes());
-            add(self.unit(name).as_bytes());
+            add(&mut hasher, name);
+            add(&mut hasher, &self.unit(name));
             match column {
-                Column::Numbers(values) => values.iter().for_each(|value| add(&value.to_le_bytes())),
-                Column::Texts(texts) => texts.iter().for_each(|text| add(text.as_bytes())),
+                Column::Numbers(values) => values.iter().for_each(|value| hasher.write(&value.to_le_bytes())),
+                Column::Texts(texts) => texts.iter().for_each(|text| add(&mut hasher, text)),
             }
         }
-        hash
+        hasher.finish()
     }
 
     /// The unit of a column. Empty if it is not stated.

@@ -198,6 +198,13 @@ impl Catalog {
         &self.ignored_columns
     }
 
+    /// The text of a warning that names these columns, if there are any.
+    pub fn ignored_warning(&self) -> Option<String> {
+        let columns = self.ignored_columns.join(", ");
+        (!columns.is_empty())
+            .then(|| format!("not read, though they may change the sources: the columns {columns}"))
+    }
+
     /// Returns this catalogue with all fluxes multiplied by a factor, such as an exposure time.
     ///
     /// # Errors

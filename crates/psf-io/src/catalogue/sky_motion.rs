@@ -70,10 +70,8 @@ impl ObservationDate {
     /// whichever comes first in this list. Returns `None` for a header without a valid date.
     pub fn of_header(header: &HeaderCards) -> Option<Self> {
         ["AVG", "OBS"].into_iter().find_map(|which| {
-            let mjd = header
-                .value::<f64>(&format!("MJD-{which}"))
-                .and_then(Self::of_mjd);
-            mjd.or_else(|| header.value::<String>(&format!("DATE-{which}"))?.parse().ok())
+            let mjd = header.number(&format!("MJD-{which}")).and_then(Self::of_mjd);
+            mjd.or_else(|| header.text(&format!("DATE-{which}"))?.parse().ok())
         })
     }
 

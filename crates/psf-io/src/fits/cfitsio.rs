@@ -19,7 +19,7 @@ use fitsio::sys;
 use psf_types::Real;
 
 use crate::error::{IoError, IoErrorKind, beyond_single, unreadable, unwritable};
-use crate::fits::card::{RECORD, Record};
+use crate::fits::card::{Card, RECORD, Record};
 use crate::fits::hdu::FitsSource;
 
 /// The length in bytes of the longest file name that CFITSIO accepts, without the closing NUL.
@@ -280,6 +280,13 @@ impl Fits {
         self.call("writing pixels", |fits, status| unsafe {
             sys::ffppr(fits, datatype::<T>(), first, count, data, status)
         })
+    }
+
+    /// Appends a card to the header of the current HDU.
+    pub(crate) fn write_card(&mut self, card: &Card) -> Result<(), IoError> {
+        card.records()
+            .iter()
+            .try_for_each(|record| self.write_record(record))
     }
 
     /// Adds a record at the end of the header.

@@ -94,19 +94,17 @@ pub fn edit_image(
         )),
         _ => None,
     };
-    let blank: Option<f64> = whole
-        .and(hdu.value(if hdu.is_tiled() { "ZBLANK" } else { "BLANK" }))
-        .or(hdu.value("BLANK"));
+    let of_tiles: Option<f64> = hdu.is_tiled().then(|| hdu.value("ZBLANK")).flatten();
+    let blank = of_tiles.or(hdu.value("BLANK")).filter(|_| whole.is_some());
     let mut fits = Fits::open_to_change(file.temporary(), output)?;
     fits.move_to(index)?;
-    // From the end to the front, so that cards that are added do not move pixels later.
-    let records = Card::history(history).records().to_vec();
-    records.iter().try_for_each(|record| fits.write_record(record))?;
+    // Before the pixels, which cards that are added may move.
+    fits.write_card(&Card::history(history))?;
     fits.set_scaling((1.0, 0.0))?;
     let mut numbers = vec![0.0; nx];
     for y in 0..ny {
         fits.read_pixels(y * nx, &mut numbers, false)?;
-        let is_blank = |value: f64| whole.is_some() && Some(value) == blank;
+        let is_blank = |value: f64| Some(value) == blank;
         let before = numbers.clone();
         for value in &mut numbers {
             if is_blank(*value) {

@@ -261,7 +261,7 @@ impl Hdu {
 
     /// The string of a keyword, if the keyword exists and its value is a string.
     pub(crate) fn text(&self, keyword: &str) -> Option<String> {
-        self.value(keyword)
+        self.header.text(keyword)
     }
 
     /// The value of a keyword, if the keyword exists. A value of another type is an error.

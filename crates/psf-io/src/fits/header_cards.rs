@@ -130,6 +130,21 @@ impl HeaderCards {
         self.cards.iter().find(|card| card.has_keyword(keyword))
     }
 
+    /// The number of the first card with this keyword, whole or not. `None` for another type.
+    pub fn number(&self, keyword: &str) -> Option<f64> {
+        self.value(keyword)
+    }
+
+    /// The text of the first card with this keyword. `None` for another type.
+    pub fn text(&self, keyword: &str) -> Option<String> {
+        self.value(keyword)
+    }
+
+    /// The unit of the pixels (`BUNIT`), if it is stated.
+    pub fn pixel_unit(&self) -> Option<String> {
+        self.text("BUNIT").filter(|unit| !unit.trim().is_empty())
+    }
+
     /// The value of the first card with this keyword, if it has this type.
     pub(crate) fn value<T: FromValue>(&self, keyword: &str) -> Option<T> {
         T::from_value(self.get(keyword)?.value()?)

@@ -300,9 +300,7 @@ pub(crate) fn write_image_header(
 
 /// Adds cards to the header of the current HDU.
 pub(crate) fn write_cards(fits: &mut Fits, cards: &HeaderCards) -> Result<(), IoError> {
-    records(cards)
-        .into_iter()
-        .try_for_each(|record| fits.write_record(record))
+    cards.iter().try_for_each(|card| fits.write_card(card))
 }
 
 /// Adds an image HDU with all its pixels.

@@ -49,9 +49,7 @@ pub fn join_images(
             let name = Card::new("EXTNAME", *name, "name of this extension").map_err(bad_card(path))?;
             let mut from = Fits::open(&FitsSource::new(image, None))?;
             fits.copy_hdu(&mut from)?;
-            name.records()
-                .iter()
-                .try_for_each(|record| fits.write_record(record))?;
+            fits.write_card(&name)?;
         }
         Ok(())
     })

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use crate::error::{IoError, IoErrorKind, bad_card};
-use crate::fits::card::{Card, Record};
+use crate::fits::card::Card;
 use crate::fits::cfitsio::Fits;
 use crate::fits::header_cards::HeaderCards;
 use crate::fits::image_out::{write_cards, write_fits};
@@ -99,12 +99,9 @@ pub fn write_table(
             .iter()
             .map(|column| (column.name, column.values.form().to_owned()));
         fits.create_table(name, rows, &forms.collect::<Vec<_>>())?;
-        let records: Vec<Record> = units.iter().flat_map(Card::records).copied().collect();
-        records.iter().try_for_each(|record| fits.write_record(record))?;
-        let columns = columns.iter().enumerate();
-        columns
-            .into_iter()
-            .try_for_each(|(place, column)| write_values(fits, place + 1, &column.values))
+        units.iter().try_for_each(|unit| fits.write_card(unit))?;
+        let mut columns = columns.iter().enumerate();
+        columns.try_for_each(|(place, column)| write_values(fits, place + 1, &column.values))
     })
 }
 

@@ -1,6 +1,7 @@
 //! Locks on outputs, for programs that share a list of work.
 
 use std::fs::{File, TryLockError};
+use std::hash::Hasher as _;
 use std::path::Path;
 use std::thread::sleep;
 use std::time::Duration;
@@ -51,11 +52,9 @@ impl OutputLock {
         let output = output.as_ref();
         let target = checked_target(output, true)?;
         // The hash FNV-1a is the same on all machines and in all releases.
-        let name = target.file_name().unwrap_or_default().as_encoded_bytes().iter();
-        let hash = name.fold(0xcbf2_9ce4_8422_2325, |hash: u64, &byte| {
-            (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3)
-        });
-        let path = directory_of(&target).join(format!("{LOCK_MARK}{hash:016x}"));
+        let mut hasher = fnv::FnvHasher::default();
+        hasher.write(target.file_name().unwrap_or_default().as_encoded_bytes());
+        let path = directory_of(&target).join(format!("{LOCK_MARK}{:016x}", hasher.finish()));
         for attempt in 0.. {
             let mut entries = entries();
             let options = File::options()

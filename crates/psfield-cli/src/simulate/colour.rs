@@ -4,7 +4,6 @@ use std::path::{Path, PathBuf};
 
 use clap::builder::{StringValueParser, TypedValueParser};
 use conv_core::ConvReal;
-use psf_io::{Card, CardValue};
 use psf_types::FrameShape;
 use psfield::colours::{open_bandpass, spectrum_file, spectrum_in};
 use psfield::{Dispersion, Psf, SceneLight};
@@ -143,7 +142,7 @@ impl SceneArgs {
         let mut light = SceneLight::new();
         for (number, plane) in (1..).zip(cube.outer_iter()) {
             let keyword = format!("SED{number}");
-            let Some(CardValue::Text(spectrum)) = header.get(&keyword).and_then(Card::value) else {
+            let Some(spectrum) = header.text(&keyword) else {
                 anyhow::bail!(
                     "{file}: the cube has {count} planes, so it needs the card {keyword} with the name of a spectrum"
                 );

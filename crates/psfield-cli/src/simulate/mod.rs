@@ -393,12 +393,8 @@ impl SimulateArgs {
     /// Notes the size of a frame that the user did not give, and warns of columns of the catalogue that
     /// change a source but are not read.
     fn note_of_scene(&self, read: &ReadFiles, context: &Context) {
-        if let (Some(path), [_, ..]) = (&self.scene.catalog, &read.ignored_columns[..]) {
-            context.warn(&format!(
-                "{}: not read, though they may change the sources: the columns {}",
-                path.display(),
-                read.ignored_columns.join(", ")
-            ));
+        if let (Some(path), Some(warning)) = (&self.scene.catalog, &read.ignored_warning) {
+            context.warn(&format!("{}: {warning}", path.display()));
         }
         if self.scene.scene.is_none() && self.scene.shape.is_none() {
             let (s, shape) = (self.scene.finer(), read.shape);

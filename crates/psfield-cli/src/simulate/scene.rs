@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::Context as _;
 use conv_core::ConvReal;
 use psf_io::{
-    Card, CardValue, Catalog, CatalogOptions, HduChoice, HeaderCards, ImageReader, IoError, SkyCoordinates,
+    Catalog, CatalogOptions, HduChoice, HeaderCards, ImageReader, IoError, SkyCoordinates,
     WorldCoordinatesError,
 };
 use psf_types::{FrameShape, PixelRegion};
@@ -148,8 +148,8 @@ pub(super) struct ReadFiles {
     pub(super) invalid_rows: usize,
     /// The number of rows of the catalogue at positions on the sky that the projection does not reach.
     pub(super) rows_off_projection: usize,
-    /// The columns of the catalogue that change a source and were not read.
-    pub(super) ignored_columns: Vec<String>,
+    /// A warning that names columns of the catalogue that change a source and were not read.
+    pub(super) ignored_warning: Option<String>,
     /// NaN pixels of the images that `--nan-as` has replaced. 0 if the images are read by rows.
     pub(super) nan_pixels: usize,
     /// The numbers of stars and galaxies.
@@ -163,7 +163,7 @@ impl<T: ConvReal> ReadScene<T> {
             header,
             invalid_rows: 0,
             rows_off_projection: 0,
-            ignored_columns: Vec::new(),
+            ignored_warning: None,
             nan_pixels: 0,
             sources: (0, 0),
         };
@@ -279,7 +279,7 @@ impl SceneArgs {
         })?;
         read.files.invalid_rows = catalog.invalid_rows();
         read.files.rows_off_projection = catalog.rows_off_projection();
-        read.files.ignored_columns = catalog.ignored_columns().to_vec();
+        read.files.ignored_warning = catalog.ignored_warning();
         read.files.sources = (catalog.stars().len(), catalog.galaxies().len());
         if !in_colour {
             read.light.set_catalog(catalog);
@@ -365,10 +365,8 @@ impl SceneArgs {
         };
         let sky = self.sky(header);
         let mut options = more(self.columns.options()?);
-        let unit = header.get("BUNIT").filter(|_| self.scene.is_some());
-        match unit.and_then(Card::value) {
-            Some(CardValue::Text(unit)) if !unit.trim().is_empty() => options = options.with_flux_unit(unit),
-            _ => {}
+        if let Some(unit) = header.pixel_unit().filter(|_| self.scene.is_some()) {
+            options = options.with_flux_unit(unit);
         }
         let unusable = match sky {
             Ok(sky) => {

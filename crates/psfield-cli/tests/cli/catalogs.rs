@@ -27,6 +27,21 @@ fn stars(desk: &Desk, options: &str, name: &str) -> Array2<f64> {
     desk.image(name)
 }
 
+/// Writes a dark frame whose world coordinates refer to right ascension 150 at its middle. `cards` add the others.
+fn write_frame_on_sky(desk: &Desk, name: &str, cards: &[(&str, CardValue)]) {
+    let all = [
+        ("CTYPE1", CardValue::from("RA---TAN")),
+        ("CTYPE2", "DEC--TAN".into()),
+        ("CRPIX1", 31.0.into()),
+        ("CRPIX2", 26.0.into()),
+        ("CRVAL1", 150.0.into()),
+    ];
+    let card = |(keyword, value): &(&str, CardValue)| Card::new(keyword, value.clone(), "").unwrap();
+    let cards: Vec<Card> = all.iter().chain(cards).map(card).collect();
+    let image = Image::new(Array2::<f64>::zeros((NY, NX))).unwrap();
+    psf_io::write_image(desk.path(name), &image, &HeaderCards::new(), &cards, false).unwrap();
+}
+
 #[test]
 fn columns_origins_and_magnitudes() {
     let desk = desk();
@@ -532,20 +547,17 @@ fn columns_that_are_not_read_are_named_once() {
 fn old_cards_of_the_matrix_change_positions() {
     let desk = desk();
     let with = |keyword: &str, name: &str| {
-        let number = |keyword: &str, value: f64| Card::new(keyword, value, "").unwrap();
         let cards = [
-            Card::new("CTYPE1", "RA---TAN", "").unwrap(),
-            Card::new("CTYPE2", "DEC--TAN", "").unwrap(),
-            number("CRPIX1", 31.0),
-            number("CRPIX2", 26.0),
-            number("CRVAL1", 150.0),
-            number("CRVAL2", 2.0),
-            number("CDELT1", 1e-4),
-            number("CDELT2", 1e-4),
-            number(keyword, -1.0),
+            ("CRVAL2", 2.0),
+            ("CDELT1", 1e-4),
+            ("CDELT2", 1e-4),
+            (keyword, -1.0),
         ];
-        let image = Image::new(Array2::<f64>::zeros((NY, NX))).unwrap();
-        psf_io::write_image(desk.path(name), &image, &HeaderCards::new(), &cards, false).unwrap();
+        write_frame_on_sky(
+            &desk,
+            name,
+            &cards.map(|(keyword, value)| (keyword, value.into())),
+        );
     };
     with("PC1_1", "new.fits");
     with("PC001001", "old.fits");
@@ -565,35 +577,14 @@ fn old_cards_of_the_matrix_change_positions() {
 #[test]
 fn sources_move_and_are_listed() {
     let desk = desk();
-    let image = Image::new(Array2::<f64>::zeros((NY, NX))).unwrap();
-    let number = |keyword: &str, value: f64| Card::new(keyword, value, "").unwrap();
     let mut cards = vec![
-        Card::new("CTYPE1", "RA---TAN", "").unwrap(),
-        Card::new("CTYPE2", "DEC--TAN", "").unwrap(),
-        number("CRPIX1", 31.0),
-        number("CRPIX2", 26.0),
-        number("CRVAL1", 150.0),
-        number("CRVAL2", 60.0),
-        number("CDELT1", -1e-4),
-        number("CDELT2", 1e-4),
+        ("CRVAL2", 60.0.into()),
+        ("CDELT1", CardValue::from(-1e-4)),
+        ("CDELT2", 1e-4.into()),
     ];
-    psf_io::write_image(
-        desk.path("plain.fits"),
-        &image,
-        &HeaderCards::new(),
-        &cards,
-        false,
-    )
-    .unwrap();
-    cards.push(Card::new("DATE-OBS", "2026-01-01T12:00:00", "").unwrap());
-    psf_io::write_image(
-        desk.path("dated.fits"),
-        &image,
-        &HeaderCards::new(),
-        &cards,
-        false,
-    )
-    .unwrap();
+    write_frame_on_sky(&desk, "plain.fits", &cards);
+    cards.push(("DATE-OBS", "2026-01-01T12:00:00".into()));
+    write_frame_on_sky(&desk, "dated.fits", &cards);
     desk.write(
         "gaia.csv",
         "ra,dec,phot_g_mean_mag,pmra,pmdec,parallax,ref_epoch\n150,60,20,360,0,,2016.0\n150,70,20,0,0,1,2016\n",
@@ -649,29 +640,16 @@ fn sources_move_and_are_listed() {
 #[test]
 fn sizes_on_the_sky_and_saturated_stars() {
     let desk = desk();
-    let image = Image::new(Array2::<f64>::zeros((NY, NX))).unwrap();
-    let number = |keyword: &str, value: f64| Card::new(keyword, value, "").unwrap();
     let cards = [
-        Card::new("CTYPE1", "RA---TAN", "").unwrap(),
-        Card::new("CTYPE2", "DEC--TAN", "").unwrap(),
-        number("CRPIX1", 31.0),
-        number("CRPIX2", 26.0),
-        number("CRVAL1", 150.0),
-        number("CRVAL2", 60.0),
+        ("CRVAL2", 60.0),
         // Turned by 90 degrees: north points to +x, and east to +y.
-        number("CD1_1", 0.0),
-        number("CD1_2", 1e-4),
-        number("CD2_1", 1e-4),
-        number("CD2_2", 0.0),
+        ("CD1_1", 0.0),
+        ("CD1_2", 1e-4),
+        ("CD2_1", 1e-4),
+        ("CD2_2", 0.0),
     ];
-    psf_io::write_image(
-        desk.path("turned.fits"),
-        &image,
-        &HeaderCards::new(),
-        &cards,
-        false,
-    )
-    .unwrap();
+    let cards = cards.map(|(keyword, value)| (keyword, value.into()));
+    write_frame_on_sky(&desk, "turned.fits", &cards);
     desk.write(
         "sky.csv",
         "ra,dec,flux,re_arcsec,n,q,pa_deg\n150,60,1000,1.08,1,0.5,0\n150.001,60,9000,0,,,\n",

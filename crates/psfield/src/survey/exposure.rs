@@ -63,6 +63,16 @@ impl Survey {
     pub fn footprint(&self, frame: &SurveyFrame, margin_px: f64) -> Result<Footprint, PsfieldError> {
         let sky =
             SkyCoordinates::from_header(&self.header(frame)?).map_err(|error| refused(error.to_string()))?;
+        self.footprint_on(&sky, frame, margin_px)
+    }
+
+    /// The footprint of a frame with these world coordinates.
+    pub(super) fn footprint_on(
+        &self,
+        sky: &SkyCoordinates,
+        frame: &SurveyFrame,
+        margin_px: f64,
+    ) -> Result<Footprint, PsfieldError> {
         let detector = &self.detectors()[frame.detector].entry;
         let [nx, ny] = detector.shape.map(|n| n as f64 - 0.5);
         let at = |x: f64, y: f64| {

@@ -71,7 +71,7 @@ impl SurveyFrame {
         if !self.is_extension {
             return self.output.clone();
         }
-        parts_of(&self.output).join(format!("{}.fits", survey.detectors[self.detector].entry.name))
+        parts_of(&self.output).join(format!("{}.fits", survey.name_of(self)))
     }
 }
 
@@ -162,6 +162,11 @@ impl Survey {
     /// The camera.
     pub fn detectors(&self) -> &[CameraDetector] {
         &self.detectors
+    }
+
+    /// The name of a frame's detector.
+    pub(super) fn name_of(&self, frame: &SurveyFrame) -> &str {
+        &self.detectors[frame.detector].entry.name
     }
 
     /// The band of a frame.
@@ -323,7 +328,7 @@ impl Survey {
             write(path, "the list of frames".to_owned())?;
         }
         for frame in &self.frames {
-            let detector = &self.detectors[frame.detector].entry.name;
+            let detector = self.name_of(frame);
             let whose = |what: &str| format!("{what} of exposure {}, detector {detector}", frame.exposure);
             if frame.is_extension {
                 write(&frame.output, format!("the file of exposure {}", frame.exposure))?;
@@ -348,7 +353,10 @@ impl Survey {
 fn check_name(what: &str, name: &str) -> Result<(), PsfieldError> {
     let is_valid = !name.is_empty() && !name.contains(['/', '\\', '{', '}']) && !name.starts_with('.');
     is_valid.then_some(()).ok_or_else(|| {
-        refused(format!("{what} is called {name:?}: its name stands in names of files, so it cannot be empty, begin with a dot or hold slashes or braces"))
+        refused(format!(
+            "{what} is called {name:?}: its name stands in names of files, so it cannot be empty, begin with a dot or \
+             hold slashes or braces"
+        ))
     })
 }
 

@@ -21,16 +21,7 @@ impl Reaches {
                 1.0,
                 SersicProfile::new(1.0, n, 1.0, 0.0)?,
             )?);
-            let (mut low, mut high) = (1.0, 1e4);
-            for _ in 0..40 {
-                let middle = f64::sqrt(low * high);
-                if light.flux_beyond(middle) > left_out {
-                    low = middle;
-                } else {
-                    high = middle;
-                }
-            }
-            Ok(high)
+            Ok(light.radius_beyond(left_out))
         };
         Ok(Self((0..=80).map(of).collect::<Result<_, PsfieldError>>()?))
     }

@@ -52,18 +52,18 @@ pub struct FrameReport {
     pub detector: String,
     /// The file of the frame.
     pub output: PathBuf,
-    /// What became of it.
+    /// Whether it was made.
     pub status: FrameStatus,
     /// Of a skipped frame: `exists`, or `in progress` if another process works on it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub reason: Option<&'static str>,
-    /// Why it failed.
+    /// The cause of a failure.
     pub error: Option<String>,
     /// Warnings about the frame.
     pub warnings: Vec<String>,
     /// The stars and galaxies whose light may reach the frame.
     pub sources: usize,
-    /// Those of them on its pixels.
+    /// The sources on its pixels.
     pub in_frame: usize,
     /// Rows near the frame that are no sources, and were skipped.
     pub invalid_rows: usize,
@@ -73,7 +73,7 @@ pub struct FrameReport {
     pub seconds: f64,
 }
 
-/// What became of a frame.
+/// Whether a frame was made.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 #[non_exhaustive]
@@ -117,7 +117,7 @@ impl Observer {
         let frame = &survey.frames()[number];
         let mut report = FrameReport {
             exposure: frame.exposure.clone(),
-            detector: survey.detectors()[frame.detector].entry.name.clone(),
+            detector: survey.name_of(frame).to_owned(),
             output: frame.output.clone(),
             status: FrameStatus::Failed,
             reason: None,
@@ -203,7 +203,6 @@ impl Observer {
         report: &mut FrameReport,
     ) -> Result<(), PsfieldError> {
         let survey = Arc::clone(&self.survey);
-        let entry = &survey.detectors()[frame.detector].entry;
         let psf = self.psf_of(frame)?;
         let header = survey.header(frame)?;
         let sky = SkyCoordinates::from_header(&header).map_err(|error| refused(error.to_string()))?;
@@ -212,20 +211,17 @@ impl Observer {
         let catalog = self.catalog_near(frame, &sky, &psf, &mut report.warnings)?;
         report.sources = catalog.rows().len();
         report.invalid_rows = catalog.invalid_rows();
-        if !catalog.ignored_columns().is_empty() {
-            let columns = catalog.ignored_columns().join(", ");
-            report.warnings.push(format!(
-                "not read, though they may change the sources: the columns {columns}"
-            ));
-        }
+        report.warnings.extend(catalog.ignored_warning());
         if report.sources == 0 {
             report
                 .warnings
                 .push("no source of the catalogue reaches this frame".to_owned());
         }
-        let light = survey.light_of::<T>(frame, &catalog)?;
+        let light = survey.light_of::<T>(frame, catalog)?;
         let (simulator, reused) = self.simulator_of::<T>(frame, &psf, &light)?;
         report.reused = reused;
+        let table = TruthTable::new(light.catalog(), simulator.shown_region(), Some(&sky));
+        report.in_frame = table.count_in_frame();
         let scene = light.into_scene()?;
         let made = simulator.prepare(&scene, progress)?;
         let noise = detector
@@ -235,11 +231,10 @@ impl Observer {
         let warnings = simulator.warnings(&scene, noise);
         report.warnings.extend(warnings.iter().map(ToString::to_string));
 
-        let table = TruthTable::new(&catalog, simulator.shown_region(), Some(&sky));
-        report.in_frame = table.count_in_frame();
         let mut cards = provenance_cards(&format!(
             "psfield observe: exposure {}, detector {}",
-            frame.exposure, entry.name
+            frame.exposure,
+            survey.name_of(frame)
         ));
         cards.push(Card::new(
             JOB_KEYWORD,
@@ -329,18 +324,18 @@ impl Observer {
         if let Some(epoch) = file.epoch {
             options = options.with_epoch(epoch);
         }
+        if let Some(columns) = &columns {
+            options = options.with_columns(columns.parse()?);
+        }
+        if let Some(table) = &file.table {
+            options = options.with_table(table.parse()?);
+        }
         let is_kept =
             |(of, colours, _): &(Option<String>, bool, SkyCatalog)| (of, *colours) == (&columns, in_colour);
         if !self.catalog.as_ref().is_some_and(is_kept) {
             // The one before need not be in memory, too.
             self.catalog = None;
-            let mut options = options.clone();
-            if let Some(columns) = &columns {
-                options = options.with_columns(columns.parse()?);
-            }
-            if let Some(table) = &file.table {
-                options = options.with_table(table.parse()?);
-            }
+            let options = options.clone();
             let reach = Reaches::new((LEFT_OUT * file.simulate.tolerance).max(LEAST_LEFT_OUT))?;
             let all = match (&file.catalog, &survey.table) {
                 (Some(path), _) => SkyCatalog::read(path, options, |n| reach.of(n))?,
@@ -369,7 +364,7 @@ impl Observer {
             _ => {}
         }
         let margin = psf.reach(file.simulate.stamp_size) as f64 + 2.0;
-        let footprint = survey.footprint(frame, margin)?;
+        let footprint = survey.footprint_on(sky, frame, margin)?;
         let near = all.within(&of_frame, footprint.centre_deg, footprint.radius_deg)?;
         let moves = ["pmra", "parallax"].iter().any(|role| all.roles().contains(role));
         if moves && frame.date.is_none() {
@@ -485,12 +480,12 @@ impl Survey {
     fn light_of<T: ConvReal>(
         &self,
         frame: &SurveyFrame,
-        catalog: &Catalog,
+        catalog: Catalog,
     ) -> Result<SceneLight<T>, PsfieldError> {
         let mut light = SceneLight::new();
         let band = self.band(frame);
         if band.is_none_or(|band| band.bandpass.is_none()) {
-            light.set_catalog(catalog.clone());
+            light.set_catalog(catalog);
             return Ok(light);
         }
         let folder = self
@@ -500,7 +495,7 @@ impl Survey {
             .and_then(Path::parent)
             .unwrap_or(Path::new(""));
         let default = band.and_then(|band| band.sed.as_deref());
-        light.set_catalog_with_spectra(catalog.clone(), default, folder)?;
+        light.set_catalog_with_spectra(catalog, default, folder)?;
         light.sort_spectra();
         Ok(light)
     }

@@ -1,4 +1,4 @@
-//! What a survey keeps of its frames: their digests, their list, and files that join them.
+//! The records of a survey's frames: their digests, their list, and files that join them.
 
 use std::hash::Hasher;
 use std::path::{Path, PathBuf};
@@ -95,13 +95,7 @@ impl Survey {
             ],
             exposure: (&frame.exposure, &frame.date, frame.exposure_s, frame.seed),
         };
-        let mut hasher = fnv::FnvHasher::default();
-        hasher.write(
-            serde_json::to_string(&settings)
-                .expect("settings are JSON")
-                .as_bytes(),
-        );
-        format!("{:016x}", hasher.finish())
+        digest_of([serde_json::to_string(&settings).expect("settings are JSON")])
     }
 
     /// Writes the list of frames, if the survey names a file for it: a row for each frame. An older list is replaced.
@@ -119,14 +113,14 @@ impl Survey {
         let mut frames: Vec<&SurveyFrame> = self.frames().iter().collect();
         frames.sort_by_key(|frame| frame.seed.wrapping_sub(self.file.seed));
         let row = |frame: &&SurveyFrame| {
-            let name = &self.detectors()[frame.detector].entry.name;
+            let name = self.name_of(frame);
             let (ra, dec) = self.footprint(frame, 0.0)?.centre_deg;
             let output = frame.output.strip_prefix(folder).unwrap_or(&frame.output);
             Ok::<_, PsfieldError>((
                 frame.exposure.clone(),
-                name.clone(),
+                name.to_owned(),
                 output.display().to_string(),
-                frame.is_extension.then(|| name.clone()),
+                frame.is_extension.then(|| name.to_owned()),
                 ra,
                 dec,
                 frame.pointing.rotation_deg,
@@ -192,17 +186,15 @@ impl Survey {
         frames
     }
 
-    /// The name of a frame's detector.
-    pub(super) fn name_of(&self, frame: &SurveyFrame) -> &str {
-        &self.detectors()[frame.detector].entry.name
-    }
-
     /// The digest of a file whose extensions are these frames.
     pub(super) fn digest_of_exposure(&self, frames: &[&SurveyFrame]) -> String {
-        let mut hasher = fnv::FnvHasher::default();
-        for frame in frames {
-            hasher.write(self.digest(frame).as_bytes());
-        }
-        format!("{:016x}", hasher.finish())
+        digest_of(frames.iter().map(|frame| self.digest(frame)))
     }
+}
+
+/// The hash FNV-1a of texts, one after the other.
+fn digest_of(texts: impl IntoIterator<Item = String>) -> String {
+    let mut hasher = fnv::FnvHasher::default();
+    texts.into_iter().for_each(|text| hasher.write(text.as_bytes()));
+    format!("{:016x}", hasher.finish())
 }
