@@ -6,6 +6,7 @@ mod common;
 
 use std::sync::Arc;
 
+use common::grid_field::GridField;
 use common::{
     ANCHORS, Constant, Execute, KINDS, PATHS, PixelByPixel, STAMPS, Scene, Waves, double_sum,
     largest_difference, model_with, noise, options, peak, region, scene, single,
@@ -419,6 +420,38 @@ fn a_constant_psf_takes_one_mode_a_tile_and_dark_tiles_nothing() {
 
 /// The numbers of the summary are for fully lit tiles. A tile whose light lies in its middle is
 /// close to one, at least within a factor of 3.
+/// Tiles of zero PSFs follow tiles of others in the same memory.
+#[test]
+fn psfs_that_are_zero_give_no_light() {
+    const NODES: usize = 4;
+    let values = Array2::from_shape_fn((NODES * NODES, 3), |(node, k)| {
+        if node % NODES == 0 { 1.0 + k as f64 } else { 0.0 }
+    });
+    let field = Arc::new(GridField::new(60.0, NODES, values));
+    let model = model_with(field, (9, 8), (4, 4), false, Normalisation::Keep);
+    let scene = Scene::new(noise(120, 500, 3));
+    for anchor in ANCHORS {
+        let truth = scene.through(&model, &Direct::new(anchor)).unwrap();
+        for paths in PATHS {
+            let engine = scene.engine(&model, options(0.0, anchor, paths));
+            assert!(engine.plan().blocks().any(|(_, modes)| modes == 0));
+            let image = engine.image_of(&scene).unwrap();
+            let error = largest_difference(&image.pixels().to_owned(), &truth.pixels().to_owned());
+            assert!(
+                error <= ROUNDING_F64 * peak(&truth.pixels().to_owned()),
+                "{anchor} {paths:?}: {error:e}"
+            );
+            let back = engine.adjoint(&image).unwrap();
+            let (forward, backward) = (
+                (&image.pixels() * &image.pixels()).sum(),
+                (&back.pixels() * &scene.pixels()).sum(),
+            );
+            let error = (forward - backward).abs() / forward;
+            assert!(error <= ROUNDING_F64, "adjoint, {anchor} {paths:?}: {error:e}");
+        }
+    }
+}
+
 #[test]
 fn the_summary_says_which_tiles_are_drawn() {
     let model = model_with(Arc::new(Constant), (16, 12), (8, 6), true, Normalisation::Unit);

@@ -9,7 +9,8 @@ use common::{ANCHORS, Patience, PixelByPixel, Waves, model_with, options, peak};
 use conv_core::{ConvReal, Engine, Operation, Paths, Plan};
 use ndarray::{Array2, ArrayView2};
 use psf_types::{
-    CoefficientField, FieldError, FrameShape, ImageView, NoProgress, Normalisation, Position, PsfModel,
+    Anchor, CoefficientField, FieldError, FrameShape, ImageView, NoProgress, Normalisation, Position,
+    PsfModel,
 };
 
 const SIDE: usize = 150;
@@ -109,6 +110,32 @@ fn many_are_equal<T: ConvReal>() {
 fn many_scenes_give_the_images_of_single_ones() {
     many_are_equal::<f32>();
     many_are_equal::<f64>();
+}
+
+/// Stamps nearly as wide as the transforms of a block with a single tile.
+#[test]
+fn many_small_scenes_give_the_images_of_single_ones() {
+    for (nx, ny) in [(10, 8), (30, 20), (64, 64)] {
+        let shape = FrameShape::new(nx, ny).unwrap();
+        let model = model(Arc::new(Waves));
+        let plan = Plan::<f32>::new(
+            &model,
+            shape,
+            shape.region(),
+            options(1e-3, Anchor::Source, Paths::Transforms),
+        );
+        let engine = Engine::new(plan.unwrap());
+        let scene = |n: usize| Array2::from_shape_fn((ny, nx), |(y, x)| ((3 * x + 5 * y + n) % 7) as f32);
+        let scenes: Vec<Array2<f32>> = (0..SCENES).map(scene).collect();
+        for operation in [Operation::Convolve, Operation::Adjoint] {
+            let expected = each(&engine, operation, &scenes);
+            for threads in [1, 3] {
+                let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
+                let got = pool.unwrap().install(|| together(&engine, operation, &scenes));
+                assert!(got == expected, "{shape} {operation:?}, {threads} threads");
+            }
+        }
+    }
 }
 
 /// Coefficients that differ from [`Waves`] everywhere.

@@ -345,8 +345,8 @@ impl TileCounts {
     }
 }
 
-/// Inspects the tiles of a block one by one and calls `convolve` for each lit tile, with its light
-/// in `workspace.light`.
+/// Inspects the tiles of a block one by one and calls `convolve` for each lit tile whose PSFs are not
+/// zero, with its light in `workspace.light`.
 pub(crate) fn each_tile<T: ConvReal, S: Lanes<T>>(
     simd: S,
     pass: &LightPass<'_, T>,
@@ -358,9 +358,10 @@ pub(crate) fn each_tile<T: ConvReal, S: Lanes<T>>(
     let plan = &pass.processor.plan;
     let mut counts = TileCounts::default();
     let (across, up) = (&plan.tiling.columns[column], &plan.tiling.rows[row]);
-    // The only tile of a block transforms each kernel itself.
+    // The only tile of a block transforms each kernel itself, if this changes no bit of the result.
     let is_alone = across.tiles.len() * up.tiles.len() == 1 && !kernels.are_shared;
-    let transforms_kernels = pass.direction() == Direction::Scatter && is_alone;
+    let is_narrow = pass.processor.fft.is_narrow(plan.geometry.stamp.0);
+    let transforms_kernels = pass.direction() == Direction::Scatter && is_alone && is_narrow;
     for (y, rows, below) in up.placed() {
         for (x, columns, left) in across.placed() {
             let tile = PlacedTile {
@@ -373,6 +374,10 @@ pub(crate) fn each_tile<T: ConvReal, S: Lanes<T>>(
                 continue;
             };
             counts.count(&treatment, kernels.block.kernel_count());
+            if treatment.method.is_none() && treatment.drawn.is_empty() {
+                // The PSFs of the tile are zero. The workspace still holds the result of another tile.
+                continue;
+            }
             if treatment.method == Some(TileMethod::ByTransforms) && !transforms_kernels {
                 kernels.transform(simd, &pass.tile_engine(), workspace);
             }

@@ -119,6 +119,12 @@ impl<T: ConvReal> Stages<T> {
         }
     }
 
+    /// The number of values in a block of the first stage. If not more values are given, their transform does
+    /// not depend on whether all blocks are computed together.
+    pub(super) fn first_step(&self) -> usize {
+        self.len / self.list[0].radix
+    }
+
     #[inline(always)]
     fn first_stage<S: Lanes<T>>(&self, simd: S, values: &[Pair<S::V>], into: &mut [Pair<S::V>]) {
         let first = &self.list[0];

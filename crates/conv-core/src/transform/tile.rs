@@ -161,6 +161,13 @@ impl<T: ConvReal> TileTransform<T> {
         group(columns) * self.ny
     }
 
+    /// Returns whether a plane with this number of columns has the same spectrum, bit by bit, if it is only
+    /// [transformed along y](Self::forward_along_y) and given to
+    /// [`forward_multiply_swapped`](Self::forward_multiply_swapped).
+    pub(crate) fn is_narrow(&self, columns: usize) -> bool {
+        columns.next_multiple_of(X_STEP) <= self.across.first_step()
+    }
+
     /// Computes the spectrum of a plane `[y, x]`. From one row to the next there are
     /// [`pitch`](Self::pitch) values. Only the first `rows` rows and `columns` columns are used.
     /// The values of these rows from `columns` up to the next multiple of [`X_STEP`] must be zero.
