@@ -28,6 +28,8 @@ exclude_patterns = ["decisions/README.md", "gallery", "requirements.txt", "tutor
 default_role = "py:obj"
 autodoc_member_order = "bysource"
 autodoc_typehints = "none"
+# PyTorch is too large to be installed for the site alone.
+autodoc_mock_imports = ["torch"]
 toc_object_entries_show_parents = "hide"
 numpydoc_show_class_members = False
 

@@ -445,6 +445,26 @@ def core_and_wings(program):
         ax.set(title=title, xticks=[], yticks=[])
 
 
+def derivatives(program):
+    """Inputs, the image and the loss, with the derivatives back."""
+    ax = canvas((-0.8, 4.9), (-0.55, 1.6))
+    inputs = [
+        (1.25, "light", "[..., y, x]"),
+        (0.5, "coefficients", "[position, component]"),
+        (-0.25, "stamps", "mean, components"),
+    ]
+    for y, title, text in inputs:
+        box(ax, 0, y, title, text, 1.5)
+        ax.annotate("", (1.45, 0.62), (0.78, y + 0.08), arrowprops={"arrowstyle": "-|>", "color": "#4a6572"})
+        back = {"arrowstyle": "-|>", "color": "#b5651d", "linestyle": "--"}
+        ax.annotate("", (0.78, y - 0.08), (1.45, 0.38), arrowprops=back)
+    box(ax, 2.1, 0.5, "image", "blur(light, ...)", 1.25)
+    box(ax, 4.1, 0.5, "loss", "a number", 1.25)
+    arrow(ax, (2.75, 0.58), (3.45, 0.58))
+    ax.annotate("", (2.75, 0.42), (3.45, 0.42), arrowprops=back)
+    ax.text(3.1, 0.22, "derivatives", ha="center", va="top", color="#b5651d")
+
+
 def migration(program):
     """The types of 0.1.0 and the types that replace them."""
     ax = canvas((-0.85, 5.65), (-0.25, 1.45))
@@ -463,7 +483,7 @@ def main(program, names):
     """Make pictures in a folder with the files of the demo, and store them next to this file."""
     makers = (index, python, guide, formats, cluster, gpu, coming_from, accuracy)
     makers += (stability, stages, api, contributing, migration, paths, bright_and_faint)
-    makers += (core_and_wings, observe)
+    makers += (core_and_wings, derivatives, observe)
     program = Path(program).resolve()
     with tempfile.TemporaryDirectory() as work:
         os.chdir(work)

@@ -983,6 +983,54 @@ class PsfModel:
         native = self._handle.for_spectrum(curve(bandpass, "bandpass"), curve(spectrum, "spectrum"))
         return PsfModel._of(native, self._sampling, self._given)
 
+    def with_parameters(
+        self,
+        *,
+        mean: ArrayLike | None = None,
+        components: ArrayLike | None = None,
+        coefficients: ArrayLike | None = None,
+    ) -> PsfModel:
+        """Return a model with other stamps, or other coefficients at the `positions`.
+
+        The interpolation stays the same, with its parameters, so interpolated values are linear in
+        the coefficients. `psfield.torch` and `psfield.jax` differentiate with respect to all three.
+
+        Parameters
+        ----------
+        mean : array_like, optional
+            Mean stamp ``[y, x]``, for a model that has one.
+        components : array_like, optional
+            Stamps ``[component, y, x]`` of any number. They need not be orthonormal.
+        coefficients : array_like, optional
+            Coefficients ``[position, component]``.
+
+        Returns
+        -------
+        PsfModel
+
+        Raises
+        ------
+        ValueError
+            An array has another shape or a value that is not finite, or the PSF has wings.
+
+        Examples
+        --------
+        >>> import psfield
+        >>> stamps = [[[1, 2, 1]], [[2, 3, 2]]]
+        >>> model = psfield.PsfModel.from_samples(stamps, [(0, 0), (9, 0)], noise=0)
+        >>> other = model.with_parameters(coefficients=[[0.1], [0.3]])
+        >>> other.coefficients.tolist(), other.interpolation == model.interpolation
+        ([[0.1], [0.3]], True)
+        """
+        given = (
+            None if mean is None else doubles(mean, "mean", "[y, x]"),
+            None if components is None else stack(components, "components", "[component, y, x]"),
+            None
+            if coefficients is None
+            else doubles(coefficients, "coefficients", "[position, component]"),
+        )
+        return PsfModel._of(self._handle.with_parameters(*given), self._sampling)
+
     @property
     def rank(self) -> int:
         """Number of components. The mean stamp does not count.
@@ -1007,11 +1055,11 @@ class PsfModel:
         >>> psfield.PsfModel.from_samples(stamps, [(0, 0), (9, 0)], normalise="keep").mean.tolist()
         [[1.0, 3.0, 2.0]]
         """
-        return self._handle.basis()[0]
+        return self._handle.parameters()[0]
 
     @property
     def components(self) -> NDArray[np.float64]:
-        """Orthonormal stamps ``[component, y, x]``.
+        """Orthonormal stamps ``[component, y, x]``, or those given to `with_parameters`.
 
         Examples
         --------
@@ -1020,7 +1068,7 @@ class PsfModel:
         >>> psfield.PsfModel.from_samples(stamps, [(0, 0), (9, 0)], noise=0).components.shape
         (1, 1, 3)
         """
-        return self._handle.basis()[1]
+        return self._handle.parameters()[1]
 
     @property
     def given_components(self) -> NDArray[np.float64] | None:
@@ -1047,7 +1095,7 @@ class PsfModel:
         >>> psfield.PsfModel.from_samples(stamps, [(0, 0), (9, 0)], noise=0).coefficients.shape
         (2, 1)
         """
-        return self._handle.basis()[2]
+        return self._handle.parameters()[2]
 
     @property
     def interpolation(self) -> str:
@@ -1435,7 +1483,8 @@ class PsfModel:
     def __reduce__(self) -> tuple[Any, ...]:
         has_samples = self._handle.has_samples()
         report = None if has_samples else self._report or self._handle.fit_report()
-        return _again, (*self._handle.state(), self._sampling, self._given, report)
+        parameters = self._handle.given_parameters()
+        return _again, (*self._handle.state(), self._sampling, self._given, report, parameters)
 
 
 def _again(
@@ -1444,9 +1493,12 @@ def _again(
     sampling: SamplingReport | None,
     given: NDArray[np.float64] | None = None,
     report: str | None = None,
+    parameters: tuple[Any, ...] | None = None,
 ) -> PsfModel:
     """Make a pickled model again."""
     native = getattr(_native.PsfModel, constructor)(*arguments)
+    if parameters is not None:
+        native = native.with_parameters(*parameters)
     return PsfModel._of(native, sampling, given, report)
 
 

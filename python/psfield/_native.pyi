@@ -35,6 +35,8 @@ DEFAULTS: dict[str, dict[str, Any]]
 
 _Column = NDArray[np.float64]
 _Cube = NDArray[np.float64]
+#: Mean stamp, components and coefficients.
+_Basis = tuple[NDArray[np.float64] | None, _Cube, NDArray[np.float64]]
 _Callback = Callable[[int, int], object] | None
 _Shape = tuple[int, int]
 #: The images of a scene and the names of their spectra.
@@ -116,7 +118,15 @@ class PsfModel:
         predictions: tuple[NDArray[np.float64], int],
         table_error: float,
     ) -> PsfModel: ...
-    def basis(self) -> tuple[NDArray[np.float64] | None, _Cube, NDArray[np.float64]]: ...
+    def basis(self) -> _Basis: ...
+    def parameters(self) -> _Basis: ...
+    def given_parameters(self) -> _Basis | None: ...
+    def with_parameters(
+        self,
+        mean: NDArray[np.float64] | None,
+        components: _Cube | None,
+        coefficients: NDArray[np.float64] | None,
+    ) -> PsfModel: ...
     def rank_if_fitted(self) -> int | None: ...
     def fit_report(self) -> str | None: ...
     def evaluate(
@@ -178,6 +188,13 @@ class Plan:
     def light_region(self) -> tuple[int, int, int, int]: ...
     def frame_shape(self) -> _Shape: ...
     def blocks(self) -> list[tuple[int, int, int, int, int]]: ...
+    def arrays(
+        self,
+    ) -> tuple[
+        tuple[int, int],
+        tuple[int, int],
+        list[tuple[tuple[int, int], NDArray[Any], NDArray[Any]]],
+    ]: ...
     def summary(self) -> dict[str, Any]: ...
     def simulate(
         self,
@@ -192,6 +209,17 @@ class Plan:
     def adjoint(
         self, image: NDArray[Any], spectra: list[str], progress: _Callback
     ) -> list[NDArray[Any]]: ...
+    def adjoint_many(
+        self, images: NDArray[Any], spectrum: str | None, progress: _Callback
+    ) -> NDArray[Any]: ...
+    def gradients(
+        self,
+        lights: NDArray[Any],
+        images: NDArray[Any],
+        light: bool,
+        coefficients: bool,
+        stamps: bool,
+    ) -> tuple[NDArray[Any] | None, _Basis | None]: ...
     def expose(
         self,
         images: _Images,

@@ -576,7 +576,7 @@ class Plan:
         spectra : sequence of str, optional
             In colour: the names of the spectra of the scene's images. Default: that of the plan.
         progress : callable or tqdm bar, optional
-            ``progress(done, total)``, for each image of a stack anew.
+            ``progress(done, total)``. With several ``spectra``, for each image of a stack anew.
 
         Returns
         -------
@@ -609,6 +609,11 @@ class Plan:
         else:
             images = self._image(image)
         outer = images.shape[:-2]
+        if outer and len(names) <= 1:
+            flat = images.reshape(-1, *images.shape[-2:])
+            made = self._handle.adjoint_many(flat, (*names, None)[0], as_callback(progress))
+            light = made.reshape(*outer, *made.shape[-2:])
+            return light if spectra is None else {names[0]: light}
         found = [
             self._handle.adjoint(images[index], names, as_callback(progress))
             for index in np.ndindex(outer)
@@ -971,6 +976,12 @@ class Plan:
             "Predicted time": f"{found.predicted_seconds:.2g} s (one thread, every pixel lit)",
         }
         return table("Plan", rows)
+
+    def __copy__(self) -> Plan:
+        return self  # A plan does not change.
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Plan:
+        return self
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _again, (self._model, self._settings)

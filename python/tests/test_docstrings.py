@@ -17,7 +17,7 @@ import psfield
 from psfield import detector, metrics, plot
 
 #: An example is skipped if it imports one of these packages and the package is not installed.
-OPTIONAL = ("astropy", "dask", "distributed", "matplotlib", "photutils", "scipy")
+OPTIONAL = ("astropy", "dask", "distributed", "jax", "matplotlib", "photutils", "scipy", "torch")
 FLAGS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 
 
@@ -50,8 +50,9 @@ def docstrings() -> list[doctest.DocTest]:
 def public() -> Iterator[tuple[str, Any]]:
     """Yield the public functions, classes, methods and properties by name."""
     namespaces = [psfield, detector, metrics, plot]
-    if is_installed("dask"):
-        namespaces.append(importlib.import_module("psfield.dask"))
+    for package in ("dask", "jax", "torch"):
+        if is_installed(package):
+            namespaces.append(importlib.import_module(f"psfield.{package}"))
     for namespace in namespaces:
         for name in namespace.__all__:
             value = getattr(namespace, name)
@@ -69,7 +70,7 @@ def public() -> Iterator[tuple[str, Any]]:
 def test_examples_run(test, tmp_path, monkeypatch):
     source = "".join(example.source for example in test.examples)
     for package in OPTIONAL:
-        if re.search(rf"^import .*\b{package}\b", source, re.MULTILINE):
+        if re.search(rf"^(import|from) .*\b{package}\b", source, re.MULTILINE):
             pytest.importorskip(package)
     monkeypatch.chdir(tmp_path)
     threads = psfield.threads()

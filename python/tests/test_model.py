@@ -6,7 +6,7 @@ import pickle
 
 import numpy as np
 import pytest
-from conftest import gaussian_stamp, relative_l2, widening_model
+from conftest import direct_sum, gaussian_stamp, relative_l2, widening_model
 
 import psfield
 
@@ -473,3 +473,142 @@ def test_the_psf_of_a_spectrum(tmp_path):
         model.for_spectrum(3, "powerlaw:0")
     with pytest.raises(ValueError, match="does not depend on the wavelength"):
         model.at(wavelength_um=0.6).for_spectrum(wide, flat)
+
+
+def parameters_of(model):
+    return {
+        "mean": model.mean,
+        "components": model.components,
+        "coefficients": model.coefficients,
+    }
+
+
+@pytest.fixture(scope="module")
+def fitted():
+    return widening_model((24, 24), across=3, size=9, rank=2)
+
+
+@pytest.fixture(scope="module")
+def given():
+    """Three components that are not orthonormal."""
+    rng = np.random.default_rng(7)
+    return {
+        "mean": gaussian_stamp(1.6, 9) + 1e-3 * rng.random((9, 9)),
+        "components": 0.01 * rng.random((3, 9, 9)),
+        "coefficients": rng.random((9, 3)),
+    }
+
+
+class TestParameters:
+    """Models with other parameters."""
+
+    def test_they_come_back(self, fitted, given):
+        model = fitted.with_parameters(**given)
+        for name, values in given.items():
+            assert np.array_equal(getattr(model, name), values)
+        assert model.rank == 3
+        assert model.interpolation == fitted.interpolation
+        assert np.array_equal(model.positions, fitted.positions)
+        assert (model.field_shape, model.outside) == (fitted.field_shape, fitted.outside)
+        coefficients = model.with_parameters(coefficients=2 * given["coefficients"])
+        assert np.array_equal(coefficients.components, given["components"])
+        assert np.array_equal(coefficients.coefficients, 2 * given["coefficients"])
+
+    def test_own_parameters_change_nothing(self, fitted):
+        for given in ({}, parameters_of(fitted), {"mean": fitted.mean.astype(">f8").tolist()}):
+            again = fitted.with_parameters(**given)
+            assert np.array_equal(again.evaluate(7.5, 3.25), fitted.evaluate(7.5, 3.25))
+            for name, values in parameters_of(fitted).items():
+                assert np.array_equal(getattr(again, name), values)
+
+    @pytest.mark.parametrize("normalise", ["unit", "keep"])
+    def test_psfs_are_sums_of_the_stamps(self, given, normalise):
+        fitted = widening_model((24, 24), across=3, size=9, rank=2, normalise=normalise)
+        model = fitted.with_parameters(**given)
+        sums = given["mean"] + np.tensordot(given["coefficients"], given["components"], 1)
+        if normalise == "unit":
+            sums /= sums.sum((1, 2), keepdims=True)
+        assert_near(model.evaluate(*model.positions.T), sums, atol=ROUNDING)
+        other = fitted.with_parameters(**{**given, "coefficients": 2 * given["coefficients"]})
+        assert np.abs(other.evaluate(*model.positions.T) - sums).max() > 1e-3
+
+    def test_interpolated_psfs_are_linear_in_the_coefficients(self, given):
+        fitted = widening_model((24, 24), across=3, size=9, rank=2, normalise="keep")
+
+        def psf(scale):
+            changed = {**given, "coefficients": scale * given["coefficients"]}
+            return fitted.with_parameters(**changed).evaluate(7.5, 3.25)
+
+        assert_near(psf(3) - psf(2), psf(2) - psf(1), atol=ROUNDING)
+
+    def test_pickled(self, fitted, given):
+        model = fitted.with_parameters(**given)
+        again = pickle.loads(pickle.dumps(model))
+        assert np.array_equal(again.evaluate(7.5, 3.25), model.evaluate(7.5, 3.25))
+        assert again.interpolation == model.interpolation
+        for name in ("mean", "components", "coefficients"):
+            assert np.array_equal(getattr(again, name), getattr(model, name))
+
+    def test_plans_of_other_parameters(self, fitted, given):
+        model = fitted.with_parameters(**given)
+        scene = np.random.default_rng(1).random((24, 24))
+        found = fitted.plan((24, 24), 0.0, "f64").with_psf(model).simulate(scene)
+        assert_near(found, direct_sum(model, scene), atol=ROUNDING)
+
+    @pytest.mark.parametrize(
+        ("bad", "error", "text"),
+        [
+            ({"mean": np.ones(9)}, ValueError, r"mean must be an array \[y, x\]"),
+            ({"components": np.ones(9)}, ValueError, r"components must be an array \[component"),
+            ({"coefficients": np.ones(9)}, ValueError, r"coefficients must be .* \[position"),
+            ({"mean": np.ones((3, 3))}, ValueError, r"3 x 3 pixels .* have 9 x 9 \(mean=\)"),
+            ({"components": np.ones((2, 8, 9))}, ValueError, r"8 x 9 pixels .* \(components=\)"),
+            ({"components": np.ones((1, 9, 9))}, ValueError, "coefficients, .* expected 1, got 2"),
+            ({"coefficients": np.ones((9, 1))}, ValueError, "coefficients, .* expected 2, got 1"),
+            ({"coefficients": np.ones((8, 2))}, ValueError, "coefficients, .* expected 9, got 8"),
+            ({"mean": np.full((9, 9), np.nan)}, ValueError, r"not finite \(mean=\)"),
+            ({"coefficients": np.full((9, 2), np.inf)}, ValueError, "coefficient .*finite"),
+            ({"components": np.full((2, 9, 9), np.nan)}, ValueError, r"finite \(components=\)"),
+            ({"coefficients": np.ones((9, 2)) * 1j}, TypeError, "coefficients must be real"),
+        ],
+    )
+    def test_refused(self, fitted, bad, error, text):
+        with pytest.raises(error, match=text):
+            fitted.with_parameters(**bad)
+
+    def test_wings_and_missing_means_are_refused(self, tmp_path):
+        widening_model((24, 24), across=3, size=41).write(tmp_path / "core.fits")
+        with_wings = psfield.PsfModel.read(tmp_path / "core.fits", wings="power=3,40")
+        with pytest.raises(ValueError, match="PSF with wings"):
+            with_wings.with_parameters()
+        uncentred = widening_model((24, 24), across=3, size=9, centring="none")
+        with pytest.raises(ValueError, match="has no mean stamp"):
+            uncentred.with_parameters(mean=np.ones((9, 9)))
+
+
+@pytest.mark.parametrize("words", [{}, {"oversample": 2}, {"region": (3, 2, 11, 13)}])
+def test_the_adjoint_of_a_stack_is_that_of_each_image(words):
+    plan = widening_model((24, 24), across=3, size=9).plan((24, 24), 1e-5, **words)
+    images = np.random.default_rng(3).random((2, 3, *plan.image_shape), np.float32)
+    steps = []
+    back = plan.adjoint(images, progress=lambda *step: steps.append(step))
+    assert steps[-1][0] == steps[-1][1]
+    for index in np.ndindex(2, 3):
+        assert np.array_equal(back[index], plan.adjoint(images[index]))
+    assert not np.array_equal(back[0, 0], back[1, 0])
+
+
+def test_the_adjoint_of_a_stack_in_colour():
+    stamps, positions, wavelengths = coloured()
+    model = psfield.PsfModel.from_samples(stamps, positions, wavelengths_um=wavelengths, noise=0)
+    band = ([0.5, 0.55, 0.75, 0.8], [0.0, 1.0, 1.0, 0.0])
+    plan = model.plan((20, 30), 1e-5, bandpass=band, sed="powerlaw:0")
+    images = np.random.default_rng(3).random((3, 20, 30), np.float32)
+    names = "blackbody:3000", "powerlaw:0"
+    of_each = {name: plan.adjoint(images, spectra=[name])[name] for name in names}
+    for name, back in of_each.items():
+        assert back.shape == images.shape
+        loop = [plan.adjoint(image, spectra=[name])[name] for image in images]
+        assert np.array_equal(back, loop)
+    assert np.array_equal(plan.adjoint(images), of_each["powerlaw:0"])
+    assert not np.array_equal(*of_each.values())

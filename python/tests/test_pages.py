@@ -20,8 +20,8 @@ PAGES = [
     )
 ]
 #: A block that imports one of these, and the blocks after it, are skipped if it is not installed.
-OPTIONAL = ("astropy", "dask", "dask_jobqueue", "galsim", "matplotlib", "photutils")
-OPTIONAL += ("regularizepsf", "scipy", "tqdm")
+OPTIONAL = ("astropy", "dask", "dask_jobqueue", "galsim", "jax", "matplotlib", "photutils")
+OPTIONAL += ("regularizepsf", "scipy", "torch", "tqdm")
 
 
 def blocks(page: str) -> list[tuple[str, int, str]]:
@@ -88,7 +88,7 @@ def test_the_first_page_of_the_site():
 def test_the_reference_lists_every_public_name():
     page = (ROOT / "docs" / "api" / "index.md").read_text(encoding="utf-8")
     listed = set(re.findall(r"^ +psfield\.(\w+)$", page, re.M))
-    assert listed == {*psfield.__all__, "dask"} - {"__version__"}
+    assert listed == {*psfield.__all__, "dask", "torch", "jax"} - {"__version__"}
 
 
 def test_the_package():
@@ -96,6 +96,14 @@ def test_the_package():
     image = np.load("frames.npy")[9]
     assert np.array_equal(image, names["plan"].simulate(names["scene"]))
     assert names["check"].passed and 0 < names["difference"].relative_l2 < 1e-3
+
+
+@pytest.mark.filterwarnings("ignore::psfield.PsfieldWarning")
+def test_derivatives():
+    names = run("docs/derivatives.md")
+    assert names["light"].grad.shape == names["light"].shape
+    assert names["after"] < 0.05 * names["before"]
+    assert names["gradient"].shape == (128, 128)
 
 
 def test_colour():

@@ -19,6 +19,7 @@ fn of<T: ConvReal>() {
     black_box(Engine::<T>::execute_many as fn(_, _, _, _, _) -> _);
     black_box(Plan::<T>::for_region as fn(_, _, _, _, _, _) -> _);
     black_box(Plan::<T>::of_whole as fn(_, _, _, _) -> _);
+    black_box(Plan::<T>::arrays as fn(_) -> _);
     black_box(SourcePlan::<T>::of_layers as fn(_, _, _) -> _);
     black_box(SourcePlan::<T>::draw_stars_into as fn(_, _, _, _, _, _) -> _);
     black_box(SourcePlan::<T>::draw_extended_into as fn(_, _, _, _, _, _) -> _);

@@ -3,9 +3,10 @@
 use std::ops::Range;
 use std::slice::from_ref;
 
-use ndarray::{Array2, ArrayView2, ArrayViewMut2, s};
+use ndarray::{Array2, ArrayView1, ArrayView2, ArrayViewMut2, s};
 use psf_types::{Anchor, FrameShape, Image, ImageView, PixelRegion, Progress, PsfModel, Uncounted};
 
+use crate::cpu::correlate::{Correlate, Correlations, LightAndImage, Pair};
 use crate::cpu::gather::Gather;
 use crate::cpu::many::Many;
 use crate::cpu::processor::{LightPass, Processor};
@@ -15,7 +16,7 @@ pub use crate::cpu::treatment::TileCounts;
 use crate::gpu::{GpuDevice, GpuEngine, GpuError, GpuOptions, GpuTimes};
 use crate::image_memory::{check_shape, with_rows_in_memory};
 use crate::plan::geometry::Direction;
-use crate::{ConvError, ConvReal, ConvolutionMethod, Plan, PlanOptions};
+use crate::{ConvError, ConvReal, ConvolutionMethod, Plan, PlanOptions, SampleWeights};
 
 /// The operation that a plan is executed for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -236,6 +237,65 @@ impl<T: ConvReal> Engine<T> {
         });
         let passes = parts.collect::<Result<_, ConvError>>()?;
         T::dispatch(Many { passes })
+    }
+
+    /// Correlates light with images, which gives the derivatives with respect to the PSFs of samples
+    /// ([`Correlations`]). `take` gets the parts of the result, in an order that does not depend on threads.
+    /// `fluxes` are those of the samples' PSFs, before scaling. They are given if PSFs are scaled to unit flux.
+    ///
+    /// The processor computes them, for a plan on a GPU, too.
+    ///
+    /// # Errors
+    /// As for [`execute`](Self::execute), and [`ConvError::Layers`] for a plan of several layers.
+    ///
+    /// # Panics
+    /// If there is not one flux for each sample.
+    #[inline(never)]
+    pub fn correlate(
+        &self,
+        weights: &SampleWeights<T>,
+        pairs: &[LightAndImage<'_, T>],
+        fluxes: Option<ArrayView1<'_, f64>>,
+        progress: &dyn Progress,
+        take: &mut dyn FnMut(Correlations),
+    ) -> Result<(), ConvError> {
+        self.check_layers(1)?;
+        let gathers = self.gathers();
+        let pairs = pairs.iter().map(|pair| {
+            let LightAndImage { light, image, result } = pair;
+            let plan = self.plan();
+            check_shape(plan.region().shape(), image.pixels().dim())?;
+            let of_light = |light: &ImageView<'_, T>| plan.light_part(light.shape());
+            let [columns, rows] = of_light(light)?;
+            let light = light.pixels().slice_move(s![rows, columns]);
+            let result = result.as_ref().map(|result| {
+                if gathers {
+                    check_shape(plan.region().shape(), result.pixels().dim())?;
+                    return Ok::<_, ConvError>(result.pixels());
+                }
+                let [columns, rows] = of_light(result)?;
+                Ok(result.pixels().slice_move(s![rows, columns]))
+            });
+            let (weighted, other) = if gathers {
+                (image.pixels(), light)
+            } else {
+                (light, image.pixels())
+            };
+            let result = result.transpose()?;
+            Ok(Pair {
+                weighted,
+                other,
+                result,
+            })
+        });
+        T::dispatch(Correlate {
+            processor: &self.processor,
+            weights,
+            pairs: pairs.collect::<Result<_, ConvError>>()?,
+            fluxes,
+            progress,
+            take,
+        })
     }
 
     /// The parts of arrays between which light passes.

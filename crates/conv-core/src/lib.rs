@@ -101,13 +101,14 @@ pub mod internals {
 
 pub use {ndarray, psf_types};
 
+pub use cpu::correlate::{Correlations, LightAndImage};
 pub use dropped_light::DroppedLight;
 pub use engine::{Engine, LowRank, Operation, RowStream, TileCounts};
 pub use error::ConvError;
 pub use galaxies::{ExtendedSources, GalaxyErrors, Light};
 pub use image_memory::zeros;
 pub use photons::{ExpectedPhotons, PhotonReport, PhotonSources};
-pub use plan::{Paths, Plan, PlanOptions, PlanSummary};
+pub use plan::{BlockArrays, Paths, Plan, PlanArrays, PlanOptions, PlanSummary, SampleWeights};
 pub use reference::{BasisConvolution, ConvolutionMethod, Direct, PatchConvolution};
 pub use simd::{ConvReal, InstructionSet};
 pub use source_plan::SourcePlan;

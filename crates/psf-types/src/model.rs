@@ -488,6 +488,15 @@ impl PsfModelRecord {
         }
     }
 
+    /// A record with another interpolation of the coefficients.
+    #[must_use]
+    pub fn with_interpolation(self, interpolation: Interpolation) -> Self {
+        Self {
+            interpolation,
+            ..self
+        }
+    }
+
     /// States the method whose values the table holds ([`table_of`](Self::table_of)). Characters other
     /// than printable ASCII become question marks, and 60 of them are kept.
     #[must_use]

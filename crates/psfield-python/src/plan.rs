@@ -3,7 +3,7 @@
 use std::sync::{Arc, Mutex};
 
 use ndarray::parallel::prelude::*;
-use ndarray::{Array, Array2, Array3, ArrayViewMut2, ArrayViewMut3, Axis, Dimension, Ix2, Ix3};
+use ndarray::{Array, Array2, Array3, ArrayView3, ArrayViewMut2, ArrayViewMut3, Axis, Dimension, Ix2, Ix3};
 use numpy::{Element, IntoPyArray, PyReadonlyArray2};
 use psfield::conv_core::{ConvReal, DroppedLight, zeros};
 use psfield::detector::BadPixelMask;
@@ -11,7 +11,7 @@ use psfield::psf_io::{ColumnValues, HeaderCards, TableColumn};
 use psfield::psf_types::{Image, ImageView, NoProgress, PixelRegion};
 use psfield::{
     ExposeOptions, Method, Preparation, PsfieldError, Scene, ShootBelow, SimulateOptions, SimulationWarning,
-    Simulator, TruthTable,
+    Simulator, TruthTable, WantedGradients,
 };
 use pyo3::exceptions::PyOSError;
 use pyo3::prelude::*;
@@ -24,7 +24,7 @@ use crate::colour::{Colour, ColourArguments};
 use crate::detector::{Detector, Exposed, exposure_in_python};
 use crate::error::{Failure, invalid, with_argument};
 use crate::memory;
-use crate::psf_model::PsfModel;
+use crate::psf_model::{Basis, PsfModel, in_arrays};
 use crate::settings::{from_python, to_python};
 use crate::simulators::{Images, Simulators, dark_light};
 use crate::threads::{self, Watch, pool};
@@ -105,6 +105,12 @@ type Simulated<'py> = (Option<Bound<'py, PyAny>>, Vec<String>);
 /// (x0, y0, nx, ny, modes) of a block.
 type BlockRow = (i64, i64, usize, usize, usize);
 
+/// ((x0, y0), kernels `[kernel, y, x]`, weights `[kernel, y, x]`) of a block.
+type BlockArrays<'py> = ((usize, usize), Bound<'py, PyAny>, Bound<'py, PyAny>);
+
+/// The reach, the sampled pixels (first, step), and the blocks.
+type PlanArrays<'py> = ((i64, i64), (usize, usize), Vec<BlockArrays<'py>>);
+
 #[pymethods]
 impl Plan {
     /// Makes a plan for scenes of one shape.
@@ -172,6 +178,27 @@ impl Plan {
         let values =
             |(at, modes): (PixelRegion, usize)| (at.x0(), at.y0(), at.shape().nx(), at.shape().ny(), modes);
         Ok(blocks.into_iter().map(values).collect())
+    }
+
+    /// The plan as arrays: the reach, the sampled pixels (first, step), and the blocks.
+    fn arrays<'py>(&self, py: Python<'py>) -> PyResult<PlanArrays<'py>> {
+        if in_precision!(self, of => of.in_colour()) {
+            return Err(invalid(
+                "a plan in colour needs the native engine: use simulate and adjoint",
+            ));
+        }
+        let blocks = self.blocks()?;
+        let values = blocks.iter().map(|(_, _, nx, ny, modes)| nx * ny * modes);
+        memory::check("the plan as arrays", values.sum::<usize>() * self.value_bytes())?;
+        in_precision!(self, of => {
+            let made = threads::run(py, None, |watch| of.first.plan_arrays(watch))?;
+            let arrays = made.map_err(Failure::from)?;
+            let blocks = arrays.blocks.into_iter().map(|block| {
+                let kernels = block.kernels.into_pyarray(py).into_any();
+                (block.first, kernels, block.weights.into_pyarray(py).into_any())
+            });
+            Ok((arrays.reach, of.first.sampled_pixels(), blocks.collect()))
+        })
     }
 
     /// Properties of the plan by name.
@@ -282,6 +309,61 @@ impl Plan {
             })?;
             let array = |light: Image<_>| light.into_pixels().into_pyarray(py).into_any();
             Ok(made?.into_iter().map(array).collect())
+        })
+    }
+
+    /// Applies the transpose of the simulation to images `[n, y, x]`, for a plan of one spectrum at most.
+    fn adjoint_many<'py>(
+        &self,
+        py: Python<'py>,
+        images: Bound<'py, PyAny>,
+        spectrum: Option<String>,
+        progress: Option<Py<PyAny>>,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        self.check_process()?;
+        in_precision!(self, simulators => {
+            let images = readonly::<_, Ix3>(&images, "image")?;
+            let pixels = images.as_array();
+            memory::check("the adjoints", self.image_bytes(pixels.dim().0))?;
+            let made = threads::run(py, progress.as_ref(), |watch| -> Result<_, Failure> {
+                let images = views(pixels, "image")?;
+                let spectra: Vec<String> = spectrum.into_iter().collect();
+                let simulator = simulators.of_spectra(&dark_light(&spectra))?;
+                Ok(simulator.adjoint_many(&images, watch)?)
+            })?;
+            Ok(made?.into_pyarray(py).into_any())
+        })
+    }
+
+    /// The derivatives of the sum over images of light times cotangents: with respect to the light, if it is
+    /// wanted, and with respect to mean, components and coefficients of the PSF, if they are wanted. Arrays are
+    /// `[n, y, x]`.
+    fn gradients<'py>(
+        &self,
+        py: Python<'py>,
+        lights: Bound<'py, PyAny>,
+        images: Bound<'py, PyAny>,
+        light: bool,
+        coefficients: bool,
+        stamps: bool,
+    ) -> PyResult<(Option<Bound<'py, PyAny>>, Option<Basis<'py>>)> {
+        self.check_process()?;
+        in_precision!(self, simulators => {
+            let (lights, images) = (readonly::<_, Ix3>(&lights, "light")?, readonly::<_, Ix3>(&images, "image")?);
+            let (of_lights, of_images) = (lights.as_array(), images.as_array());
+            memory::check("the derivatives", self.image_bytes(2 * of_images.dim().0))?;
+            let made = threads::run(py, None, |watch| -> Result<_, Failure> {
+                let (lights, images) = (views(of_lights, "light")?, views(of_images, "image")?);
+                let wanted = WantedGradients {
+                    light,
+                    coefficients,
+                    stamps,
+                };
+                Ok(simulators.first.gradients(&lights, &images, wanted, watch)?)
+            })?;
+            let made = made?;
+            let light = made.light.map(|light| light.into_pyarray(py).into_any());
+            Ok((light, made.psf.map(|psf| in_arrays(py, psf))))
         })
     }
 
@@ -440,14 +522,18 @@ impl Plan {
         Ok(())
     }
 
+    /// The bytes of a value in the precision of the plan.
+    fn value_bytes(&self) -> usize {
+        match &self.simulators {
+            AnySimulators::Single(_) => size_of::<f32>(),
+            AnySimulators::Double(_) => size_of::<f64>(),
+        }
+    }
+
     /// The bytes of so many images of this plan.
     fn image_bytes(&self, count: usize) -> usize {
         let (ny, nx) = self.frame_shape();
-        let size = match &self.simulators {
-            AnySimulators::Single(_) => size_of::<f32>(),
-            AnySimulators::Double(_) => size_of::<f64>(),
-        };
-        [ny, nx, size]
+        [ny, nx, self.value_bytes()]
             .iter()
             .fold(count, |bytes, n| bytes.saturating_mul(*n))
     }
@@ -468,6 +554,16 @@ impl Plan {
         let made = in_precision!(self, of => of.first.prepare(&Scene::streamed(), &NoProgress));
         Ok(made.map_err(Failure::from)?)
     }
+}
+
+/// The images of a stack. Errors name the argument and the image.
+fn views<'a, T: ConvReal>(
+    stack: ArrayView3<'a, T>,
+    name: &'static str,
+) -> Result<Vec<ImageView<'a, T>>, Failure> {
+    let planes = stack.into_outer_iter().enumerate();
+    let view = |(n, plane): (usize, _)| ImageView::new(plane).map_err(Failure::of(format!("{name}[{n}]")));
+    planes.map(view).collect()
 }
 
 /// Simulates a prepared scene. Returns the image, or `None` if it was written to an array of the

@@ -18,7 +18,7 @@ use psfield::psf_types::{
     SampleStates, StateKind, WingsRecord,
 };
 use psfield::stack_size::MAX_STACK_BYTES;
-use psfield::{FitChoices, FitOptions, Psf, PsfieldError};
+use psfield::{FitChoices, FitOptions, Psf, PsfParameters, PsfieldError};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyMapping};
 use serde::Deserialize;
@@ -38,7 +38,7 @@ type Plane<'py> = Bound<'py, PyArray2<f64>>;
 /// A cube of doubles.
 type Cube<'py> = Bound<'py, PyArray3<f64>>;
 /// A mean stamp, if there is one, components and coefficients.
-type Basis<'py> = (Option<Plane<'py>>, Cube<'py>, Plane<'py>);
+pub(crate) type Basis<'py> = (Option<Plane<'py>>, Cube<'py>, Plane<'py>);
 /// The names of the interpolation, the outside policy and the normalisation, and of the method whose values
 /// are in a table.
 type Choices = (String, String, String, Option<String>);
@@ -332,6 +332,42 @@ impl PsfModel {
         Ok(arrays_of(py, self.record(py)?))
     }
 
+    /// Mean stamp, components, coefficients, as given to [`with_parameters`](Self::with_parameters).
+    fn parameters<'py>(&self, py: Python<'py>) -> PyResult<Basis<'py>> {
+        self.record(py)?;
+        let parameters = self.0.parameters().map_err(Failure::from)?;
+        Ok(in_arrays(py, parameters.clone()))
+    }
+
+    /// The parameters given to [`with_parameters`](Self::with_parameters), if the model does not hold them.
+    fn given_parameters<'py>(&self, py: Python<'py>) -> Option<Basis<'py>> {
+        let given = self.0.given_parameters()?;
+        Some(in_arrays(py, given.clone()))
+    }
+
+    /// Returns this model with other parameters. Those that are not given stay.
+    fn with_parameters(
+        &self,
+        py: Python<'_>,
+        mean: Option<PyReadonlyArray2<'_, f64>>,
+        components: Option<PyReadonlyArray3<'_, f64>>,
+        coefficients: Option<PyReadonlyArray2<'_, f64>>,
+    ) -> PyResult<Self> {
+        self.record(py)?;
+        let mut parameters = self.0.parameters().map_err(Failure::from)?.clone();
+        if let Some(mean) = mean {
+            parameters.mean = Some(mean.as_array().to_owned());
+        }
+        if let Some(components) = components {
+            parameters.components = components.as_array().to_owned();
+        }
+        if let Some(coefficients) = coefficients {
+            parameters.coefficients = coefficients.as_array().to_owned();
+        }
+        self.apart(py, move |psf| psf.with_parameters(parameters))
+            .map(Self)
+    }
+
     /// The number of components, or `None` if the samples have not been fitted yet.
     fn rank_if_fitted(&self) -> Option<usize> {
         Some(self.0.record_if_fitted()?.basis().rank())
@@ -463,6 +499,15 @@ fn arrays_of<'py>(py: Python<'py>, record: &PsfModelRecord) -> Basis<'py> {
         basis.mean().map(|mean| mean.to_owned().into_pyarray(py)),
         basis.components().to_owned().into_pyarray(py),
         record.coefficients().values().to_owned().into_pyarray(py),
+    )
+}
+
+/// Parameters, or derivatives with respect to them.
+pub(crate) fn in_arrays(py: Python<'_>, parameters: PsfParameters) -> Basis<'_> {
+    (
+        parameters.mean.map(|mean| mean.into_pyarray(py)),
+        parameters.components.into_pyarray(py),
+        parameters.coefficients.into_pyarray(py),
     )
 }
 

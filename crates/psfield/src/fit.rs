@@ -25,7 +25,7 @@ use crate::stack_size::check_stack;
 
 pub use comparison::{InterpolationErrors, compare_interpolations};
 pub use models::model_of;
-pub(crate) use models::{models_of, models_on};
+pub(crate) use models::{field_of, models_of, models_on};
 pub use report::{FitReport, LeaveOneOutReport};
 use split::Split;
 pub use split::WingsReport;

@@ -85,13 +85,14 @@ pub use dispersion::Dispersion;
 pub use error::{ErrorKind, PsfieldError};
 pub use fit::FitOptions;
 pub use light_on_pixels::light_on_pixels;
-pub use psf::{Extrapolation, FitChoices, Motion, Psf, PsfFileOptions, WingsSource};
+pub use psf::{Extrapolation, FitChoices, Motion, Psf, PsfFileOptions, PsfParameters, WingsSource};
 pub use readable::readable;
 pub use scene::{Layer, ProfileSource, Scene};
 pub use scene_light::SceneLight;
 pub use simulate_options::{Device, Method, ScenePixels, SimulateOptions};
 pub use simulator::{
-    ExposeOptions, Preparation, SamplingErrors, ShootBelow, SimulationWarning, Simulator, SimulatorBuilder,
+    ExposeOptions, Gradients, Preparation, SamplingErrors, ShootBelow, SimulationWarning, Simulator,
+    SimulatorBuilder, WantedGradients,
 };
 pub use spot_check::SpotCheck;
 pub use truth_table::TruthTable;

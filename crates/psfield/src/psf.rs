@@ -6,6 +6,7 @@ mod join;
 mod motion;
 mod moving_native;
 mod open;
+mod parameters;
 mod resample;
 mod states;
 mod wings;
@@ -31,7 +32,8 @@ pub use motion::Motion;
 pub(crate) use motion::QUADRATURE;
 pub(crate) use moving_native::MovingNative;
 pub use open::{FitChoices, PsfFileOptions};
-pub(crate) use resample::native_grid_of;
+pub use parameters::PsfParameters;
+pub(crate) use resample::{StampChange, native_grid_of};
 pub use states::join_samples;
 
 /// A PSF over a field, from samples, a model, or a PSF file of any format. Samples are fitted when
@@ -63,6 +65,8 @@ struct Inner {
     models: OnceLock<Vec<PsfModel>>,
     /// A table of a coefficient field of the caller's own.
     table: OnceLock<PsfModelRecord>,
+    /// The parameters from which the PSF was made.
+    parameters: OnceLock<PsfParameters>,
 }
 
 /// A note for the user on how a PSF file was read.
@@ -185,6 +189,7 @@ impl Psf {
             fit_warnings: OnceLock::new(),
             models: OnceLock::new(),
             table: OnceLock::new(),
+            parameters: OnceLock::new(),
         }))
     }
 

@@ -7,6 +7,7 @@ mod convolver;
 mod derived;
 mod flux;
 mod geometry;
+mod gradients;
 mod many;
 mod part;
 mod setup;
@@ -22,7 +23,7 @@ mod wings;
 
 use std::sync::{Arc, Mutex, OnceLock};
 
-use conv_core::{ConvError, ConvReal, ConvolutionMethod, Operation, PlanSummary, TileCounts};
+use conv_core::{ConvError, ConvReal, ConvolutionMethod, Operation, PlanArrays, PlanSummary, TileCounts};
 use ndarray::{Array2, ArrayViewMut2, s};
 use psf_types::{
     DataError, FrameShape, Image, ImageView, NoProgress, PixelRegion, Progress, PsfModel, SampleStates,
@@ -36,15 +37,21 @@ use crate::scene::{Layer, Scene};
 use crate::simulate_options::SimulateOptions;
 
 use convolver::OfLayers;
+use gradients::PsfDerivative;
 use stamp_edges::StampEdge;
 use wings::part_of_light;
 
 pub use builder::SimulatorBuilder;
+pub use gradients::{Gradients, WantedGradients};
 pub(crate) use part::Part;
 pub(crate) use setup::Setup;
 pub use shooting::{ExposeOptions, ShootBelow};
 pub use stamp_sampling::SamplingErrors;
 pub use warnings::SimulationWarning;
+
+/// The start of the error message for an adjoint with a method that makes no plan
+/// ([`PsfieldError::needs_plan`]).
+const ADJOINT: &str = "the adjoint can be computed";
 
 /// Makes images of scenes of one shape through a PSF. Models and plans are made when the first
 /// scene needs them, and kept for all later scenes. [`prepare`](Self::prepare) makes them
@@ -97,6 +104,9 @@ pub struct Simulator<T: ConvReal> {
     wings: OnceLock<Option<Box<Self>>>,
     /// Whether this simulator is one of wings.
     of_wings: bool,
+    /// For derivatives with respect to the PSF. Made when first needed, and shared by simulators for other
+    /// parameters of the PSF.
+    psf_derivative: Arc<OnceLock<PsfDerivative<T>>>,
 }
 
 /// The PSFs and what the simulators of all regions of a frame share.
@@ -283,7 +293,7 @@ impl<T: ConvReal> Simulator<T> {
         self.check_image(image.pixels().dim())?;
         let (layers, geometry) = (self.shared.layers_of_images(), &self.setup.geometry);
         let convolver = self.convolver(&layers, progress)?;
-        let engine = convolver.engine_for("the adjoint can be computed")?;
+        let engine = convolver.engine_for(ADJOINT)?;
         let wings = self.wings()?;
         let of_wings = wings.map(|wings| wings.adjoint(image, progress)).transpose()?;
         let shape = if geometry.is_whole() {
@@ -321,6 +331,15 @@ impl<T: ConvReal> Simulator<T> {
         sums.into_iter().map(|sum| Ok(Image::new(sum)?)).collect()
     }
 
+    /// The shape of the adjoint of an image.
+    fn adjoint_shape(&self, progress: &dyn Progress) -> Result<FrameShape, PsfieldError> {
+        if self.setup.geometry.is_whole() {
+            return Ok(self.setup.geometry.shape);
+        }
+        let light = self.light_region_of(&self.shared.layers_of_images(), progress)?;
+        Ok(light.shape())
+    }
+
     /// The part of the scene whose light reaches the computed region, in pixels of the scene. For
     /// methods without a plan, it is the whole scene.
     ///
@@ -339,6 +358,35 @@ impl<T: ConvReal> Simulator<T> {
     pub fn blocks(&self, progress: &dyn Progress) -> Result<Vec<(PixelRegion, usize)>, PsfieldError> {
         let convolver = self.convolver(&self.shared.layers_of_images(), progress)?;
         Ok(convolver.engine_for("blocks are made")?.plan().blocks().collect())
+    }
+
+    /// Returns the plan for images as plain arrays, with which other software can execute it. The image of
+    /// the arrays is the fine image, which the frame [samples](Self::sampled_pixels).
+    ///
+    /// # Errors
+    /// [`ErrorKind::Setting`] for a method without a plan. [`ErrorKind::Data`] for a PSF with several states
+    /// or with wings, which need the native engine. [`ErrorKind::Field`] if a pixel has no PSF, even if no
+    /// light needs it. The errors of [`prepare`](Self::prepare).
+    pub fn plan_arrays(&self, progress: &dyn Progress) -> Result<PlanArrays<T>, PsfieldError> {
+        let needs_engine = |what| {
+            let message = format!("{what} needs the native engine: use simulate and adjoint");
+            Err(PsfieldError::new(ErrorKind::Data, message))
+        };
+        if self.layer_count() > 1 {
+            return needs_engine("a PSF with several states");
+        }
+        if self.has_wings()? {
+            return needs_engine("a PSF with wings");
+        }
+        let convolver = self.convolver(&self.shared.layers_of_images(), progress)?;
+        let engine = convolver.engine_for("arrays of plans are made")?;
+        Ok(engine.plan().arrays()?)
+    }
+
+    /// The pixels at which the frame samples a fine image, which has the scene's pixels: the index of the
+    /// first and the step, along either axis. The frame's image holds their values times `step^2`.
+    pub fn sampled_pixels(&self) -> (usize, usize) {
+        (self.setup.geometry.offset(), self.setup.geometry.oversample)
     }
 
     /// Makes the models and the plans that scenes like `scene` need (with or without images,

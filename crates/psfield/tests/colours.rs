@@ -292,6 +292,13 @@ fn wrong_numbers_of_layers_and_gpus_are_refused() {
         error.to_string().contains("3 states, but the scene has 2 layers"),
         "{error}"
     );
+    let error = simulator.plan_arrays(&NoProgress).unwrap_err();
+    assert!(
+        error
+            .to_string()
+            .contains("several states needs the native engine"),
+        "{error}"
+    );
     let builder = psf.simulator(SHAPE).device(Device::Gpu);
     let simulator: Simulator<f32> = builder.build().unwrap();
     let scenes = (0..3).map(|_| Scene::new(Array2::ones(SHAPE)).unwrap());

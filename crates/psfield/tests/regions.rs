@@ -365,6 +365,8 @@ fn methods_without_a_plan_say_what_they_cannot_do() {
     let refused = simulator.adjoint(&seen.view(), &NoProgress);
     assert_needs_plan(refused.unwrap_err(), "the adjoint can be computed");
     assert_needs_plan(simulator.blocks(&NoProgress).unwrap_err(), "blocks are made");
+    let refused = simulator.plan_arrays(&NoProgress);
+    assert_needs_plan(refused.unwrap_err(), "arrays of plans are made");
     let light = light::<f64>(1);
     let mut rows = Rows {
         light: light.pixels(),

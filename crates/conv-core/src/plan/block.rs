@@ -70,6 +70,11 @@ impl<T: ConvReal> Block<T> {
         }
     }
 
+    /// The pixels of the block, in field positions.
+    pub(crate) fn region(&self) -> PixelRegion {
+        self.region
+    }
+
     /// The number of kernels: the modes, plus 1 if there is a reference.
     pub(crate) fn kernel_count(&self) -> usize {
         self.modes.kernel_count()

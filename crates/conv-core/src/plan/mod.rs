@@ -10,6 +10,7 @@
 //! coefficients of the modes ([`coefficient_table`]).
 
 mod allowed_errors;
+mod arrays;
 pub(crate) mod axis_cuts;
 pub(crate) mod block;
 #[cfg(test)]
@@ -24,8 +25,10 @@ pub(crate) mod local_modes;
 mod node_functions;
 pub(crate) mod norm;
 mod options;
+mod polynomials;
 pub(crate) mod psf_space;
 pub(crate) mod region_cells;
+pub(crate) mod sample_weights;
 mod smooth_table;
 mod span;
 mod summary;
@@ -38,11 +41,13 @@ use ndarray::Array2;
 use psf_types::{Anchor, FrameShape, NoProgress, PixelRegion, Progress, PsfModel};
 use rayon::prelude::*;
 
+pub use arrays::{BlockArrays, PlanArrays};
 use axis_cuts::{Stretch, longest};
 use block::{Block, stamps_of};
 use cost_model::CostModel;
 use geometry::{Direction, Geometry};
 pub use options::{Paths, PlanOptions};
+pub use sample_weights::SampleWeights;
 pub use summary::PlanSummary;
 use tiling::{Tiling, WholeFrame};
 

@@ -65,7 +65,7 @@ fn state_field(record: &PsfModelRecord, state: usize) -> Result<Arc<dyn Coeffici
 }
 
 /// Interpolates coefficients as the record says.
-fn field_of(
+pub(crate) fn field_of(
     record: &PsfModelRecord,
     coefficients: &SampleCoefficients,
 ) -> Result<Arc<dyn CoefficientField>, PsfieldError> {

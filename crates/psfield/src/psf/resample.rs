@@ -1,7 +1,9 @@
 //! Resamples a PSF to other pixels, and removes the response of a scene's pixel.
 
+use std::ops::Range;
+
 use conv_core::{ScenePixelFilter, StampInterpolator, edge_reach, grid_with_pixel_response, native_grid};
-use ndarray::{Array2, Array3, ArrayView2, ArrayView3, Axis};
+use ndarray::{Array2, Array3, ArrayView2, ArrayView3, Axis, s};
 use psf_types::{
     Anchor, FrameShape, Position, PsfBasis, PsfModelRecord, PsfSamples, SampleCoefficients, SamplePositions,
     StampGrid,
@@ -11,6 +13,64 @@ use rayon::prelude::*;
 use super::{Origin, Psf, SourceFile};
 use crate::error::PsfieldError;
 use crate::stack_size::check_stack;
+
+/// A linear change of stamps to another grid. It changes the rows in one way and the columns in another.
+pub(crate) struct StampChange {
+    own: StampGrid,
+    target: StampGrid,
+    kind: ChangeKind,
+}
+
+enum ChangeKind {
+    /// Resamples stamps to the pixels of a grid, and multiplies them by a factor. A factor of 1 changes no
+    /// bit.
+    Resampling(StampGrid, f64),
+    WithoutScenePixel(ScenePixelFilter),
+}
+
+impl StampChange {
+    fn resampling(own: StampGrid, target: StampGrid) -> Self {
+        Self {
+            own,
+            target,
+            kind: ChangeKind::Resampling(target, 1.0),
+        }
+    }
+
+    /// The changed stamp.
+    fn apply(&self, stamp: ArrayView2<'_, f64>) -> Array2<f64> {
+        match &self.kind {
+            ChangeKind::Resampling(sampled, factor) => {
+                StampInterpolator::new(stamp, self.own).resample((0.0, 0.0), *sampled) * *factor
+            }
+            ChangeKind::WithoutScenePixel(filter) => filter.apply(stamp),
+        }
+    }
+
+    /// The change as two matrices: `along_y` `[new row, row]` and `along_x` `[new column, column]` change a
+    /// stamp to `along_y stamp along_x^T`. They follow from the changes of stamps with a single lit row or
+    /// column.
+    pub(crate) fn matrices(&self) -> [Array2<f64>; 2] {
+        let (ny, nx) = self.own.dim();
+        let of_ones = |rows: Range<usize>, columns: Range<usize>| {
+            let mut stamp = Array2::zeros((ny, nx));
+            stamp.slice_mut(s![rows, columns]).fill(1.0);
+            self.apply(stamp.view())
+        };
+        // In the middle, a constant stays nearly constant.
+        let (y, x) = (self.target.ny() / 2, self.target.nx() / 2);
+        let constant = of_ones(0..ny, 0..nx)[[y, x]];
+        let mut along_y = Array2::zeros((self.target.ny(), ny));
+        let mut along_x = Array2::zeros((self.target.nx(), nx));
+        for (j, mut column) in along_y.columns_mut().into_iter().enumerate() {
+            column.assign(&of_ones(j..j + 1, 0..nx).column(x));
+        }
+        for (i, mut column) in along_x.columns_mut().into_iter().enumerate() {
+            column.assign(&(&of_ones(0..ny, i..i + 1).row(y) / constant));
+        }
+        [along_y, along_x]
+    }
+}
 
 impl Psf {
     /// Returns this PSF with native stamps, which the convolution of images needs: at the frame's
@@ -25,11 +85,17 @@ impl Psf {
         if let Some(changed) = self.changed_by_parts(|part| part.native(size))? {
             return Ok(changed);
         }
-        let target = self.native_target(size)?;
-        if target == self.grid() {
-            return Ok(self.clone());
+        match self.native_change(size)? {
+            None => Ok(self.clone()),
+            Some(change) => self.changed_by(&change),
         }
-        self.resampled(target)
+    }
+
+    /// The change from this PSF's stamps to those of [`native`](Self::native). None if there is nothing to
+    /// change.
+    pub(crate) fn native_change(&self, size: Option<usize>) -> Result<Option<StampChange>, PsfieldError> {
+        let target = self.native_target(size)?;
+        Ok((target != self.grid()).then(|| StampChange::resampling(self.grid(), target)))
     }
 
     /// Returns whether [`native`](Self::native) only picks pixels of the stamps, without
@@ -94,6 +160,25 @@ impl Psf {
         size: Option<usize>,
         anchor: Anchor,
     ) -> Result<Self, PsfieldError> {
+        let offset_of_field = if anchor == Anchor::Output {
+            ((finer - 1) / 2) as f64
+        } else {
+            (finer as f64 - 1.0) / 2.0
+        };
+        let change = self.finer_change(finer, size)?;
+        self.changed_at(
+            change.target,
+            |stamp| change.apply(stamp),
+            |positions| finer_positions(positions, finer, offset_of_field),
+        )
+    }
+
+    /// The change from this PSF's stamps to those of [`for_finer_scene`](Self::for_finer_scene).
+    pub(crate) fn finer_change(
+        &self,
+        finer: usize,
+        size: Option<usize>,
+    ) -> Result<StampChange, PsfieldError> {
         let s = finer as f64;
         // If `finer` is even, the centre of a frame pixel lies between two scene pixels.
         let between = (s - 1.0) / 2.0 - ((finer - 1) / 2) as f64;
@@ -105,40 +190,43 @@ impl Psf {
         let target = target
             .with_pixel_response_included(true)
             .with_interpolation(own.interpolation());
-        let offset_of_field = if anchor == Anchor::Output {
-            (s - 1.0) / 2.0 - between
-        } else {
-            (s - 1.0) / 2.0
-        };
         let sampled = target
             .with_oversampling(s)?
             .with_centre(target.centre_x() - between, target.centre_y() - between)?;
-        // Converts values per pixel of the frame to values per pixel of the scene.
-        let stamp = |stamp: ArrayView2<'_, f64>| {
-            StampInterpolator::new(stamp, own).resample((0.0, 0.0), sampled) / (s * s)
-        };
-        self.changed_at(target, stamp, |positions| {
-            finer_positions(positions, finer, offset_of_field)
+        Ok(StampChange {
+            own,
+            target,
+            // Converts values per pixel of the frame to values per pixel of the scene.
+            kind: ChangeKind::Resampling(sampled, 1.0 / (s * s)),
         })
     }
 
     /// Returns this PSF with its stamps resampled to other pixels of the same frame.
     fn resampled(&self, target: StampGrid) -> Result<Self, PsfieldError> {
-        let own = self.grid();
-        let stamp =
-            |stamp: ArrayView2<'_, f64>| StampInterpolator::new(stamp, own).resample((0.0, 0.0), target);
-        self.changed(target, stamp)
+        self.changed_by(&StampChange::resampling(self.grid(), target))
+    }
+
+    fn changed_by(&self, change: &StampChange) -> Result<Self, PsfieldError> {
+        self.changed(change.target, |stamp| change.apply(stamp))
     }
 
     /// Returns this PSF without the response of a pixel of the scene, for scenes whose values are
     /// already integrated over their pixels ([`ScenePixelFilter`]). The stamps have the scene's
     /// pixels. The new stamps are wider, by [`ScenePixelFilter::margin_for`] at some of the nodes.
     pub(crate) fn without_scene_pixel(&self) -> Result<Self, PsfieldError> {
+        self.changed_by(&self.scene_pixel_change()?)
+    }
+
+    /// The change from this PSF's stamps to those of [`without_scene_pixel`](Self::without_scene_pixel).
+    pub(crate) fn scene_pixel_change(&self) -> Result<StampChange, PsfieldError> {
         let own = self.grid();
         let margin = ScenePixelFilter::margin_for(self.some_psfs());
         let filter = ScenePixelFilter::new(own.dim(), margin);
-        let target = own.with_margins([margin; 2])?;
-        self.changed(target, |stamp| filter.apply(stamp))
+        Ok(StampChange {
+            own,
+            target: own.with_margins([margin; 2])?,
+            kind: ChangeKind::WithoutScenePixel(filter),
+        })
     }
 
     /// PSFs at samples or nodes that are evenly spread over the list of them.
@@ -306,7 +394,6 @@ fn finer_positions(
 
 #[cfg(test)]
 mod tests {
-    use ndarray::s;
     use psf_types::{Interpolation, Normalisation, OutsidePolicy};
 
     use super::*;

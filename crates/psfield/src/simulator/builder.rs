@@ -177,6 +177,7 @@ impl<T: ConvReal> Simulator<T> {
             convolvers: Mutex::new(Vec::new()),
             wings: OnceLock::new(),
             of_wings: false,
+            psf_derivative: Arc::default(),
         }
     }
 }

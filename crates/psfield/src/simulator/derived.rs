@@ -53,6 +53,7 @@ impl<T: ConvReal> Simulator<T> {
             convolvers: Mutex::new(convolvers),
             wings: OnceLock::from(wings),
             of_wings: self.of_wings,
+            psf_derivative: Arc::default(),
         })
     }
 
@@ -86,6 +87,10 @@ impl<T: ConvReal> Simulator<T> {
         for (layers, before) in self.kept_convolvers() {
             let convolver = other.convolver_on_tiles_of(&before, &layers, progress)?;
             convolvers.extend(convolver.map(|convolver| (layers, Arc::new(convolver))));
+        }
+        let has_tiles = convolvers.iter().any(|(layers, _)| *layers == [0]);
+        if has_tiles && self.shares_derivative_with(&other)? {
+            other.psf_derivative = Arc::clone(&self.psf_derivative);
         }
         other.convolvers = Mutex::new(convolvers);
         Ok(other)

@@ -106,7 +106,7 @@ impl Geometry {
     }
 
     /// The index, along either axis, of the first pixel of a fine image that is sampled.
-    fn offset(&self) -> usize {
+    pub(super) fn offset(&self) -> usize {
         (self.oversample - 1) / 2
     }
 

@@ -7,7 +7,7 @@ use super::flux::check_flux;
 use super::geometry::Geometry;
 use crate::error::PsfieldError;
 use crate::evaluate::check_frame_on_field;
-use crate::psf::Psf;
+use crate::psf::{Psf, StampChange};
 use crate::simulate_options::{Device, ScenePixels, SimulateOptions};
 
 /// Frame pixels by which padded stamps may extend beyond the reach of the PSF ([`Psf::reach`]).
@@ -86,14 +86,33 @@ impl Setup {
 
     /// The PSF on the pixels of a scene's image, for its convolution.
     pub(crate) fn on_scene_pixels(&self, psf: &Psf) -> Result<Psf, PsfieldError> {
-        let (options, size) = (&self.options, self.stamp_size(psf));
-        let psf = match options.oversample {
-            1 => psf.native(size)?,
-            finer => psf.for_finer_scene(finer, size, options.anchor)?,
-        };
-        match options.scene_pixels {
+        let psf = self.with_scene_sampling(psf)?;
+        match self.options.scene_pixels {
             ScenePixels::Point => Ok(psf),
             ScenePixels::Integrated => psf.without_scene_pixel(),
         }
+    }
+
+    /// The PSF at the sampling of a scene's image.
+    fn with_scene_sampling(&self, psf: &Psf) -> Result<Psf, PsfieldError> {
+        let size = self.stamp_size(psf);
+        match self.options.oversample {
+            1 => psf.native(size),
+            finer => psf.for_finer_scene(finer, size, self.options.anchor),
+        }
+    }
+
+    /// The changes of stamps by [`on_scene_pixels`](Self::on_scene_pixels), one after the other.
+    pub(super) fn stamp_changes(&self, psf: &Psf) -> Result<Vec<StampChange>, PsfieldError> {
+        let (options, size) = (&self.options, self.stamp_size(psf));
+        let first = match options.oversample {
+            1 => psf.native_change(size)?,
+            finer => Some(psf.finer_change(finer, size)?),
+        };
+        let mut changes = Vec::from_iter(first);
+        if options.scene_pixels == ScenePixels::Integrated {
+            changes.push(self.with_scene_sampling(psf)?.scene_pixel_change()?);
+        }
+        Ok(changes)
     }
 }
