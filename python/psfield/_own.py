@@ -72,7 +72,7 @@ def interpolated(
     error = real(table_error, "table_error")
     if interpolation is None:
         return model
-    positions, values = np.column_stack(model.positions()), model.basis()[2]
+    positions, values = np.column_stack(model.positions()), model.parameters()[2]
     states = model.states()
     each = np.zeros(len(positions)) if states is None else np.asarray(states[1])
     groups = [np.flatnonzero(each == value) for value in np.unique(each)]

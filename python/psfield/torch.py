@@ -9,7 +9,6 @@ The module needs PyTorch: ``pip install torch``.
 
 from __future__ import annotations
 
-import copy
 from typing import Any, Literal, NoReturn
 
 from psfield._choices import choice
@@ -35,7 +34,7 @@ except ImportError as error:
 __all__ = ["SpatiallyVaryingBlur"]
 
 
-class SpatiallyVaryingBlur(torch.nn.Module):  # type: ignore[misc]
+class SpatiallyVaryingBlur(torch.nn.Module):
     """Convolution of light with a PSF that varies over the field.
 
     A plan is a linear operator: ``image = A light``. `forward` applies ``A``, `adjoint` its
@@ -250,16 +249,8 @@ class SpatiallyVaryingBlur(torch.nn.Module):  # type: ignore[misc]
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_tiles": {}, "_psf_plans": None}
 
-    def __deepcopy__(self, memo: dict[int, Any]) -> SpatiallyVaryingBlur:
-        # A plan does not change. A copy of it would be computed again.
-        memo[id(self.plan)] = self.plan
-        other = type(self).__new__(type(self))
-        memo[id(self)] = other
-        other.__setstate__(copy.deepcopy(self.__getstate__(), memo))
-        return other
 
-
-class _Native(torch.autograd.Function):  # type: ignore[misc]
+class _Native(torch.autograd.Function):
     """A plan or, if ``transposed``, its adjoint, by the native engine on tensors of the CPU."""
 
     @staticmethod
@@ -294,7 +285,7 @@ class _Native(torch.autograd.Function):  # type: ignore[misc]
         return _Native.apply(pixels.movedim(in_dims[0], 0), plan, transposed), 0
 
 
-class _WithPsf(torch.autograd.Function):  # type: ignore[misc]
+class _WithPsf(torch.autograd.Function):
     """Images for parameters of the PSF, with derivatives with respect to light and parameters."""
 
     @staticmethod
@@ -328,7 +319,7 @@ class _WithPsf(torch.autograd.Function):  # type: ignore[misc]
         return torch.stack([_WithPsf.apply(*example) for example in examples]), 0
 
 
-class _PsfGradients(torch.autograd.Function):  # type: ignore[misc]
+class _PsfGradients(torch.autograd.Function):
     """The wanted derivatives of ``sum(image * A light)`` with respect to light and parameters."""
 
     @staticmethod

@@ -327,11 +327,6 @@ impl PsfModel {
         Ok(choices_of(self.record(py)?))
     }
 
-    /// Mean stamp, components, coefficients.
-    fn basis<'py>(&self, py: Python<'py>) -> PyResult<Basis<'py>> {
-        Ok(arrays_of(py, self.record(py)?))
-    }
-
     /// Mean stamp, components, coefficients, as given to [`with_parameters`](Self::with_parameters).
     fn parameters<'py>(&self, py: Python<'py>) -> PyResult<Basis<'py>> {
         self.record(py)?;

@@ -1,5 +1,7 @@
 //! Correlation of light with images: the derivatives with respect to the PSFs of samples.
 
+use std::slice::from_ref;
+
 use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis, s};
 use psf_types::{ImageView, Progress};
 use rayon::prelude::*;
@@ -7,7 +9,7 @@ use rayon::prelude::*;
 use super::processor::Processor;
 use super::tile_engine::{TileEngine, Workspace};
 use crate::plan::SampleWeights;
-use crate::plan::axis_cuts::Stretch;
+use crate::plan::axis_cuts::longest;
 use crate::plan::function_rows::FunctionRows;
 use crate::plan::geometry::{Direction, PlacedTile};
 use crate::plan::sample_weights::{BlockWeights, Functions};
@@ -142,7 +144,6 @@ impl<T: ConvReal> Part<'_, T> {
             &plan.tiling.columns[self.place.0],
             &plan.tiling.rows[self.place.1],
         );
-        let longest = |stretch: &Stretch| stretch.tiles.iter().map(|tile| tile.1).max().unwrap_or(1);
         let mut sums = Sums {
             engine: TileEngine {
                 fft: &self.processor.fft,
@@ -152,7 +153,7 @@ impl<T: ConvReal> Part<'_, T> {
             functions: &self.weights.functions,
             fluxes: self.fluxes.map(|fluxes| shares.dot(&fluxes)),
             products: Array1::zeros(shares.nrows()),
-            largest: (longest(columns), longest(rows)),
+            largest: (longest(from_ref(columns)), longest(from_ref(rows))),
             are_empty: true,
         };
         workspace.kernels.at_least(shares.nrows() * length);

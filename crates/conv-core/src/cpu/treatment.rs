@@ -203,10 +203,6 @@ fn choose<T: ConvReal>(
     workspace: &mut Workspace<T>,
 ) -> (Option<TileMethod>, Vec<LitPixel<T>>) {
     let (plan, pitch) = (&pass.processor.plan, pass.processor.fft.pitch());
-    // Without any kernel (modes or reference), the PSFs of the tile are zero.
-    if kernels == 0 {
-        return (None, Vec::new());
-    }
     if plan.options().paths() == Paths::Transforms {
         return (Some(TileMethod::ByTransforms), Vec::new());
     }
@@ -225,7 +221,7 @@ fn choose<T: ConvReal>(
 }
 
 /// Loads the light of a tile, or the light around it, into `workspace.light`, layer after layer, and
-/// chooses its treatment. Returns `None` if the light is zero everywhere. The progress object is polled here,
+/// chooses its treatment. Returns `None` if the light or the PSFs are zero everywhere. The progress object is polled here,
 /// once per tile.
 pub(crate) fn treated<T: ConvReal>(
     pass: &LightPass<'_, T>,
@@ -273,6 +269,9 @@ pub(crate) fn treated<T: ConvReal>(
         }),
     })?;
     let count = kernels.block.kernel_count();
+    if count == 0 {
+        return Ok(None);
+    }
     let draw = plan.cost.draw(direction, engine.geometry.stamp, count);
     let back = rescale(&mut seen, workspace.light.get_mut());
     let (method, mut drawn) = choose(pass, seen, size, tile.size, (count, draw), workspace);
@@ -334,7 +333,6 @@ impl TileCounts {
                 self.transformed += 1;
                 self.modes += modes;
             }
-            None if treatment.drawn.is_empty() => self.dark += 1,
             None => self.drawn += 1,
         }
     }
@@ -374,10 +372,6 @@ pub(crate) fn each_tile<T: ConvReal, S: Lanes<T>>(
                 continue;
             };
             counts.count(&treatment, kernels.block.kernel_count());
-            if treatment.method.is_none() && treatment.drawn.is_empty() {
-                // The PSFs of the tile are zero. The workspace still holds the result of another tile.
-                continue;
-            }
             if treatment.method == Some(TileMethod::ByTransforms) && !transforms_kernels {
                 kernels.transform(simd, &pass.tile_engine(), workspace);
             }

@@ -103,8 +103,8 @@ impl<T: ConvReal> Simulator<T> {
     /// # Errors
     /// [`ErrorKind::Setting`] for the parameters of a PSF of samples (make a model by
     /// [`Psf::with_parameters`](crate::Psf::with_parameters)), with wings or with an interpolation of the
-    /// caller's own, and for a PSF of several states. [`ErrorKind::Data`] for another number of images than of lights, and
-    /// the errors of [`adjoint`](Self::adjoint).
+    /// caller's own, and for a PSF of several states. [`ErrorKind::Data`] for another number of images than of
+    /// lights, and the errors of [`adjoint`](Self::adjoint).
     pub fn gradients(
         &self,
         lights: &[ImageView<'_, T>],
@@ -125,14 +125,16 @@ impl<T: ConvReal> Simulator<T> {
             return Err(PsfieldError::new(ErrorKind::Data, message));
         }
         let of_psf = wanted.coefficients || wanted.stamps;
-        let changes_flux = of_psf && self.changes_flux(wanted, progress)?;
+        let sums = of_psf.then(|| self.psf_sums(progress)).transpose()?;
+        let changes_flux = sums.as_ref().is_some_and(|sums| sums.change_flux(wanted));
         let is_source_anchored = self.options().anchor != Anchor::Output;
         let light = (wanted.light || changes_flux && is_source_anchored)
             .then(|| self.adjoint_many(images, progress))
             .transpose()?;
-        let psf = of_psf.then(|| {
+        let psf = sums.map(|sums| {
             let adjoints = light.as_ref().filter(|_| changes_flux && is_source_anchored);
-            self.psf_gradient((lights, images), wanted, (changes_flux, adjoints), progress)
+            let results = (changes_flux, adjoints);
+            self.psf_gradient(sums, (lights, images), wanted, results, progress)
         });
         Ok(Gradients {
             psf: psf.transpose()?,
@@ -140,16 +142,12 @@ impl<T: ConvReal> Simulator<T> {
         })
     }
 
-    /// Returns whether wanted parameters change the flux by which PSFs are divided.
-    fn changes_flux(&self, wanted: WantedGradients, progress: &dyn Progress) -> Result<bool, PsfieldError> {
-        let is_scaled = self.record_for_derivatives()?.normalisation() == Normalisation::Unit;
-        if !is_scaled || wanted.stamps {
-            return Ok(is_scaled);
-        }
+    /// Sums for the derivative with respect to the PSF, without any pixels yet.
+    fn psf_sums(&self, progress: &dyn Progress) -> Result<Sums<'_, T>, PsfieldError> {
+        let normalisation = self.record_for_derivatives()?.normalisation();
         let convolver = self.convolver(&[0], progress)?;
         let derivative = self.psf_derivative(convolver.engine_for(DERIVATIVES)?, progress)?;
-        let fluxes = derivative.sums(self.psf().parameters()?).component_fluxes;
-        Ok(fluxes.iter().any(|flux| flux.abs() > NO_FLUX))
+        Ok(derivative.sums(self.psf().parameters()?, normalisation))
     }
 
     /// The record of the PSF, if its parameters have derivatives.
@@ -176,6 +174,7 @@ impl<T: ConvReal> Simulator<T> {
     /// are scaled to unit flux and source-anchored.
     fn psf_gradient(
         &self,
+        mut sums: Sums<'_, T>,
         (lights, images): (&[ImageView<'_, T>], &[ImageView<'_, T>]),
         wanted: WantedGradients,
         (changes_flux, adjoints): (bool, Option<&Array3<T>>),
@@ -183,7 +182,6 @@ impl<T: ConvReal> Simulator<T> {
     ) -> Result<PsfParameters, PsfieldError> {
         let convolver = self.convolver(&[0], progress)?;
         let engine = convolver.engine_for(DERIVATIVES)?;
-        let derivative = self.psf_derivative(engine, progress)?;
         let geometry = &self.setup.geometry;
         let mut fine = Vec::new();
         if geometry.oversample > 1 {
@@ -218,15 +216,13 @@ impl<T: ConvReal> Simulator<T> {
         };
         let pairs: Vec<LightAndImage<'_, T>> =
             (0..lights.len()).map(pair).collect::<Result<_, PsfieldError>>()?;
-        let parameters = self.psf().parameters()?;
-        let sums = derivative.sums(parameters);
         let needs_fluxes = engine.plan().model().needs_flux_scaling();
         let fluxes = needs_fluxes.then(|| sums.fluxes.clone());
-        let mut gradient = sums;
-        let mut take = |part: Correlations| gradient.add(&part, wanted);
         let fluxes = fluxes.as_ref().map(|fluxes| fluxes.view());
-        engine.correlate(&derivative.weights, &pairs, fluxes, progress, &mut take)?;
-        Ok(gradient.finish(derivative))
+        let weights = &sums.derivative.weights;
+        let mut take = |part: Correlations| sums.add(&part, wanted);
+        engine.correlate(weights, &pairs, fluxes, progress, &mut take)?;
+        Ok(sums.finish())
     }
 
     /// Returns whether derivatives with respect to the PSF of another simulator with the same tiles need the
@@ -243,8 +239,8 @@ impl<T: ConvReal> Simulator<T> {
             && grid_on_pixels(self)? == grid_on_pixels(other)?)
     }
 
-    /// What derivatives with respect to the PSF need. It is made once, and kept for other parameters of the
-    /// PSF ([`with_psf`](Self::with_psf)).
+    /// The data that derivatives with respect to the PSF need. They are made once, and kept for other parameters of
+    /// the PSF ([`with_psf`](Self::with_psf)).
     fn psf_derivative(
         &self,
         engine: &Engine<T>,
@@ -293,7 +289,7 @@ impl<T: ConvReal> PsfDerivative<T> {
         }
     }
 
-    fn sums<'p>(&self, parameters: &'p PsfParameters) -> Sums<'p> {
+    fn sums<'p>(&'p self, parameters: &'p PsfParameters, normalisation: Normalisation) -> Sums<'p, T> {
         let stamps = parameters
             .components
             .outer_iter()
@@ -308,7 +304,9 @@ impl<T: ConvReal> PsfDerivative<T> {
         let mean = parameters.mean.as_ref();
         let of_mean = mean.map_or(0.0, |mean| flux(self.on_pixels(mean.view()).sum()));
         Sums {
+            derivative: self,
             parameters,
+            is_scaled: normalisation == Normalisation::Unit,
             flux_of_pixel: flux(1.0),
             fluxes: parameters.coefficients.dot(&component_fluxes) + of_mean,
             of_components: Array2::zeros(components.dim()),
@@ -321,8 +319,11 @@ impl<T: ConvReal> PsfDerivative<T> {
 }
 
 /// The sums of the derivatives over parts of the scene.
-struct Sums<'p> {
+struct Sums<'p, T> {
+    derivative: &'p PsfDerivative<T>,
     parameters: &'p PsfParameters,
+    /// Whether PSFs are scaled to unit flux.
+    is_scaled: bool,
     /// The components on the scene's pixels, `[component, pixel]`, and their fluxes.
     components: Array2<f64>,
     component_fluxes: Array1<f64>,
@@ -336,7 +337,13 @@ struct Sums<'p> {
     of_coefficients: Array2<f64>,
 }
 
-impl Sums<'_> {
+impl<T: ConvReal> Sums<'_, T> {
+    /// Returns whether wanted parameters change the flux by which PSFs are divided.
+    fn change_flux(&self, wanted: WantedGradients) -> bool {
+        let has_flux = |flux: &f64| flux.abs() > NO_FLUX;
+        self.is_scaled && (wanted.stamps || self.component_fluxes.iter().any(has_flux))
+    }
+
     fn add(&mut self, part: &Correlations, wanted: WantedGradients) {
         let Correlations {
             shares,
@@ -356,7 +363,8 @@ impl Sums<'_> {
         self.of_mean += &shares.sum_axis(Axis(1)).dot(&of_pixels);
     }
 
-    fn finish<T: ConvReal>(self, derivative: &PsfDerivative<T>) -> PsfParameters {
+    fn finish(self) -> PsfParameters {
+        let derivative = self.derivative;
         let (ny, nx) = derivative.grids[0].dim();
         let mut components = Array3::zeros((self.of_components.nrows(), ny, nx));
         for (mut stamp, row) in components.outer_iter_mut().zip(self.of_components.outer_iter()) {
