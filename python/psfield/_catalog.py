@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import warnings
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -367,9 +368,48 @@ def column_of(values: Any, name: str, unit: Any) -> Column:
 
     ``unit`` is None for fluxes in their own unit.
     """
-    if unit is None:
-        check_linear(getattr(values, "unit", None), f"catalog: {name}")
-    array = with_missing(in_unit(values, unit, f"catalog: {name}"), f"catalog: {name}")
+    array = _numbers_of(values, name, unit)
     if array.ndim > 1:
         raise ValueError(f"catalog: {name} must be a column, got an array of shape {array.shape}")
     return array
+
+
+def _numbers_of(values: Any, name: str, unit: Any) -> Column:
+    """Return doubles in ``unit`` as `column_of` does, with any axes."""
+    if unit is None:
+        check_linear(getattr(values, "unit", None), f"catalog: {name}")
+    return with_missing(in_unit(values, unit, f"catalog: {name}"), f"catalog: {name}")
+
+
+#: The columns of sources with derivatives. Stars have no ``re``.
+SOURCE_COLUMNS = ("x", "y", "flux", "re", "n", "q", "angle")
+_OF_STAR = {"re": 0.0, "n": 1.0, "q": 1.0, "angle": 0.0}
+
+
+def source_columns(catalog: Any, kept: type | tuple[type, ...] = ()) -> dict[str, Any]:
+    """Return the `SOURCE_COLUMNS` of a catalogue in their order.
+
+    Values become NumPy doubles in the unit of the column, except those of the types ``kept``.
+    """
+    if not isinstance(catalog, Mapping):
+        raise TypeError(
+            f"catalog must be a dict of the columns {', '.join(SOURCE_COLUMNS)}, got"
+            f" {type(catalog).__name__}"
+        )
+    if unknown := [name for name in catalog if name not in SOURCE_COLUMNS]:
+        raise ValueError(
+            f"catalog has a column {unknown[0]!r}, but the columns with derivatives are"
+            f" {', '.join(SOURCE_COLUMNS)}"
+        )
+    needed = SOURCE_COLUMNS if _OF_STAR.keys() & catalog.keys() else SOURCE_COLUMNS[:3]
+    if missing := [name for name in needed if name not in catalog]:
+        raise ValueError(f"catalog needs a column {missing[0]!r}")
+    picked, _ = _native.catalog_columns(list(catalog), False, False, None)
+    units = {name: unit for _, name, unit in picked}
+    found = {**_OF_STAR, **catalog}
+    return {
+        name: found[name]
+        if isinstance(found[name], kept)
+        else _numbers_of(found[name], name, units.get(name))
+        for name in SOURCE_COLUMNS
+    }

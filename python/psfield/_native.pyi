@@ -219,6 +219,10 @@ class Plan:
         coefficients: bool,
         stamps: bool,
     ) -> tuple[NDArray[Any] | None, _Basis | None]: ...
+    def draw_sources(self, columns: NDArray[np.float64]) -> NDArray[Any]: ...
+    def source_gradients(
+        self, columns: NDArray[np.float64], image: NDArray[Any]
+    ) -> NDArray[np.float64]: ...
     def expose(
         self,
         images: _Images,

@@ -1,4 +1,4 @@
-"""A plan as a linear operator on stacks ``[..., y, x]``, for packages that differentiate."""
+"""A plan as an operator on stacks ``[..., y, x]`` and on sources, for its derivatives."""
 
 from __future__ import annotations
 
@@ -129,7 +129,7 @@ def _are_equal(some: dict[str, NDArray[Any]], others: dict[str, NDArray[Any]]) -
 
 
 def check_parameter(name: str, dtype: str) -> None:
-    """Refuse parameters of the PSF that are not real numbers."""
+    """Refuse parameters of the PSF, and columns, that are not real numbers."""
     if not dtype.startswith(("float", "bfloat", "int", "uint")):
         raise TypeError(f"{name} must be real numbers, got {dtype}")
 
@@ -151,3 +151,23 @@ def gradients(
         if name in wanted and derivative is not None:
             found[name] = derivative
     return found
+
+
+def drawn(plan: Plan, columns: NDArray[Any]) -> NDArray[Any]:
+    """Return the images of sources, given by their columns ``[..., column, source]``."""
+    images = [plan._handle.draw_sources(each) for each in _stack_of(columns)]
+    made = images[0] if len(images) == 1 else np.array(images, plan.dtype)
+    return made.reshape(*columns.shape[:-2], *plan.image_shape)
+
+
+def source_gradients(plan: Plan, columns: NDArray[Any], images: NDArray[Any]) -> NDArray[Any]:
+    """Return the derivatives of ``sum(images * drawn(plan, columns))`` with respect to columns."""
+    stack = _stack_of(columns)
+    of_stack = zip(stack, images.reshape(len(stack), *images.shape[-2:]), strict=True)
+    found = [plan._handle.source_gradients(each, image) for each, image in of_stack]
+    return np.array(found, np.float64).reshape(columns.shape)
+
+
+def _stack_of(columns: NDArray[Any]) -> NDArray[np.float64]:
+    count = int(np.prod(columns.shape[:-2]))
+    return np.ascontiguousarray(columns, np.float64).reshape(count, *columns.shape[-2:])

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from psfield import _native
 from psfield._arrays import DTYPES, doubles, numbers, precision_of, shape_of
 from psfield._astropy import like, unit_of
-from psfield._catalog import Reads, is_path, sources_of
+from psfield._catalog import SOURCE_COLUMNS, Reads, is_path, source_columns, sources_of
 from psfield._choices import integer
 from psfield._colour import checked_colour, first_image, is_images, native_colour
 from psfield._defaults import arguments
@@ -623,6 +623,56 @@ class Plan:
             for layer in zip(*found, strict=True)
         ]
         return layers[0] if spectra is None else dict(zip(names, layers, strict=True))
+
+    def source_gradients(self, catalog: Mapping[str, Any], image: Any) -> dict[str, Any]:
+        """Return derivatives with respect to sources, for fits of fluxes, positions and shapes.
+
+        They are those of ``(simulate(catalog=catalog) * image).sum()`` with respect to each number
+        of the catalogue. So if ``image`` is the derivative of a number, such as chi-square, with
+        respect to the image of the sources, these are the derivatives of this number. They include
+        the change of the PSF with the position, and keep the tolerance. They leave out the
+        ``floor``: sources without flux have a derivative with respect to it, too. The warnings of
+        `simulate` are not repeated.
+
+        Parameters
+        ----------
+        catalog : dict of str to array_like
+            Columns ``x``, ``y`` and ``flux`` and, for galaxies, ``re`` (0 for a star), ``n``, ``q``
+            and ``angle``, as for `simulate`. Each is ``[source]``, or a number for all sources.
+        image : array_like
+            ``[y, x]`` with `image_shape`.
+
+        Returns
+        -------
+        dict of str to numpy.ndarray
+            For each column of the catalogue, ``[source]``.
+
+        Raises
+        ------
+        TypeError
+            The catalogue is not a dict.
+        ValueError
+            A column is missing or unknown, a source is not valid, or the PSF has wings.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> import psfield
+        >>> model = psfield.PsfModel.from_samples([[0, 1, 0], [1, 4, 1], [0, 1, 0]], (0, 0))
+        >>> plan = model.plan((20, 30), tolerance=1e-6, precision="f64")
+        >>> stars = {"x": [12.0, 13.0], "y": [9.0, 9.0], "flux": [80.0, 40.0]}
+        >>> pixel = np.zeros((20, 30))
+        >>> pixel[9, 12] = 1.0
+        >>> gradient = plan.source_gradients(stars, pixel)
+        >>> gradient["flux"].round(6).tolist()  # the part of each flux in this pixel
+        [0.5, 0.125]
+        """
+        check_spectrum(self._settings)
+        columns = np.broadcast_arrays(*map(np.atleast_1d, source_columns(catalog).values()))
+        if columns[0].ndim > 1:
+            raise ValueError(f"catalog: columns must be [source], got {list(columns[0].shape)}")
+        found = self._handle.source_gradients(np.stack(columns), self._image(image))
+        return {name: found[SOURCE_COLUMNS.index(name)] for name in catalog}
 
     def linear_operator(self) -> LinearOperator:
         """Return the plan as SciPy's `~scipy.sparse.linalg.LinearOperator`, for its solvers.

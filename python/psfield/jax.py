@@ -2,14 +2,14 @@
 
 `SpatiallyVaryingBlur` applies a `psfield.Plan` to arrays of JAX. It works under ``jit``, ``vmap``,
 ``grad``, ``jvp`` and ``linear_transpose``, in any combination. Gradients also pass to the
-parameters of the PSF, once, in reverse mode.
+parameters of the PSF and to sources, once, in reverse mode.
 
 The module needs JAX: ``pip install jax``.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import Any, TypeAlias
@@ -17,6 +17,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from psfield._catalog import source_columns
 from psfield._operator import (
     PARAMETERS,
     PsfPlans,
@@ -24,9 +25,11 @@ from psfield._operator import (
     check_image,
     check_parameter,
     checked_plan,
+    drawn,
     gradients,
     light_index,
     result_shape,
+    source_gradients,
 )
 from psfield._plan import Plan
 
@@ -193,6 +196,57 @@ class SpatiallyVaryingBlur:
         check_image(self.plan, image.dtype.name, image.shape)
         return _operator.bind(image, plan=self.plan, transposed=True)[0]
 
+    def draw(self, catalog: Mapping[str, Any]) -> jax.Array:
+        """Draw stars and galaxies, with derivatives with respect to each number of the catalogue.
+
+        The image is that of `Plan.simulate` for these sources. Derivatives include the change of
+        the PSF with the position, and keep the tolerance of the plan. They leave out its
+        ``floor``: sources without flux have a derivative with respect to it, too. They can be
+        taken once, in reverse mode. The warnings of `Plan.simulate` are not repeated.
+
+        Parameters
+        ----------
+        catalog : dict of str to array_like
+            Columns ``x``, ``y`` (pixels, counted from the first pixel of the scene) and ``flux``
+            and, for galaxies, ``re`` (half-light radius along the major axis in pixels, 0 for a
+            star), ``n`` (Sersic index), ``q`` (axis ratio) and ``angle`` (degrees from +x towards
+            +y). Each is ``[source]``, or a number for all sources. With more axes, ``[...,
+            source]``, each catalogue has an image. In single precision, positions near 1000 are
+            rounded to 6e-5 pixels.
+
+        Returns
+        -------
+        jax.Array
+            ``[..., y, x]`` with the `~psfield.Plan.image_shape` of the plan.
+
+        Raises
+        ------
+        TypeError
+            The catalogue is not a dict, a column does not hold real numbers, or the plan is for
+            double precision and ``jax_enable_x64`` is off.
+        ValueError
+            A column is missing or unknown. A source is not valid. The PSF has wings (in reverse
+            mode).
+
+        Examples
+        --------
+        >>> import jax
+        >>> import psfield
+        >>> from psfield.jax import SpatiallyVaryingBlur
+        >>> model = psfield.PsfModel.from_samples([[0, 1, 0], [1, 4, 1], [0, 1, 0]], (0, 0))
+        >>> blur = SpatiallyVaryingBlur(model.plan((20, 30), 1e-6))
+        >>> def pixel(x):
+        ...     return blur.draw({"x": x, "y": 9.0, "flux": jax.numpy.array([80.0, 40.0])})[9, 13]
+        >>> gradient = jax.jit(jax.grad(pixel))(jax.numpy.array([12.0, 20.5]))
+        >>> bool(gradient[0] > 0)
+        True
+        """
+        _check_precision(self.plan.dtype)
+        given = source_columns(catalog, jax.Array)
+        columns = [_parameter(values, name) for name, values in given.items()]
+        columns = jax.numpy.broadcast_arrays(*map(jax.numpy.atleast_1d, columns))
+        return _sources(self.plan, jax.numpy.stack(columns, axis=-2))
+
     def __repr__(self) -> str:
         return f"SpatiallyVaryingBlur({self.plan!r})"
 
@@ -206,7 +260,7 @@ class SpatiallyVaryingBlur:
 
 
 def _parameter(values: Any, name: str) -> jax.Array:
-    """Return a parameter of the PSF as an array of floating-point numbers."""
+    """Return a parameter of the PSF, or a column, as an array of floating-point numbers."""
     array = jax.numpy.asarray(values)
     check_parameter(name, array.dtype.name)
     return array if jax.numpy.issubdtype(array.dtype, jax.numpy.floating) else array.astype(float)
@@ -216,7 +270,7 @@ def _check_precision(*dtypes: np.dtype[Any]) -> None:
     """Refuse double precision if it is off in this thread."""
     if any(jax.dtypes.canonicalize_dtype(dtype) != dtype for dtype in dtypes):
         raise TypeError(
-            "the plan, or a parameter of the PSF, has double precision, which is off in JAX: call"
+            "the plan, a parameter or a column has double precision, which is off in JAX: call"
             " jax.config.update('jax_enable_x64', True) (under jit, the context jax.enable_x64 is"
             " not enough), or choose single precision (for a plan: precision='f32')"
         )
@@ -412,3 +466,67 @@ _gradients = _primitive(
 )
 # The engine adds the derivatives of all images of a call.
 batching.primitive_batchers[_gradients] = partial(_one_by_one, _gradients)
+
+
+# Sources of columns ``[..., column, source]``.
+
+
+@partial(jax.custom_vjp, nondiff_argnums=(0,))
+def _sources(plan: Plan, columns: Any) -> jax.Array:
+    """Return the images of sources."""
+    return _draw.bind(columns, plan=plan)[0]
+
+
+def _sources_and_columns(plan: Plan, columns: Any) -> tuple[jax.Array, Any]:
+    return _draw.bind(columns, plan=plan)[0], columns
+
+
+def _derivatives_of_sources(plan: Plan, columns: Any, image: Any) -> tuple[jax.Array]:
+    return (_source_gradients.bind(columns, image, plan=plan)[0],)
+
+
+_sources.defvjp(_sources_and_columns, _derivatives_of_sources)
+
+
+def _apply_draw(columns: Any, *, plan: Plan) -> tuple[NDArray[Any]]:
+    return (drawn(plan, columns),)
+
+
+def _differentiate_sources(columns: Any, image: Any, *, plan: Plan) -> tuple[NDArray[Any]]:
+    return (source_gradients(plan, columns, image).astype(columns.dtype),)
+
+
+def _batch_draw(
+    arrays: tuple[Any], axes: tuple[int], *, plan: Plan
+) -> tuple[list[jax.Array], list[int]]:
+    return _draw.bind(_first_axis(arrays[0], axes[0]), plan=plan), [0]
+
+
+def _batch_source_gradients(
+    arrays: tuple[Any, ...], axes: tuple[int | None, ...], *, plan: Plan
+) -> tuple[list[jax.Array], list[int]]:
+    pairs = list(zip(arrays, axes, strict=True))
+    count = next(array.shape[axis] for array, axis in pairs if axis is not None)
+    stacked = [
+        jax.numpy.broadcast_to(array, (count, *array.shape))
+        if axis is None
+        else _first_axis(array, axis)
+        for array, axis in pairs
+    ]
+    return _source_gradients.bind(*stacked, plan=plan), [0]
+
+
+_draw = _primitive(
+    "psfield_draw",
+    _apply_draw,
+    lambda columns, plan: [
+        jax.core.ShapedArray((*columns.shape[:-2], *plan.image_shape), plan.dtype)
+    ],
+)
+batching.primitive_batchers[_draw] = _batch_draw
+_source_gradients = _primitive(
+    "psfield_source_gradients",
+    _differentiate_sources,
+    lambda columns, image, plan: [jax.core.ShapedArray(columns.shape, columns.dtype)],
+)
+batching.primitive_batchers[_source_gradients] = _batch_source_gradients

@@ -2,15 +2,18 @@
 
 `SpatiallyVaryingBlur` is a module that applies a `psfield.Plan` to tensors. It has derivatives with
 respect to light of any order, in backward and in forward mode, and with respect to the parameters
-of the PSF, once, in backward mode. It works with ``torch.func`` and in workers of data loaders.
+of the PSF and to sources, once, in backward mode. It works with ``torch.func`` and in workers of
+data loaders.
 
 The module needs PyTorch: ``pip install torch``.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, Literal, NoReturn
 
+from psfield._catalog import source_columns
 from psfield._choices import choice
 from psfield._operator import (
     PARAMETERS,
@@ -19,9 +22,11 @@ from psfield._operator import (
     check_image,
     check_parameter,
     checked_plan,
+    drawn,
     gradients,
     light_index,
     result_shape,
+    source_gradients,
 )
 from psfield._plan import Plan
 
@@ -198,6 +203,64 @@ class SpatiallyVaryingBlur(torch.nn.Module):
         _, transpose = torch.func.vjp(self._tiles_on(image.device), light)
         return transpose(image)[0]
 
+    def draw(self, catalog: Mapping[str, Any]) -> torch.Tensor:
+        """Draw stars and galaxies, with derivatives with respect to each number of the catalogue.
+
+        The image is that of `Plan.simulate` for these sources. Derivatives include the change of
+        the PSF with the position, and keep the tolerance of the plan. They leave out its
+        ``floor``: sources without flux have a derivative with respect to it, too. They can be
+        taken once, in reverse mode. The warnings of `Plan.simulate` are not repeated.
+
+        Parameters
+        ----------
+        catalog : dict of str to torch.Tensor
+            Columns ``x``, ``y`` (pixels, counted from the first pixel of the scene) and ``flux``
+            and, for galaxies, ``re`` (half-light radius along the major axis in pixels, 0 for a
+            star), ``n`` (Sersic index), ``q`` (axis ratio) and ``angle`` (degrees from +x towards
+            +y). Each is ``[source]``, or a number for all sources, on the CPU. With more axes,
+            ``[..., source]``, each catalogue has an image.
+
+        Returns
+        -------
+        torch.Tensor
+            ``[..., y, x]`` with the `~psfield.Plan.image_shape` of the plan.
+
+        Raises
+        ------
+        TypeError
+            The catalogue is not a dict, or a column does not hold real numbers.
+        ValueError
+            A column is missing or unknown, or not on the CPU. A source is not valid. The PSF has
+            wings (in the backward pass).
+
+        Examples
+        --------
+        >>> import torch
+        >>> import psfield
+        >>> from psfield.torch import SpatiallyVaryingBlur
+        >>> model = psfield.PsfModel.from_samples([[0, 1, 0], [1, 4, 1], [0, 1, 0]], (0, 0))
+        >>> blur = SpatiallyVaryingBlur(model.plan((20, 30), 1e-6, precision="f64"))
+        >>> x = torch.tensor([12.0, 20.5], requires_grad=True)
+        >>> image = blur.draw({"x": x, "y": 9.0, "flux": torch.tensor([80.0, 40.0])})
+        >>> round(float(image[9, 12].detach()), 6)
+        40.0
+        >>> image[9, 13].backward()
+        >>> bool(x.grad[0] > 0)
+        True
+        """
+        columns = []
+        for name, values in source_columns(catalog, torch.Tensor).items():
+            column = torch.as_tensor(values)
+            check_parameter(name, str(column.dtype).removeprefix("torch."))
+            if column.device.type != "cpu":
+                raise ValueError(
+                    f"{name} is on the device {column.device}, but sources need the native engine,"
+                    f" which works on the CPU: use {name}.cpu()"
+                )
+            columns.append(torch.atleast_1d(column).to(torch.float64))
+        columns = torch.broadcast_tensors(*columns)
+        return _Sources.apply(torch.stack(columns, dim=-2), self.plan)
+
     def extra_repr(self) -> str:
         """Return the plan and the engine in words, for the text of the module.
 
@@ -350,6 +413,61 @@ class _PsfGradients(torch.autograd.Function):
         of_examples = [_PsfGradients.apply(*one) for one in _examples(info, in_dims, inputs)]
         stacks = tuple(torch.stack(results) for results in zip(*of_examples, strict=True))
         return stacks, (0,) * len(stacks)
+
+
+class _Sources(torch.autograd.Function):
+    """The images of sources, given by their columns ``[..., column, source]``."""
+
+    @staticmethod
+    def forward(columns: torch.Tensor, plan: Plan) -> torch.Tensor:
+        return torch.from_numpy(drawn(plan, columns.numpy(force=True)))
+
+    @staticmethod
+    def setup_context(ctx: Any, inputs: tuple[Any, ...], output: torch.Tensor) -> None:
+        columns, ctx.plan = inputs
+        ctx.save_for_backward(columns)
+        ctx.set_materialize_grads(False)
+
+    @staticmethod
+    def backward(ctx: Any, gradient: torch.Tensor | None) -> tuple[torch.Tensor | None, None]:
+        if gradient is None:
+            return None, None
+        return _SourceGradients.apply(gradient, *ctx.saved_tensors, ctx.plan), None
+
+    @staticmethod
+    def vmap(
+        info: Any, in_dims: tuple[int | None, ...], columns: torch.Tensor, plan: Plan
+    ) -> tuple[torch.Tensor, int]:
+        return _Sources.apply(columns.movedim(in_dims[0], 0), plan), 0
+
+
+class _SourceGradients(torch.autograd.Function):
+    """The derivatives of ``sum(image * sources)`` with respect to the columns of sources."""
+
+    @staticmethod
+    def forward(image: torch.Tensor, columns: torch.Tensor, plan: Plan) -> torch.Tensor:
+        arrays = columns.numpy(force=True), image.numpy(force=True)
+        return torch.from_numpy(source_gradients(plan, *arrays))
+
+    @staticmethod
+    def setup_context(ctx: Any, inputs: tuple[Any, ...], output: torch.Tensor) -> None:
+        """Keep nothing for `backward`."""
+
+    @staticmethod
+    def backward(ctx: Any, *cotangents: torch.Tensor | None) -> NoReturn:
+        # `once_differentiable` does not refuse it under `torch.func`: there, the result is 0.
+        raise RuntimeError("derivatives of images with respect to sources can be taken only once")
+
+    @staticmethod
+    def vmap(info: Any, in_dims: tuple[Any, ...], *inputs: Any) -> tuple[torch.Tensor, int]:
+        image, columns, plan = inputs
+        stacked = (
+            tensor.expand(info.batch_size, *tensor.shape)
+            if axis is None
+            else tensor.movedim(axis, 0)
+            for tensor, axis in zip((image, columns), in_dims[:2], strict=True)
+        )
+        return _SourceGradients.apply(*stacked, plan), 0
 
 
 def _plan(plans: PsfPlans, parameters: list[torch.Tensor | None]) -> Plan:

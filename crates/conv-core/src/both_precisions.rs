@@ -23,6 +23,8 @@ fn of<T: ConvReal>() {
     black_box(SourcePlan::<T>::of_layers as fn(_, _, _) -> _);
     black_box(SourcePlan::<T>::draw_stars_into as fn(_, _, _, _, _, _) -> _);
     black_box(SourcePlan::<T>::draw_extended_into as fn(_, _, _, _, _, _) -> _);
+    black_box(SourcePlan::<T>::star_gradients as fn(_, _, _, _, _, _) -> _);
+    black_box(SourcePlan::<T>::extended_gradients as fn(_, _, _, _, _, _) -> _);
     black_box(StarPainter::draw_into::<T> as fn(_, _, _, _, _) -> _);
     black_box(Direct::at_pixels::<T> as fn(_, _, _, _, _, _, _) -> _);
     black_box(<Direct as ConvolutionMethod<T>>::convolve as fn(_, _, _, _, _) -> _);

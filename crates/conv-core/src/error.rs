@@ -106,6 +106,9 @@ pub enum ConvError {
     /// Sources cannot be drawn photon by photon.
     #[error("photons cannot be shot: {0}")]
     Photons(&'static str),
+    /// Sources have no derivatives.
+    #[error("derivatives with respect to sources: {0}")]
+    Derivatives(&'static str),
     /// The progress object cancelled the work ([`psf_types::Progress::cancelled`]).
     #[error(transparent)]
     Cancelled(#[from] Cancelled),

@@ -105,13 +105,14 @@ pub use cpu::correlate::{Correlations, LightAndImage};
 pub use dropped_light::DroppedLight;
 pub use engine::{Engine, LowRank, Operation, RowStream, TileCounts};
 pub use error::ConvError;
-pub use galaxies::{ExtendedSources, GalaxyErrors, Light};
+pub use galaxies::{ExtendedGradient, ExtendedSources, GalaxyErrors, Light, Variation, Variations};
 pub use image_memory::zeros;
 pub use photons::{ExpectedPhotons, PhotonReport, PhotonSources};
 pub use plan::{BlockArrays, Paths, Plan, PlanArrays, PlanOptions, PlanSummary, SampleWeights};
 pub use reference::{BasisConvolution, ConvolutionMethod, Direct, PatchConvolution};
 pub use simd::{ConvReal, InstructionSet};
 pub use source_plan::SourcePlan;
+pub use sources::PointGradient;
 pub use stamp_interpolator::{
     ScenePixelFilter, StampInterpolator, edge_reach, edge_reach_of, grid_with_pixel_response, native_grid,
     resample_samples,

@@ -1,10 +1,12 @@
 //! Plans for drawing stars and galaxies.
 
-use ndarray::ArrayViewMut2;
+use ndarray::{ArrayView2, ArrayViewMut2};
 use psf_types::{Anchor, PixelRegion, PointSource, Position, Progress, PsfModel};
 
 use crate::dropped_light::DroppedLight;
-use crate::galaxies::{ExtendedSources, ExtendedToDraw, GalaxyDrawer, GalaxyErrors};
+use crate::galaxies::{
+    ExtendedGradient, ExtendedSources, ExtendedToDraw, GalaxyDrawer, GalaxyErrors, Variations,
+};
 use crate::image_memory::{check_shape, with_rows_in_memory};
 use crate::photons::{
     ExpectedPhotons, PhotonReport, PhotonShooter, PhotonSources, SharedWork, add_photons_of_light,
@@ -12,7 +14,7 @@ use crate::photons::{
 };
 use crate::plan::cost_model::CostModel;
 use crate::plan::{PlanOptions, check_layers, share_stamps};
-use crate::sources::SourcePsfs;
+use crate::sources::{PointGradient, SourcePsfs};
 use crate::stars::{StarDrawer, StarPainter, StarsToDraw, WingDrawer, wing_points};
 use crate::{ConvError, ConvReal};
 
@@ -33,8 +35,8 @@ use crate::{ConvError, ConvReal};
 ///   sub-pixel positions. Very bright stars are drawn one by one even there, because the rounding noise of
 ///   their transforms would hide faint stars. So the image is linear in the fluxes up to rounding.
 /// - **Extended sources.** Beside the error of the PSF, a pixel has an error of at most about the tolerance
-///   times the source's peak, and usually of a third of that. Below a tolerance of 1e-6 it does not shrink
-///   further, because light is computed in single precision.
+///   times the source's peak, and usually of a third of that. Below a tolerance of 1e-6 it hardly shrinks
+///   further: transforms of light have errors of 1.5e-7, and light far out is computed in single precision.
 ///
 /// The image is the same, bit by bit, for any number of threads. Another order of the catalogue changes only
 /// rounding. Blocks of the field are prepared when the first source falls on them. They are kept for the next
@@ -240,6 +242,72 @@ impl<T: ConvReal> SourcePlan<T> {
             self.stars
                 .draw_into(&self.psfs, catalogue, region, image.view_mut())
         })
+    }
+
+    /// Computes the derivatives of `sum(image * F)` with respect to the flux and the position of each star, where `F`
+    /// is the image that [`draw_stars_into`](Self::draw_stars_into) draws. `image` holds the pixels `[y, x]` of
+    /// `region`, which is in pixels of the frame.
+    ///
+    /// The derivatives include the change of the PSF with the position. They are those of the PSFs that stars are
+    /// drawn with, within the tolerance. They leave out the floor: a star without flux has a derivative with respect
+    /// to its flux. Where the coefficient field has a kink, those with respect to the position are one-sided.
+    ///
+    /// # Errors
+    /// [`ConvError::Derivatives`] if the PSF has wings, and the errors of
+    /// [`draw_stars_into`](Self::draw_stars_into).
+    #[inline(never)]
+    pub fn star_gradients(
+        &self,
+        stars: &[PointSource],
+        frame: PixelRegion,
+        region: PixelRegion,
+        image: ArrayView2<'_, T>,
+        progress: &dyn Progress,
+    ) -> Result<Vec<PointGradient>, ConvError> {
+        self.check_derivatives()?;
+        let catalogue = StarsToDraw {
+            stars,
+            frame,
+            progress,
+        };
+        check_shape(region.shape(), image.dim())?;
+        let image = image.as_standard_layout();
+        self.stars.gradients(&self.psfs, catalogue, region, image.view())
+    }
+
+    /// As [`star_gradients`](Self::star_gradients), for extended sources, as
+    /// [`draw_extended_into`](Self::draw_extended_into) draws them. `variations` gives the lights on either side of
+    /// that of the source with an index, along each parameter of its light. A source is drawn in the same way for
+    /// all of them. Far outside its window, derivatives are differences of light in single precision, without the
+    /// change of the PSF.
+    ///
+    /// # Errors
+    /// [`ConvError::Derivatives`] if the PSF has wings, and the errors of
+    /// [`draw_extended_into`](Self::draw_extended_into).
+    #[inline(never)]
+    pub fn extended_gradients(
+        &self,
+        sources: ExtendedSources<'_>,
+        variations: Variations<'_>,
+        (frame, region): (PixelRegion, PixelRegion),
+        image: ArrayView2<'_, T>,
+        progress: &dyn Progress,
+    ) -> Result<Vec<ExtendedGradient>, ConvError> {
+        self.check_derivatives()?;
+        let catalogue = ExtendedToDraw {
+            sources,
+            frame,
+            progress,
+        };
+        check_shape(region.shape(), image.dim())?;
+        self.galaxies.gradients(catalogue, variations, region, image)
+    }
+
+    fn check_derivatives(&self) -> Result<(), ConvError> {
+        if self.wings.is_some() {
+            return Err(ConvError::Derivatives("a PSF with wings has none"));
+        }
+        Ok(())
     }
 
     /// The points whose wings [`draw_wings_into`](Self::draw_wings_into) draws, for an exact sum.

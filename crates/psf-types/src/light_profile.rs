@@ -12,6 +12,14 @@ pub trait LightProfile {
     /// radians per pixel: at `kx`, and at `ky = first_ky + i * step` for value `i`. `G(0) = 1`.
     fn transform_into(&self, kx: f64, first_ky: f64, step: f64, values: &mut [f32]);
 
+    /// As [`transform_into`](Self::transform_into), in double precision. The default implementation converts values
+    /// of single precision.
+    fn transform_f64_into(&self, kx: f64, first_ky: f64, step: f64, values: &mut [f64]) {
+        let mut single = vec![0.0; values.len()];
+        self.transform_into(kx, first_ky, step, &mut single);
+        values.iter_mut().zip(single).for_each(|(to, v)| *to = v.into());
+    }
+
     /// Computes the transform along the major axis (its smallest value over all directions if it falls
     /// with the wavenumber) and along the minor axis (its largest value), at `i * step` radians per
     /// pixel for value `i`.

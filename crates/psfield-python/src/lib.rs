@@ -24,6 +24,7 @@ mod sampling;
 mod series;
 mod settings;
 mod simulators;
+mod source_columns;
 mod survey;
 mod threads;
 

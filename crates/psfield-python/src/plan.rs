@@ -27,6 +27,7 @@ use crate::memory;
 use crate::psf_model::{Basis, PsfModel, in_arrays};
 use crate::settings::{from_python, to_python};
 use crate::simulators::{Images, Simulators, dark_light};
+use crate::source_columns::SourceColumns;
 use crate::threads::{self, Watch, pool};
 
 /// A simulator for scenes of one shape, with its plan.
@@ -364,6 +365,49 @@ impl Plan {
             let made = made?;
             let light = made.light.map(|light| light.into_pyarray(py).into_any());
             Ok((light, made.psf.map(|psf| in_arrays(py, psf))))
+        })
+    }
+
+    /// Draws sources of columns ([`SourceColumns`]).
+    fn draw_sources<'py>(
+        &self,
+        py: Python<'py>,
+        columns: PyReadonlyArray2<'py, f64>,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        self.check_process()?;
+        memory::check("the image", self.image_bytes(1))?;
+        let sources = SourceColumns::new(columns.as_array())?;
+        in_precision!(self, simulators => {
+            let made = threads::run_beside(py, None, &*pool()?, |watch, pool| {
+                let (simulator, scene) = (&simulators.first, sources.scene());
+                self.prepare(simulator, &scene, watch, pool)?;
+                pool.install(|| simulated(simulator, &scene, None, watch))
+            })?;
+            let (image, _) = made?;
+            Ok(image.expect("without an array of the caller").into_pyarray(py).into_any())
+        })
+    }
+
+    /// The derivatives of the sum of an image times the image of sources of columns ([`SourceColumns`]) with respect
+    /// to the numbers in the columns.
+    fn source_gradients<'py>(
+        &self,
+        py: Python<'py>,
+        columns: PyReadonlyArray2<'py, f64>,
+        image: Bound<'py, PyAny>,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        self.check_process()?;
+        let sources = SourceColumns::new(columns.as_array())?;
+        in_precision!(self, simulators => {
+            let image = readonly::<_, Ix2>(&image, "image")?;
+            let pixels = image.as_array();
+            let made = threads::run_beside(py, None, &*pool()?, |watch, pool| -> Result<_, Failure> {
+                let image = ImageView::new(pixels).map_err(Failure::of("image"))?;
+                let (simulator, scene) = (&simulators.first, sources.scene());
+                self.prepare(simulator, &scene, watch, pool)?;
+                Ok(pool.install(|| simulator.source_gradients(&scene, &image, watch))?)
+            })?;
+            Ok(sources.derivatives(&made?).into_pyarray(py).into_any())
         })
     }
 

@@ -91,8 +91,8 @@ pub use scene::{Layer, ProfileSource, Scene};
 pub use scene_light::SceneLight;
 pub use simulate_options::{Device, Method, ScenePixels, SimulateOptions};
 pub use simulator::{
-    ExposeOptions, Gradients, Preparation, SamplingErrors, ShootBelow, SimulationWarning, Simulator,
-    SimulatorBuilder, WantedGradients,
+    ExposeOptions, GalaxyGradient, Gradients, Preparation, SamplingErrors, ShootBelow, SimulationWarning,
+    Simulator, SimulatorBuilder, SourceGradients, WantedGradients,
 };
 pub use spot_check::SpotCheck;
 pub use truth_table::TruthTable;

@@ -12,6 +12,7 @@ mod many;
 mod part;
 mod setup;
 mod shooting;
+mod source_gradients;
 mod sources;
 mod stamp_edges;
 mod stamp_sampling;
@@ -46,6 +47,7 @@ pub use gradients::{Gradients, WantedGradients};
 pub(crate) use part::Part;
 pub(crate) use setup::Setup;
 pub use shooting::{ExposeOptions, ShootBelow};
+pub use source_gradients::{GalaxyGradient, SourceGradients};
 pub use stamp_sampling::SamplingErrors;
 pub use warnings::SimulationWarning;
 

@@ -22,7 +22,7 @@
 //!
 //! # Accuracy
 //! The error of the transform is at most 3e-7 of the flux at every wavenumber, for all indices from
-//! 0.3 to 8. The brightness has a relative error of up to 4e-5, from rounding in single precision.
+//! 0.3 to 8. In double precision, it is at most 1.5e-7. The brightness has a relative error of up to 4e-5, from rounding in single precision.
 
 #![allow(
     clippy::inline_always,

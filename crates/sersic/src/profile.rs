@@ -1,15 +1,14 @@
 //! The surface brightness of one galaxy, and its Fourier transform.
 
 use std::cell::Cell;
-use std::sync::OnceLock;
 
-use psf_types::{LightProfile, Outskirts, RadialLight, SersicSource};
+use psf_types::{LightProfile, Outskirts, RadialLight, SersicProfile, SersicSource};
 use statrs::function::gamma::{gamma_ur, ln_gamma};
 
 use crate::elementary::{exp, ln};
 use crate::half_light::half_light_constant;
 use crate::radii;
-use crate::transform::Transform;
+use crate::transform::{Precision, Transforms};
 
 /// A half-light radius below this value is replaced by this value. Even for `n = 8`, almost all
 /// light then falls in one pixel.
@@ -44,14 +43,17 @@ pub struct SersicLight {
     step_x: [f64; 2],
     /// (u, v) of a step of one pixel in y.
     step_y: [f64; 2],
-    /// Computed when first needed.
-    transform: OnceLock<Box<Transform>>,
+    transforms: Transforms,
 }
 
 impl SersicLight {
     /// The light of a galaxy.
     pub fn new(galaxy: &SersicSource) -> Self {
-        let shape = galaxy.profile();
+        Self::of_profile(galaxy.profile())
+    }
+
+    /// The light of a profile.
+    pub fn of_profile(shape: SersicProfile) -> Self {
         let (n, q) = (shape.index(), shape.axis_ratio());
         let re = shape.half_light_radius_px().max(SMALLEST_RADIUS_PX);
         let (sin, cos) = shape.angle_deg().to_radians().sin_cos();
@@ -64,7 +66,7 @@ impl SersicLight {
             q,
             step_x: [cos, -sin / q],
             step_y: [sin, cos / q],
-            transform: OnceLock::new(),
+            transforms: Transforms::default(),
         }
     }
 
@@ -79,13 +81,23 @@ impl SersicLight {
             q: 1.0,
             step_x: [1.0, 0.0],
             step_y: [0.0, 1.0],
-            transform: OnceLock::new(),
+            transforms: Transforms::default(),
         }
     }
 
-    fn transform(&self) -> &Transform {
-        self.transform
-            .get_or_init(|| Box::new(Transform::of_index(self.index)))
+    /// The transform at `kx`, and at `ky = first_ky + i * step` for value `i`.
+    fn transform_along_y<F: Precision>(&self, kx: f64, first_ky: f64, step: f64, values: &mut [F]) {
+        // With the unit vectors along and across the major axis, the square of the wavenumber is a
+        // quadratic form in (kx, ky).
+        let (cos, sin) = (self.step_x[0], self.step_y[0]);
+        let [along, across] = self.squares();
+        let yy = along * sin * sin + across * cos * cos;
+        // At this ky it is least.
+        let nearest = (across - along) * sin * cos * kx / yy;
+        let least = along * across * kx * kx / yy;
+        self.transforms
+            .of_index(self.index)
+            .along_line([least, yy], (first_ky - nearest, step), values);
     }
 
     /// Factors of the squared components `k_u^2` and `k_v^2` of a wavenumber along and across the
@@ -159,22 +171,18 @@ fn once<R, F: FnOnce() -> R>(work: F) -> F {
 
 impl LightProfile for SersicLight {
     fn transform_into(&self, kx: f64, first_ky: f64, step: f64, values: &mut [f32]) {
-        // With the unit vectors along and across the major axis, the square of the wavenumber is a
-        // quadratic form in (kx, ky).
-        let (cos, sin) = (self.step_x[0], self.step_y[0]);
-        let [along, across] = self.squares();
-        let yy = along * sin * sin + across * cos * cos;
-        // At this ky it is least.
-        let nearest = (across - along) * sin * cos * kx / yy;
-        let least = along * across * kx * kx / yy;
-        self.transform()
-            .along_line([least, yy], (first_ky - nearest, step), values);
+        self.transform_along_y(kx, first_ky, step, values);
+    }
+
+    fn transform_f64_into(&self, kx: f64, first_ky: f64, step: f64, values: &mut [f64]) {
+        self.transform_along_y(kx, first_ky, step, values);
     }
 
     fn transform_limits(&self, step: f64, smallest: &mut [f32], largest: &mut [f32]) {
         let [along, across] = self.squares();
-        self.transform().along_line([0.0, along], (0.0, step), smallest);
-        self.transform().along_line([0.0, across], (0.0, step), largest);
+        let transform = self.transforms.of_index(self.index);
+        transform.along_line([0.0, along], (0.0, step), smallest);
+        transform.along_line([0.0, across], (0.0, step), largest);
     }
 
     fn add_blurred(&self, covariance: [f64; 3], flux: f64, offsets: &[[f32; 2]], values: &mut [f64]) {

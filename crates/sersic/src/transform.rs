@@ -16,6 +16,7 @@ use std::f64::consts::{LN_2, PI, TAU};
 use std::sync::OnceLock;
 
 use num_complex::Complex64;
+use psf_types::Real;
 
 use crate::half_light::half_light_constant;
 
@@ -47,17 +48,63 @@ const STEP_OF_RULE: f64 = 0.2;
 const LANES: usize = 32;
 
 /// The Fourier transform of a round profile of unit flux, as a function of the squared wavenumber
-/// `x` in radians per half-light radius: a polynomial for each exponent of `x` in single precision.
+/// `x` in radians per half-light radius: a polynomial for each exponent of `x`.
 #[derive(Debug, Clone)]
-pub(crate) struct Transform {
+pub(crate) struct Transform<F> {
     /// The coefficients of the powers of `2 m - 3`, where `m` (1 to 2) is the mantissa of `x`. The
     /// first polynomial holds for all smaller wavenumbers, the last one for all larger wavenumbers.
-    polynomials: [Polynomial<f32>; PIECES + 2],
+    polynomials: [Polynomial<F>; PIECES + 2],
 }
+
+/// The transforms of one profile in both precisions, computed when first needed.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Transforms {
+    single: OnceLock<Box<Transform<f32>>>,
+    double: OnceLock<Box<Transform<f64>>>,
+}
+
+impl Transforms {
+    /// The transform of the profile, whose index is `n`.
+    pub(crate) fn of_index<F: Precision>(&self, n: f64) -> &Transform<F> {
+        F::among(self).get_or_init(|| Box::new(Transform::of_index(n)))
+    }
+}
+
+/// A precision of transforms.
+pub(crate) trait Precision: Real {
+    /// The number of the polynomial that holds at a squared wavenumber, and the polynomial's argument.
+    fn number_and_argument(self) -> (i32, Self);
+    /// The transform of this precision.
+    fn among(transforms: &Transforms) -> &OnceLock<Box<Transform<Self>>>;
+}
+
+macro_rules! precision {
+    ($t:ty, $of:ident, $mantissa_bits:expr, $bias:expr) => {
+        impl Precision for $t {
+            #[inline(always)]
+            fn number_and_argument(self) -> (i32, Self) {
+                let mantissa = self.to_bits() & ((1 << $mantissa_bits) - 1);
+                let exponent = (self.to_bits() >> $mantissa_bits) as i32;
+                // The exponent bits of the first squared wavenumber of the tables.
+                let first = OCTAVES[0] + $bias;
+                let one: Self = 1.0;
+                (
+                    (exponent - (first - 1)).clamp(0, PIECES as i32 + 1),
+                    2.0 * Self::from_bits(mantissa | one.to_bits()) - 3.0,
+                )
+            }
+            fn among(transforms: &Transforms) -> &OnceLock<Box<Transform<Self>>> {
+                &transforms.$of
+            }
+        }
+    };
+}
+precision!(f32, single, 23, 127);
+precision!(f64, double, 52, 1023);
 
 type Polynomial<T> = [T; TERMS];
 
-impl Transform {
+impl<F: Precision> Transform<F> {
     /// The transform of the profile of index `n`.
     pub(crate) fn of_index(n: f64) -> Self {
         let place = n.ln() / STEP;
@@ -85,22 +132,22 @@ impl Transform {
             }
         }
         Self {
-            polynomials: sums.map(|sums| sums.map(|v| v as f32)),
+            polynomials: sums.map(|sums| sums.map(F::nearest)),
         }
     }
 
     /// The transform at squared wavenumbers, which are not negative. Those that are needed lie between
     /// the two `limits`.
     #[inline(always)]
-    pub(crate) fn at<const N: usize>(&self, x: [f32; N], limits: [f32; 2]) -> [f32; N] {
-        let (mut numbers, mut within) = ([0; N], [0.0; N]);
+    pub(crate) fn at<const N: usize>(&self, x: [F; N], limits: [F; 2]) -> [F; N] {
+        let (mut numbers, mut within) = ([0; N], [F::zero(); N]);
         for ((number, within), x) in numbers.iter_mut().zip(&mut within).zip(x) {
-            (*number, *within) = number_and_argument(x);
+            (*number, *within) = x.number_and_argument();
         }
         // Each polynomial is computed for all, and kept where it or a later one holds. This takes fewer
         // steps than one look-up for each wavenumber, because neighbours need few different polynomials.
-        let [first, last] = limits.map(|x| number_and_argument(x).0);
-        let mut values = [0.0; N];
+        let [first, last] = limits.map(|x| x.number_and_argument().0);
+        let mut values = [F::zero(); N];
         for number in first..=last {
             let coefficients = &self.polynomials[number as usize];
             let mut sum = [coefficients[TERMS - 1]; N];
@@ -126,12 +173,12 @@ impl Transform {
         &self,
         [least, curvature]: [f64; 2],
         (first, step): (f64, f64),
-        values: &mut [f32],
+        values: &mut [F],
     ) {
         pulp::Arch::new().dispatch(Along {
             transform: self,
-            least: least as f32,
-            curvature: curvature as f32,
+            least: F::nearest(least),
+            curvature: F::nearest(curvature),
             first,
             step,
             values,
@@ -140,33 +187,34 @@ impl Transform {
 }
 
 /// The arguments of [`Transform::along_line`].
-struct Along<'a> {
-    transform: &'a Transform,
-    least: f32,
-    curvature: f32,
+struct Along<'a, F> {
+    transform: &'a Transform<F>,
+    least: F,
+    curvature: F,
     first: f64,
     step: f64,
-    values: &'a mut [f32],
+    values: &'a mut [F],
 }
 
-impl Along<'_> {
+impl<F: Precision> Along<'_, F> {
     /// The transforms from `t = first` on, of which the first `count` are needed.
     #[inline(always)]
-    fn chunk(&self, first: f64, count: usize) -> [f32; LANES] {
-        // A sum without negative terms, so that single precision is enough.
-        let x_at = |t: f32| self.least + self.curvature * (t * t);
-        let (first, step) = (first as f32, self.step as f32);
-        let mut x = [0.0; LANES];
+    fn chunk(&self, first: f64, count: usize) -> [F; LANES] {
+        // A sum without negative terms, so that rounding stays small.
+        let x_at = |t: F| self.least + self.curvature * (t * t);
+        let (first, step) = (F::nearest(first), F::nearest(self.step));
+        let mut x = [F::zero(); LANES];
         for (i, x) in x.iter_mut().enumerate() {
-            *x = x_at(first + i as f32 * step);
+            *x = x_at(first + F::nearest(i as f64) * step);
         }
-        let nearest = 0.0_f32.clamp(first, first + (count - 1) as f32 * step);
+        let last = first + F::nearest((count - 1) as f64) * step;
+        let nearest = F::zero().max(first).min(last);
         let limits = [x_at(nearest), x[0].max(x[count - 1])];
         self.transform.at(x, limits)
     }
 }
 
-impl pulp::NullaryFnOnce for Along<'_> {
+impl<F: Precision> pulp::NullaryFnOnce for Along<'_, F> {
     type Output = ();
     // Inlined, so that it is compiled for each instruction set.
     #[inline(always)]
@@ -177,21 +225,6 @@ impl pulp::NullaryFnOnce for Along<'_> {
             values.copy_from_slice(&self.chunk(first, values.len())[..values.len()]);
         }
     }
-}
-
-const MANTISSA_BITS: u32 = 23;
-/// The exponent bits of the first squared wavenumber of the tables.
-const EXPONENT_OF_FIRST: i32 = OCTAVES[0] + 127;
-
-/// The number of the polynomial that holds at a squared wavenumber, and the polynomial's argument.
-#[inline(always)]
-fn number_and_argument(x: f32) -> (i32, f32) {
-    let mantissa = x.to_bits() & ((1 << MANTISSA_BITS) - 1);
-    let exponent = (x.to_bits() >> MANTISSA_BITS) as i32;
-    (
-        (exponent - (EXPONENT_OF_FIRST - 1)).clamp(0, PIECES as i32 + 1),
-        2.0 * f32::from_bits(mantissa | 1.0_f32.to_bits()) - 3.0,
-    )
 }
 
 /// The polynomials of the index `exp(node * STEP)`, and the zero beyond the last of them. Computed
@@ -338,10 +371,16 @@ mod tests {
 
     /// Documented error of a transform, as a fraction of the flux.
     const ERROR: f64 = 3e-7;
+    /// That of a transform in double precision.
+    const PRECISE: f64 = 1.5e-7;
 
-    fn at(transform: &Transform, x: f64) -> f64 {
+    fn at(transform: &Transform<f32>, x: f64) -> f64 {
         let x = x as f32;
         transform.at([x], [x; 2])[0].into()
+    }
+
+    fn precise(transform: &Transform<f64>, x: f64) -> f64 {
+        transform.at([x], [x; 2])[0]
     }
 
     #[test]
@@ -366,7 +405,7 @@ mod tests {
         let (mut worst, mut worst_rounded) = (0.0_f64, 0.0_f64);
         for node in (FIRST + HALF_SUPPORT..=FIRST + TABLES as i32 - 1 - HALF_SUPPORT).step_by(3) {
             let n = (f64::from(node) * STEP).exp();
-            let (transform, exact) = (Transform::of_index(n), from_integral(n));
+            let (transform, exact) = (Transform::<f32>::of_index(n), from_integral(n));
             for i in 0..4000 {
                 let x = (f64::from(i) * 0.009_137 - 14.0).exp();
                 let octave = x.log2().floor();
@@ -379,6 +418,18 @@ mod tests {
         }
         assert!(worst < 3e-8, "{worst:e}");
         assert!(worst_rounded < 2e-7, "{worst_rounded:e}");
+    }
+
+    #[test]
+    fn double_precision_is_as_accurate_as_documented() {
+        for n in [0.3, 0.31, 0.53, 1.0, 1.05, 2.6, 4.0, 7.8] {
+            let (transform, exact) = (Transform::of_index(n), from_integral(n));
+            for i in 0..4000 {
+                let x = (f64::from(i) * 0.009_137 - 14.0).exp();
+                let error = (precise(&transform, x) - exact(x)).abs();
+                assert!(error < PRECISE, "{n} {x}: {error:e}");
+            }
+        }
     }
 
     /// Between the indices of the tables, and where the transform is small: its relative error is that of

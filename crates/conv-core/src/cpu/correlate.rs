@@ -13,7 +13,7 @@ use crate::plan::axis_cuts::longest;
 use crate::plan::function_rows::FunctionRows;
 use crate::plan::geometry::{Direction, PlacedTile};
 use crate::plan::sample_weights::{BlockWeights, Functions};
-use crate::simd::{Lanes, WithIsa, vectorized};
+use crate::simd::{Lanes, WithIsa, sum_of_products, vectorized};
 use crate::transform::X_STEP;
 use crate::{ConvError, ConvReal};
 
@@ -368,22 +368,6 @@ impl<'a, T: ConvReal> PlacedFunctions<'a, T> {
             }
         }
     }
-}
-
-/// The scalar product of two rows, in sums that vectorise.
-#[inline(always)]
-fn sum_of_products<T: ConvReal>(a: &[T], b: &[T]) -> f64 {
-    const LANES: usize = 16;
-    let mut sums = [T::zero(); LANES];
-    let (a, b) = (a.chunks_exact(LANES), b.chunks_exact(LANES));
-    let rest = a.remainder().iter().zip(b.remainder());
-    let rest: f64 = rest.map(|(&a, &b)| (a * b).as_f64()).sum();
-    for (a, b) in a.zip(b) {
-        for ((sum, &a), &b) in sums.iter_mut().zip(a).zip(b) {
-            *sum += a * b;
-        }
-    }
-    sums.iter().map(|sum| sum.as_f64()).sum::<f64>() + rest
 }
 
 /// Turns the first columns and rows of a plane by 180 degrees.

@@ -1,6 +1,6 @@
 //! The light of galaxies with the PSFs of all components, in f64, and the errors that a plan allows.
 
-use ndarray::{Array1, Array2, Axis};
+use ndarray::{Array1, Array2, Array3, Axis, s};
 use psf_types::{Anchor, FrameShape, LightProfile, Position, ToleranceOn};
 use rayon::prelude::*;
 
@@ -215,20 +215,22 @@ impl<T: ConvReal> GalaxyDrawer<T> {
         Ok(())
     }
 
-    /// Draws a galaxy on its window with the PSF of all components, given as a vector of
-    /// `PsfSpace` times the galaxy's flux. The light of other windows, at the distances of the
-    /// period, is not yet subtracted. With [`Anchor::Output`], pixels outside the frame are dark.
-    pub(super) fn exact_window(
+    /// Draws light on the window of a galaxy with the PSF of all components, given as a vector of
+    /// `PsfSpace` times the galaxy's flux. `drawn` holds lights, the galaxy's own first, and their centres. The light
+    /// of other windows, at the distances of the period, is not yet subtracted. Each window is given to `take`. With [`Anchor::Output`], pixels
+    /// outside the frame are dark.
+    pub(super) fn exact_windows(
         &self,
         psf: &Array1<f64>,
         flux: f64,
-        light: &dyn LightProfile,
+        drawn: &[(&dyn LightProfile, (f64, f64))],
         (x0, y0, side): Window,
-        centre: (f64, f64),
         frame: FrameShape,
-    ) -> Result<Array2<f64>, ConvError> {
+        mut take: impl FnMut(Array2<f64>),
+    ) -> Result<(), ConvError> {
         let mut drawer = WindowDrawer::<f64>::new(side);
-        let mut plane = |spectra: &Spectra<f64>, coefficients: &[f64], outline: &Outline| {
+        let mut plane = |spectra: &Spectra<f64>, coefficients: &[f64], outline: &Outline, number: usize| {
+            let (light, centre) = drawn[number];
             let drawn = Drawn {
                 spectra,
                 light,
@@ -242,42 +244,38 @@ impl<T: ConvReal> GalaxyDrawer<T> {
         let transformed = |directions: Array2<f64>, largest: &[f64]| {
             let accuracy = self.shared.extent.accuracy();
             let kernels = Kernels::new(stamps, directions, largest, psf, accuracy);
-            let outline = kernels.power.outline(light, accuracy);
+            let outline = kernels.power.outline(drawn[0].0, accuracy);
             let spectra = stamps.spectra_of(&kernels, side, stamps.band_number(outline.radius()));
             (spectra, outline)
         };
         if self.psfs.options().anchor() != Anchor::Output {
             let (spectra, outline) = transformed(psf.to_owned().insert_axis(Axis(0)), &[1.0]);
-            return Ok(plane(&spectra, &[1.0], &outline));
+            (0..drawn.len()).for_each(|number| take(plane(&spectra, &[1.0], &outline, number)));
+            return Ok(());
         }
         // Each pixel of the frame has its own PSF, in which any component may be as large as the
         // largest one here.
         let largest = psf.iter().fold(0.0_f64, |largest, c| largest.max(c.abs()));
         let (spectra, outline) = transformed(Array2::eye(count), &vec![largest; count]);
-        let planes: Vec<Array2<f64>> = (0..count)
-            .map(|k| {
+        let mut of_pixels = Array3::zeros((side, side, count));
+        let mut vectors = self.psfs.vectors();
+        for (j, i) in (0..side).flat_map(|j| (0..side).map(move |i| (j, i))) {
+            let (x, y) = (x0 + i as i64, y0 + j as i64);
+            if (0..frame.nx() as i64).contains(&x) && (0..frame.ny() as i64).contains(&y) {
+                let scale = vectors.set(Position::of_pixel(x, y))?;
+                of_pixels.slice_mut(s![j, i, ..]).assign(&(scale * &vectors.psf));
+            }
+        }
+        for number in 0..drawn.len() {
+            let mut values = Array2::zeros((side, side));
+            for (k, of_component) in of_pixels.axis_iter(Axis(2)).enumerate() {
                 let mut unit = vec![0.0; count];
                 unit[k] = flux;
-                plane(&spectra, &unit, &outline)
-            })
-            .collect();
-        let mut values = Array2::zeros((side, side));
-        let mut vectors = self.psfs.vectors();
-        for ((j, i), value) in values.indexed_iter_mut() {
-            let (x, y) = (x0 + i as i64, y0 + j as i64);
-            if !(0..frame.nx() as i64).contains(&x) || !(0..frame.ny() as i64).contains(&y) {
-                continue;
+                values += &(&of_component * &plane(&spectra, &unit, &outline, number));
             }
-            let scale = vectors.set(Position::of_pixel(x, y))?;
-            let sum: f64 = vectors
-                .psf
-                .iter()
-                .zip(&planes)
-                .map(|(a, plane)| a * plane[[j, i]])
-                .sum();
-            *value = scale * sum;
+            take(values);
         }
-        Ok(values)
+        Ok(())
     }
 }
 

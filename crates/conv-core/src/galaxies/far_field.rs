@@ -3,13 +3,15 @@
 //! There the light hardly changes over the extent of the PSF. So the image is the light at the
 //! PSF's centroid, plus its second derivatives times half the PSF's covariance.
 
+use std::ops::Range;
+
 use ndarray::{Array2, ArrayViewMut2};
 use psf_types::Progress;
 use rayon::prelude::*;
 
 use super::extent::Outside;
 use crate::overlap::{Piece, add_pieces};
-use crate::simd::vectorized;
+use crate::simd::{sum_of_products, vectorized};
 use crate::{ConvError, ConvReal};
 
 /// Pixels along each side of a tile. Tiles, their blocks and the windows of galaxies begin at
@@ -30,6 +32,7 @@ const MOST_PERIODS: i64 = GROUPS.pow(20);
 const SHARE: f64 = 1e-3;
 
 /// The light of one galaxy far from its centre.
+#[derive(Clone)]
 pub(super) struct FarLight {
     pub(super) light: super::Light,
     pub(super) flux: f64,
@@ -59,11 +62,21 @@ impl FarLight {
     }
 
     /// Adds the light at the nodes of the square of `size` pixels around a point.
-    fn add_at_nodes(&self, centre: (f64, f64), size: f64, values: &mut Block) {
+    pub(super) fn add_at_nodes(&self, centre: (f64, f64), size: f64, values: &mut Block) {
         let [x, y] = self.offset(centre);
         let nodes = CHEBYSHEV_NODES.map(|node| (node * size) as f32);
         let offsets = nodes.map(|dy| nodes.map(|dx| [x + dx, y + dy]));
         self.add_at(offsets.as_flattened(), values.as_flattened_mut());
+    }
+
+    /// Adds the light in neighbouring pixels of a row, from a point on.
+    pub(super) fn add_along_row(&self, first: (f64, f64), values: &mut [f64; SMALLEST]) {
+        let [x, y] = self.offset(first);
+        let mut offsets = [[x, y]; SMALLEST];
+        for (i, [x, _]) in offsets.iter_mut().enumerate() {
+            *x += i as f32;
+        }
+        self.add_at(&offsets, values);
     }
 
     /// Subtracts the light that the period of a drawn window brings in from outside. `values` are the
@@ -74,8 +87,25 @@ impl FarLight {
         first_row: usize,
         values: &mut Array2<T>,
     ) {
+        let side = self.window.2;
+        let repeated = self.each_period(OnSquare::new(weights)).into_values();
+        let values = values.as_slice_mut().expect("row-major");
+        for (value, &repeated) in values.iter_mut().zip(&repeated[first_row * side..]) {
+            *value -= repeated;
+        }
+    }
+
+    /// Gives the light on a tile of the image, whose first pixel is given, to `leaves`.
+    pub(super) fn each_block<L: TakesLight>(&self, (x, y): (i64, i64), leaves: L) -> L {
+        let mut tile = Square::new(x, y, leaves);
+        tile.add_block(self, (0, 0), 0, (0, 0));
+        tile.leaves
+    }
+
+    /// Gives the light that the period of the window brings in from outside to `leaves`.
+    pub(super) fn each_period<L: TakesLight>(&self, leaves: L) -> L {
         let (x0, y0, side) = self.window;
-        let mut square = Square::new(x0, y0, weights);
+        let mut square = Square::new(x0, y0, leaves);
         let (outside, area) = (&self.outside, (side * side) as f64);
         square.repeated = Some(Repeated {
             edge: outside.brightness,
@@ -90,11 +120,13 @@ impl FarLight {
             count *= GROUPS;
         }
         square.add_periods(self, (0, 0), count);
-        let repeated = square.into_values();
-        let values = values.as_slice_mut().expect("row-major");
-        for (value, &repeated) in values.iter_mut().zip(&repeated[first_row * side..]) {
-            *value -= repeated;
-        }
+        square.leaves
+    }
+
+    /// Whether there is light in the row of tiles that begins at a row of pixels.
+    pub(super) fn reaches_row(&self, y: i64) -> bool {
+        let middle = y as f64 + 0.5 * (TILE - 1) as f64;
+        self.reaches((self.centre.0, middle), TILE as f64)
     }
 
     /// Whether the square of `size` pixels around a point contains light.
@@ -146,6 +178,18 @@ impl<T: ConvReal> PolynomialWeights<T> {
         line
     }
 
+    /// Adds the products of a row of an image with the polynomials that are 1 at one node and 0 at the others.
+    #[inline(always)]
+    fn add_products(&self, pixels: &[T], row: usize, block: &mut Block) {
+        let products = self.0.each_ref().map(|weights| sum_of_products(weights, pixels));
+        for (weights, sums) in self.0.iter().zip(block) {
+            let weight = weights[row].as_f64();
+            sums.iter_mut()
+                .zip(products)
+                .for_each(|(sum, product)| *sum += weight * product);
+        }
+    }
+
     /// Adds the values at the pixels of a row.
     fn add(&self, line: [T; NODES], pixels: &mut [T]) {
         vectorized!({
@@ -160,6 +204,12 @@ impl<T: ConvReal> PolynomialWeights<T> {
     }
 }
 
+/// The first pixels, along an axis, of the tiles that cover some pixels.
+pub(super) fn tiles(first: i64, count: usize) -> impl Iterator<Item = i64> {
+    let start = first.div_euclid(TILE as i64) * TILE as i64;
+    (start..first + count as i64).step_by(TILE)
+}
+
 /// Adds the light of galaxies outside their windows to an image, whose first pixel is the pixel
 /// `first` of the frame.
 pub(super) fn add_far_light<T: ConvReal>(
@@ -171,28 +221,19 @@ pub(super) fn add_far_light<T: ConvReal>(
     if galaxies.is_empty() {
         return Ok(());
     }
-    let size = TILE as i64;
-    let start = |first: i64| first.div_euclid(size) * size;
     let weights = BlockWeights::<f64>::new(TILE);
-    let columns: Vec<i64> = (start(first.0)..first.0 + image.ncols() as i64)
-        .step_by(TILE)
-        .collect();
-    for y in (start(first.1)..first.1 + image.nrows() as i64).step_by(TILE) {
-        // The galaxies that reach this row of tiles.
-        let middle = y as f64 + 0.5 * (size - 1) as f64;
-        let near: Vec<&FarLight> = galaxies
-            .iter()
-            .filter(|galaxy| galaxy.reaches((galaxy.centre.0, middle), size as f64))
-            .collect();
+    let columns: Vec<i64> = tiles(first.0, image.ncols()).collect();
+    for y in tiles(first.1, image.nrows()) {
+        let near: Vec<&FarLight> = galaxies.iter().filter(|galaxy| galaxy.reaches_row(y)).collect();
         let drawn: Vec<Piece<T>> = columns
             .par_iter()
             .map(|&x| {
                 progress.check_cancelled()?;
-                let mut tile = Square::new(x, y, &weights);
+                let mut tile = Square::new(x, y, OnSquare::new(&weights));
                 for galaxy in &near {
                     tile.add_block(galaxy, (0, 0), 0, (0, 0));
                 }
-                Ok(tile.into_piece())
+                Ok(tile.leaves.into_piece((x, y)))
             })
             .filter_map(Result::transpose)
             .collect::<Result<_, ConvError>>()?;
@@ -213,7 +254,7 @@ pub(super) fn farthest_edge(side: usize) -> f64 {
 }
 
 /// The values at the nodes of a block, rows first.
-type Block = [[f64; NODES]; NODES];
+pub(super) type Block = [[f64; NODES]; NODES];
 
 /// The weights of the blocks of a square. The first level is one block. Each next level has blocks of
 /// half the side.
@@ -224,6 +265,25 @@ pub(super) struct BlockWeights<T> {
 }
 
 impl<T: ConvReal> BlockWeights<T> {
+    /// The products of an image `[pixel]` of the square, rows first, with the polynomials of each level and block that
+    /// are 1 at one node and 0 at the others.
+    pub(super) fn products(&self, pixels: &[T]) -> Vec<Vec<Block>> {
+        let of_level = |(level, weights): (usize, &PolynomialWeights<T>)| {
+            let size = self.side >> level;
+            let block = |number: usize| {
+                let (row, column) = (number >> level, number & ((1 << level) - 1));
+                let mut block = Block::default();
+                vectorized!(for j in 0..size {
+                    let start = (row * size + j) * self.side + column * size;
+                    weights.add_products(&pixels[start..start + size], j, &mut block);
+                });
+                block
+            };
+            (0..1 << (2 * level)).map(block).collect()
+        };
+        self.levels.iter().enumerate().map(of_level).collect()
+    }
+
     /// The weights for a square of `side` pixels, down to blocks of less than twice [`SMALLEST`].
     pub(super) fn new(side: usize) -> Self {
         let sizes = std::iter::successors(Some(side), |size| {
@@ -236,28 +296,96 @@ impl<T: ConvReal> BlockWeights<T> {
     }
 }
 
+/// Takes the light of a galaxy on a square.
+pub(super) trait TakesLight {
+    /// The side of the square in pixels, and the number of levels of its blocks.
+    fn side_and_levels(&self) -> (usize, usize);
+    /// Takes the light on the square of `size` pixels around a point, times a weight, as the light of a block of a
+    /// level.
+    fn take_block(
+        &mut self,
+        galaxy: &FarLight,
+        square: ((f64, f64), f64),
+        weight: f64,
+        block: (usize, usize),
+    );
+    /// Takes the light in pixels of a row, from a point on. `at` holds the numbers of these pixels, [`SMALLEST`] at
+    /// most.
+    fn take_pixels(&mut self, galaxy: &FarLight, first: (f64, f64), at: Range<usize>);
+}
+
 /// The light on a square: values of single pixels, and polynomials on blocks.
-struct Square<'a, T> {
-    x0: i64,
-    y0: i64,
+struct OnSquare<'a, T> {
     weights: &'a BlockWeights<T>,
-    /// `None` if the square is a part of the image.
-    repeated: Option<Repeated>,
     /// Empty until it is needed.
     pixels: Vec<T>,
     /// Blocks by level, rows first. A level is empty until a galaxy needs it.
     blocks: Vec<Vec<Block>>,
 }
 
-impl<'a, T: ConvReal> Square<'a, T> {
-    fn new(x0: i64, y0: i64, weights: &'a BlockWeights<T>) -> Self {
+impl<'a, T: ConvReal> OnSquare<'a, T> {
+    fn new(weights: &'a BlockWeights<T>) -> Self {
+        Self {
+            weights,
+            pixels: Vec::new(),
+            blocks: vec![Vec::new(); weights.levels.len()],
+        }
+    }
+}
+
+impl<T: ConvReal> TakesLight for OnSquare<'_, T> {
+    fn side_and_levels(&self) -> (usize, usize) {
+        (self.weights.side, self.weights.levels.len())
+    }
+
+    fn take_block(
+        &mut self,
+        galaxy: &FarLight,
+        (centre, size): ((f64, f64), f64),
+        weight: f64,
+        (level, number): (usize, usize),
+    ) {
+        let mut values = Block::default();
+        galaxy.add_at_nodes(centre, size, &mut values);
+        let blocks = &mut self.blocks[level];
+        blocks.resize(1 << (2 * level), Block::default());
+        let sums = blocks[number].as_flattened_mut().iter_mut();
+        sums.zip(values.as_flattened())
+            .for_each(|(sum, value)| *sum += weight * value);
+    }
+
+    fn take_pixels(&mut self, galaxy: &FarLight, first: (f64, f64), at: Range<usize>) {
+        let side = self.weights.side;
+        self.pixels.resize(side * side, T::zero());
+        let mut values = [0.0; SMALLEST];
+        galaxy.add_along_row(first, &mut values);
+        for (pixel, v) in self.pixels[at].iter_mut().zip(values) {
+            *pixel += T::nearest(v);
+        }
+    }
+}
+
+/// A square of pixels of the frame, and what takes the light on it.
+struct Square<L> {
+    x0: i64,
+    y0: i64,
+    side: usize,
+    levels: usize,
+    /// `None` if the square is a part of the image.
+    repeated: Option<Repeated>,
+    leaves: L,
+}
+
+impl<L: TakesLight> Square<L> {
+    fn new(x0: i64, y0: i64, leaves: L) -> Self {
+        let (side, levels) = leaves.side_and_levels();
         Self {
             x0,
             y0,
-            weights,
+            side,
+            levels,
             repeated: None,
-            pixels: Vec::new(),
-            blocks: vec![Vec::new(); weights.levels.len()],
+            leaves,
         }
     }
 
@@ -266,7 +394,7 @@ impl<'a, T: ConvReal> Square<'a, T> {
     /// all periods of a group.
     fn add_periods(&mut self, galaxy: &FarLight, (i, j): (i64, i64), count: i64) {
         let Some(limits) = &self.repeated else { return };
-        let side = self.weights.side as i64;
+        let side = self.side as i64;
         let is_outside = i.abs().max(j.abs()) > count / 2;
         if is_outside && count > 1 {
             let middle = 0.5 * (side - 1) as f64;
@@ -283,23 +411,14 @@ impl<'a, T: ConvReal> Square<'a, T> {
                 && error * brightness <= limits.error * brightness.max(SHARE * limits.mean)
             {
                 let points = points_of_group(count);
-                let mut sums = Block::default();
                 for (dy, weight_y) in points {
                     for (dx, weight_x) in points {
                         let centre = (centre.0 + dx * side as f64, centre.1 + dy * side as f64);
-                        let mut values = Block::default();
-                        galaxy.add_at_nodes(centre, side as f64, &mut values);
-                        for (sum, value) in sums.as_flattened_mut().iter_mut().zip(values.as_flattened()) {
-                            *sum += weight_x * weight_y * value;
-                        }
+                        let square = (centre, side as f64);
+                        self.leaves
+                            .take_block(galaxy, square, weight_x * weight_y, (0, 0));
                     }
                 }
-                self.blocks[0].resize(1, Block::default());
-                let block = self.blocks[0][0].as_flattened_mut();
-                block
-                    .iter_mut()
-                    .zip(sums.as_flattened())
-                    .for_each(|(to, sum)| *to += sum);
                 return;
             }
         }
@@ -325,7 +444,7 @@ impl<'a, T: ConvReal> Square<'a, T> {
         level: usize,
         (row, column): (usize, usize),
     ) {
-        let side = self.weights.side;
+        let side = self.side;
         let size = side >> level;
         // Where the block lies from the galaxy that is not moved.
         let x = self.x0 - offset.0 + (column * size) as i64;
@@ -355,36 +474,26 @@ impl<'a, T: ConvReal> Square<'a, T> {
             false
         };
         if is_smooth {
-            let blocks = &mut self.blocks[level];
-            blocks.resize(1 << (2 * level), Block::default());
-            galaxy.add_at_nodes(centre, size as f64, &mut blocks[(row << level) + column]);
-        } else if level + 1 < self.blocks.len() {
+            let block = (level, (row << level) + column);
+            self.leaves.take_block(galaxy, (centre, size as f64), 1.0, block);
+        } else if level + 1 < self.levels {
             for (j, i) in [(0, 0), (0, 1), (1, 0), (1, 1)] {
                 self.add_block(galaxy, offset, level + 1, (2 * row + j, 2 * column + i));
             }
         } else {
-            self.pixels.resize(side * side, T::zero());
             for j in 0..size {
                 let at = (row * size + j) * side + column * size;
-                for (first, pixels) in (0..)
-                    .step_by(SMALLEST)
-                    .zip(self.pixels[at..at + size].chunks_mut(SMALLEST))
-                {
-                    let [x, y] = galaxy.offset(((x + first) as f64, (y + j as i64) as f64));
-                    let mut offsets = [[x, y]; SMALLEST];
-                    for (i, [x, _]) in offsets.iter_mut().enumerate() {
-                        *x += i as f32;
-                    }
-                    let mut values = [0.0; SMALLEST];
-                    galaxy.add_at(&offsets, &mut values);
-                    for (pixel, v) in pixels.iter_mut().zip(values) {
-                        *pixel += T::nearest(v);
-                    }
+                for first in (0..size).step_by(SMALLEST) {
+                    let pixels = at + first..at + size.min(first + SMALLEST);
+                    let place = ((x + first as i64) as f64, (y + j as i64) as f64);
+                    self.leaves.take_pixels(galaxy, place, pixels);
                 }
             }
         }
     }
+}
 
+impl<T: ConvReal> OnSquare<'_, T> {
     /// Returns the light in every pixel, rows first.
     fn into_values(mut self) -> Vec<T> {
         let side = self.weights.side;
@@ -406,11 +515,11 @@ impl<'a, T: ConvReal> Square<'a, T> {
     }
 
     /// Returns the light in every pixel, or `None` if there is none.
-    fn into_piece<U: ConvReal>(self) -> Option<Piece<U>> {
+    fn into_piece<U: ConvReal>(self, first: (i64, i64)) -> Option<Piece<U>> {
         if self.pixels.is_empty() && self.blocks.iter().all(Vec::is_empty) {
             return None;
         }
-        let (side, first) = (self.weights.side, (self.x0, self.y0));
+        let side = self.weights.side;
         let values = self.into_values().into_iter();
         let values = values.map(|v| U::nearest(v.as_f64())).collect();
         let values = Array2::from_shape_vec((side, side), values).expect("the pixels of a square");

@@ -2,7 +2,7 @@
 
 use std::sync::{Arc, OnceLock};
 
-use ndarray::{Array1, ArrayViewMut2, Axis, s};
+use ndarray::{Array1, Array2, ArrayViewMut2, Axis, s};
 use psf_types::{Anchor, LightProfile, PixelRegion, PointSource, Position, Progress};
 use rayon::prelude::*;
 
@@ -42,9 +42,9 @@ pub(super) struct Shared<T> {
 
 /// A block of the field with its local basis.
 #[derive(Debug)]
-struct DrawingBlock {
-    modes: LocalModes,
-    kernels: Kernels,
+pub(super) struct DrawingBlock {
+    pub(super) modes: LocalModes,
+    pub(super) kernels: Kernels,
     /// `None` without a floor, and if the PSFs have no flux.
     outskirts: Option<PsfOutskirts>,
 }
@@ -70,17 +70,17 @@ const BAND: usize = 32;
 /// Galaxies that use the transformed stamps of one block, on windows of one side and up to one band:
 /// the side, the number of the band, and the block. In this order, the blocks that need the same
 /// transforms of all stamps follow each other.
-type GroupKey = (usize, usize, BlockKey);
+pub(super) type GroupKey = (usize, usize, BlockKey);
 
 /// A galaxy that reaches the region, and how it is drawn.
-struct Placed {
-    key: GroupKey,
+pub(super) struct Placed {
+    pub(super) key: GroupKey,
     /// Its index in the catalogue.
-    index: usize,
+    pub(super) index: usize,
     /// Light at wavenumbers outside it is left out. Not used with [`Anchor::Output`].
-    outline: Outline,
+    pub(super) outline: Outline,
     /// Up to this distance from the centre, light outside the window is drawn.
-    reach: Option<f64>,
+    pub(super) reach: Option<f64>,
 }
 
 /// A galaxy's window: first column and row, and its side.
@@ -183,6 +183,30 @@ impl<T: ConvReal> GalaxyDrawer<T> {
         region: PixelRegion,
         mut image: ArrayViewMut2<'_, T>,
     ) -> Result<(), ConvError> {
+        let placed = self.placed(catalogue, region, true)?;
+        let groups = Self::groups(&placed);
+        let first = (region.x0(), region.y0());
+        let mut far = Vec::new();
+        for some in groups.chunks(GROUPS_AT_ONCE) {
+            catalogue.progress.check_cancelled()?;
+            let drawn: Vec<(Vec<Piece<T>>, Vec<FarLight>)> = some
+                .par_iter()
+                .map(|group| self.draw_group(catalogue, group, region))
+                .collect::<Result<_, _>>()?;
+            let pieces = drawn.iter().flat_map(|(pieces, _)| pieces);
+            add_pieces(pieces, image.view_mut(), first, BAND);
+            far.extend(drawn.into_iter().flat_map(|(_, far)| far));
+        }
+        add_far_light(&far, image, first, catalogue.progress)
+    }
+
+    /// The galaxies that reach the region, and how they are drawn, in the order of their groups.
+    pub(super) fn placed(
+        &self,
+        catalogue: ExtendedToDraw<'_>,
+        region: PixelRegion,
+        has_floor: bool,
+    ) -> Result<Vec<Placed>, ConvError> {
         let mut placed: Vec<Placed> = (0..catalogue.sources.points.len())
             .into_par_iter()
             .map(|index| -> Result<_, ConvError> {
@@ -196,7 +220,9 @@ impl<T: ConvReal> GalaxyDrawer<T> {
                 let (key, mut drawn, mut outline) = (block_at((x, y)), whole, Outline::default());
                 if self.psfs.options().anchor() != Anchor::Output {
                     let block = self.block(key);
-                    drawn = self.within_floor(&block, whole, (light.as_ref(), flux));
+                    if has_floor {
+                        drawn = self.within_floor(&block, whole, (light.as_ref(), flux));
+                    }
                     outline = block.kernels.power.outline(light.as_ref(), drawn.accuracy);
                 }
                 let WithinFloor { side, reach, .. } = drawn;
@@ -216,23 +242,20 @@ impl<T: ConvReal> GalaxyDrawer<T> {
             .filter_map(Result::transpose)
             .collect::<Result<_, _>>()?;
         placed.par_sort_unstable_by_key(|galaxy| (galaxy.key, galaxy.index));
-        let groups: Vec<&[Placed]> = placed
+        Ok(placed)
+    }
+
+    /// The groups of some galaxies.
+    pub(super) fn groups(placed: &[Placed]) -> Vec<&[Placed]> {
+        placed
             .chunk_by(|a, b| a.key == b.key)
             .flat_map(|group| group.chunks((PIXELS_PER_GROUP / group[0].key.0.pow(2)).clamp(1, PER_GROUP)))
-            .collect();
-        let first = (region.x0(), region.y0());
-        let mut far = Vec::new();
-        for some in groups.chunks(GROUPS_AT_ONCE) {
-            catalogue.progress.check_cancelled()?;
-            let drawn: Vec<(Vec<Piece<T>>, Vec<FarLight>)> = some
-                .par_iter()
-                .map(|group| self.draw_group(catalogue, group, region))
-                .collect::<Result<_, _>>()?;
-            let pieces = drawn.iter().flat_map(|(pieces, _)| pieces);
-            add_pieces(pieces, image.view_mut(), first, BAND);
-            far.extend(drawn.into_iter().flat_map(|(_, far)| far));
-        }
-        add_far_light(&far, image, first, catalogue.progress)
+            .collect()
+    }
+
+    /// The local PSFs of a group, unless each pixel has its own.
+    pub(super) fn local_of(&self, group: &[Placed]) -> Option<Local<T>> {
+        (self.psfs.options().anchor() != Anchor::Output).then(|| self.local(group[0].key))
     }
 
     /// The window and the wavenumbers of a galaxy without a floor.
@@ -312,9 +335,8 @@ impl<T: ConvReal> GalaxyDrawer<T> {
         group: &[Placed],
         region: PixelRegion,
     ) -> Result<(Vec<Piece<T>>, Vec<FarLight>), ConvError> {
-        let key = group[0].key;
-        let (side, ..) = key;
-        let local = (self.psfs.options().anchor() != Anchor::Output).then(|| self.local(key));
+        let (side, ..) = group[0].key;
+        let local = self.local_of(group);
         let (mut pieces, mut far) = (Vec::new(), Vec::new());
         let mut drawer = WindowDrawer::new(side);
         let weights = BlockWeights::<T>::new(side);
@@ -343,8 +365,11 @@ impl<T: ConvReal> GalaxyDrawer<T> {
                     }
                     Psf::Exact(psf) => {
                         let (light, frame) = (light.as_ref(), catalogue.frame.shape());
-                        let all = self.exact_window(psf, flux, light, window, centre, frame)?;
-                        all.slice(s![rows.clone(), ..]).mapv(T::nearest)
+                        let mut values = Array2::default((0, 0));
+                        self.exact_windows(psf, flux, &[(light, centre)], window, frame, |all| {
+                            values = all.slice(s![rows.clone(), ..]).mapv(T::nearest);
+                        })?;
+                        values
                     }
                 });
             }
@@ -354,6 +379,7 @@ impl<T: ConvReal> GalaxyDrawer<T> {
                     Psf::Local(local, coefficients) => local.block.kernels.moments_of(coefficients),
                     Psf::Exact(psf) => self.stamps().moments_of(psf.view()),
                 };
+                let light = catalogue.light(placed.index);
                 self.far_light(moments, light, (x, y), window, reach)
             });
             if let Some((mut values, [(columns, _), (rows, _)])) = drawn.zip(on_region) {
@@ -384,7 +410,7 @@ impl<T: ConvReal> GalaxyDrawer<T> {
     }
 
     /// The PSF of a galaxy, from the modes of its block if they are within the tolerance.
-    fn psf<'a>(
+    pub(super) fn psf<'a>(
         &self,
         local: Option<&'a Local<T>>,
         position: Position,
@@ -475,13 +501,13 @@ impl<T: ConvReal> GalaxyDrawer<T> {
 }
 
 /// The local PSFs of a block, transformed for windows of one side.
-struct Local<T> {
-    block: Arc<DrawingBlock>,
-    spectra: Arc<Spectra<T>>,
+pub(super) struct Local<T> {
+    pub(super) block: Arc<DrawingBlock>,
+    pub(super) spectra: Arc<Spectra<T>>,
 }
 
 /// The PSF of a galaxy, times its flux.
-enum Psf<'a, T> {
+pub(super) enum Psf<'a, T> {
     /// The coefficients of the local PSFs.
     Local(&'a Local<T>, Vec<f64>),
     /// The PSF of all components, as a vector of the model's space of PSFs.

@@ -1,5 +1,6 @@
 //! Draws one galaxy on a square window, in Fourier space.
 
+use std::ops::Range;
 use std::sync::Arc;
 
 use ndarray::Array2;
@@ -39,7 +40,7 @@ pub(super) struct WindowDrawer<T: ConvReal> {
     folded: Vec<Complex<T>>,
     psf: Vec<Complex<T>>,
     product: Vec<Complex<T>>,
-    transform: Vec<f32>,
+    transform: Vec<T>,
     /// The phase factors ([`Aliases`](super::spectrum::Aliases)) at the galaxy's column, for the `kx` of each
     /// alias.
     factors_x: Vec<Complex<T>>,
@@ -87,7 +88,7 @@ impl<T: ConvReal> WindowDrawer<T> {
 
     /// Computes the rows `rows` of a galaxy's image, which repeats with the period of the window.
     /// Returns the values `[row, column]`.
-    pub(super) fn draw(&mut self, galaxy: &Drawn<'_, T>, rows: std::ops::Range<usize>) -> Array2<T> {
+    pub(super) fn draw(&mut self, galaxy: &Drawn<'_, T>, rows: Range<usize>) -> Array2<T> {
         let columns = self.fold(galaxy);
         let (side, half) = (self.side, self.side / 2 + 1);
         self.along_y
@@ -119,39 +120,28 @@ impl<T: ConvReal> WindowDrawer<T> {
     fn fold(&mut self, galaxy: &Drawn<'_, T>) -> usize {
         let side = self.side;
         let wavenumbers = &galaxy.spectra.wavenumbers;
+        let lit = Lit::new(wavenumbers, galaxy.outline);
         let step = wavenumbers.step();
         let aliases = &wavenumbers.aliases;
         let zero = Complex::new(T::zero(), T::zero());
-        let largest = aliases.largest() as f64;
-        let [most_kx, most_ky] = galaxy.outline.extent().map(|k| (k / step).min(largest));
-        let radius = most_kx.max(most_ky);
-        // The largest `ky` at `kx`.
-        let most_at = |kx: i64| {
-            let end = galaxy.outline.end(kx.unsigned_abs() as f64 * step)?;
-            (kx.unsigned_abs() as f64 <= largest).then(|| (end / step).min(largest) as i64)
-        };
         let most = wavenumbers.most_ky[0] as i64;
         let row = (2 * most + 1) as usize;
         let lines = wavenumbers.most_ky.len();
-        let angles = [galaxy.centre.0, galaxy.centre.1].map(|centre| step * centre);
-        aliases.phase_factors_into(0, angles[0], radius, 0..lines as i64, &mut self.factors_x);
-        aliases.phase_factors_into(1, angles[1], radius, -most..most + 1, &mut self.factors);
+        let (x, y) = galaxy.centre;
+        lit.phase_factors_into(0, x, 0..lines as i64, &mut self.factors_x);
+        lit.phase_factors_into(1, y, -most..most + 1, &mut self.factors);
         self.folded.fill(zero);
         self.psf.resize(row, zero);
         self.product.resize(row, zero);
-        self.transform.resize(2 * most_ky as usize + 1, 0.0);
+        self.transform.resize(lit.most_count(), T::zero());
         let area = (side * side) as f64;
         let coefficients: Vec<T> = galaxy.coefficients.iter().map(|c| T::nearest(c / area)).collect();
         let mut columns = 0;
-        for (line, (&stored, &start)) in wavenumbers.most_ky.iter().zip(&wavenumbers.starts).enumerate() {
-            let of_aliases = aliases
-                .numbers(radius)
-                .filter_map(|across| most_at(line as i64 + aliases.distance(across)));
-            let Some(most_ky) = of_aliases.max().map(|most_ky| most_ky.min(stored as i64)) else {
+        for line in 0..lines {
+            let Some((start, most_ky)) = lit.line(line) else {
                 continue;
             };
             let count = (2 * most_ky + 1) as usize;
-            let start = start + stored - most_ky as usize;
             let psf = &mut self.psf[..count];
             vectorized!({
                 psf.fill(zero);
@@ -164,23 +154,24 @@ impl<T: ConvReal> WindowDrawer<T> {
             });
             let product = &mut self.product[..count];
             product.fill(zero);
-            for (across, factors_x) in aliases.numbers(radius).zip(self.factors_x.chunks_exact(lines)) {
+            for (across, factors_x) in lit.aliases().zip(self.factors_x.chunks_exact(lines)) {
                 let kx = line as i64 + aliases.distance(across);
-                let Some(end) = most_at(kx) else { continue };
+                let Some(end) = lit.most_at(kx) else { continue };
                 let transform = &mut self.transform[..(2 * end + 1) as usize];
-                galaxy
-                    .light
-                    .transform_into(kx as f64 * step, -(end as f64) * step, step, transform);
+                T::transform_into(
+                    galaxy.light,
+                    kx as f64 * step,
+                    -(end as f64) * step,
+                    step,
+                    transform,
+                );
                 let factor_x = factors_x[line];
-                for (up, factors) in aliases.numbers(radius).zip(self.factors.chunks_exact(row)) {
-                    // The wavenumbers of this alias that are within the outline.
+                for (up, factors) in lit.aliases().zip(self.factors.chunks_exact(row)) {
                     let distance = aliases.distance(up);
-                    let from = (-most_ky).max(-end - distance);
-                    let to = most_ky.min(end - distance) + 1;
-                    if from >= to {
+                    let Some(rows) = lit_rows((most_ky, end), distance) else {
                         continue;
-                    }
-                    let part = |first: i64| (from - first) as usize..(to - first) as usize;
+                    };
+                    let part = |first: i64| (rows.start - first) as usize..(rows.end - first) as usize;
                     let product = &mut product[part(-most_ky)];
                     let psf = &psf[part(-most_ky)];
                     let (transform, factors) = (&transform[part(-end - distance)], &factors[part(-most)]);
@@ -194,17 +185,88 @@ impl<T: ConvReal> WindowDrawer<T> {
     }
 }
 
+/// The wavenumbers at which a galaxy's image has light.
+pub(super) struct Lit<'a> {
+    wavenumbers: &'a Wavenumbers,
+    outline: &'a Outline,
+    /// The largest wavenumber along an axis at which stamps have light.
+    largest: f64,
+    /// The largest wavenumber along either axis, and along y.
+    radius: f64,
+    most_ky: f64,
+}
+
+impl<'a> Lit<'a> {
+    pub(super) fn new(wavenumbers: &'a Wavenumbers, outline: &'a Outline) -> Self {
+        let (step, largest) = (wavenumbers.step(), wavenumbers.aliases.largest() as f64);
+        let [most_kx, most_ky] = outline.extent().map(|k| (k / step).min(largest));
+        Self {
+            wavenumbers,
+            outline,
+            largest,
+            radius: most_kx.max(most_ky),
+            most_ky,
+        }
+    }
+
+    /// The numbers of the aliases, along either axis.
+    pub(super) fn aliases(&self) -> impl Iterator<Item = i64> {
+        self.wavenumbers.aliases.numbers(self.radius)
+    }
+
+    /// The largest `ky` at `kx`. `None` if there is no light.
+    pub(super) fn most_at(&self, kx: i64) -> Option<i64> {
+        let (step, kx) = (self.wavenumbers.step(), kx.unsigned_abs() as f64);
+        let end = self.outline.end(kx * step)?;
+        (kx <= self.largest).then(|| (end / step).min(self.largest) as i64)
+    }
+
+    /// The largest number of values at one `kx`.
+    pub(super) fn most_count(&self) -> usize {
+        2 * self.most_ky as usize + 1
+    }
+
+    /// The index of the first stored wavenumber of a line that has light, in its own period or in an alias, and the
+    /// largest `ky` there.
+    pub(super) fn line(&self, line: usize) -> Option<(usize, i64)> {
+        let (stored, start) = (self.wavenumbers.most_ky[line], self.wavenumbers.starts[line]);
+        let kx = |across: i64| line as i64 + self.wavenumbers.aliases.distance(across);
+        let of_aliases = self.aliases().filter_map(|across| self.most_at(kx(across)));
+        let most_ky = of_aliases.max()?.min(stored as i64);
+        Some((start + stored - most_ky as usize, most_ky))
+    }
+
+    /// The phase factors of a galaxy's centre along x (axis 0) or y (1), for a range of stored wavenumbers.
+    pub(super) fn phase_factors_into<T: ConvReal>(
+        &self,
+        axis: usize,
+        centre: f64,
+        range: Range<i64>,
+        factors: &mut Vec<Complex<T>>,
+    ) {
+        let angle = self.wavenumbers.step() * centre;
+        let aliases = &self.wavenumbers.aliases;
+        aliases.phase_factors_into(axis, angle, self.radius, range, factors);
+    }
+}
+
+/// The stored `ky`, up to `most_ky`, of an alias at a distance, whose light ends at `end`.
+pub(super) fn lit_rows((most_ky, end): (i64, i64), distance: i64) -> Option<Range<i64>> {
+    let from = (-most_ky).max(-end - distance);
+    let to = most_ky.min(end - distance) + 1;
+    (from < to).then_some(from..to)
+}
+
 /// Adds `psf * light * factor_x * factors` to `sums`.
 #[inline(always)]
 fn add_product<T: ConvReal>(
     sums: &mut [Complex<T>],
     psf: &[Complex<T>],
-    light: &[f32],
+    light: &[T],
     factor_x: Complex<T>,
     factors: &[Complex<T>],
 ) {
     for (((sum, psf), &light), factor) in sums.iter_mut().zip(psf).zip(light).zip(factors) {
-        let light = T::nearest(light.into());
         let shifted = Complex::new(
             (factor_x.re * factor.re - factor_x.im * factor.im) * light,
             (factor_x.re * factor.im + factor_x.im * factor.re) * light,

@@ -10,7 +10,7 @@ mod transpose;
 
 pub use instruction_set::InstructionSet;
 
-use psf_types::Real;
+use psf_types::{LightProfile, Real};
 use pulp::bytemuck::Pod;
 use pulp::{Simd, WithSimd};
 use rustfft::FftNum;
@@ -180,14 +180,26 @@ pub trait WithIsa<T> {
 pub trait SimdReal: Pod {
     /// Runs `work` with the instruction set that is [used](InstructionSet::used).
     fn dispatch<W: WithIsa<Self>>(work: W) -> W::Output;
+    /// Computes the transform of light ([`LightProfile::transform_into`]) in this precision.
+    fn transform_into(light: &dyn LightProfile, kx: f64, first_ky: f64, step: f64, values: &mut [Self]);
     /// Runs a test with every instruction set that this machine has.
     #[cfg(test)]
     fn dispatch_to_all<W: WithIsa<Self, Output = ()> + Copy>(work: W);
 }
 
 macro_rules! simd_real {
-    ($t:ty) => {
+    ($t:ty, $transform_into:ident) => {
         impl SimdReal for $t {
+            fn transform_into(
+                light: &dyn LightProfile,
+                kx: f64,
+                first_ky: f64,
+                step: f64,
+                values: &mut [Self],
+            ) {
+                light.$transform_into(kx, first_ky, step, values);
+            }
+
             fn dispatch<W: WithIsa<Self>>(work: W) -> W::Output {
                 let used = InstructionSet::used();
                 #[cfg(target_arch = "x86_64")]
@@ -225,8 +237,24 @@ macro_rules! simd_real {
     };
 }
 
-simd_real!(f32);
-simd_real!(f64);
+simd_real!(f32, transform_into);
+simd_real!(f64, transform_f64_into);
+
+/// The scalar product of two rows, in sums that vectorise.
+#[inline(always)]
+pub(crate) fn sum_of_products<T: ConvReal>(a: &[T], b: &[T]) -> f64 {
+    const LANES: usize = 16;
+    let mut sums = [T::zero(); LANES];
+    let (a, b) = (a.chunks_exact(LANES), b.chunks_exact(LANES));
+    let rest = a.remainder().iter().zip(b.remainder());
+    let rest: f64 = rest.map(|(&a, &b)| (a * b).as_f64()).sum();
+    for (a, b) in a.zip(b) {
+        for ((sum, &a), &b) in sums.iter_mut().zip(a).zip(b) {
+            *sum += a * b;
+        }
+    }
+    sums.iter().map(|sum| sum.as_f64()).sum::<f64>() + rest
+}
 
 /// A list of values that begins at a cache line.
 #[derive(Debug, Default)]

@@ -3,6 +3,7 @@
 use ndarray::Array1;
 use psf_types::{FieldError, Position, PsfModel};
 
+use super::slopes::with_slopes;
 use crate::plan::local_modes::LocalModes;
 use crate::plan::psf_space::PsfSpace;
 
@@ -45,6 +46,18 @@ impl<'a> PsfVectors<'a> {
                 flux: self.flux,
             })
         }
+    }
+
+    /// The PSF at a position, scaled to unit flux if the model needs it, and its derivatives with respect to x and y
+    /// ([`with_slopes`]).
+    pub(crate) fn with_slopes(&mut self, position: Position) -> Result<[Array1<f64>; 3], FieldError> {
+        with_slopes(position, |position| Ok(self.set(position)? * &self.psf))
+    }
+
+    /// Replaces the PSF by another one, not scaled to unit flux.
+    pub(crate) fn set_vector(&mut self, psf: &Array1<f64>) {
+        self.psf.assign(psf);
+        self.flux = psf.dot(&self.space.fluxes);
     }
 
     pub(crate) fn norm(&self) -> f64 {

@@ -1,6 +1,8 @@
 //! Interpolation kernels of stamps along one axis, and the weights with which coefficients
 //! contribute to interpolated values.
 
+use std::f64::consts::PI;
+
 use ndarray::parallel::prelude::*;
 use ndarray::{Array2, ArrayView2, ArrayViewMut2, Axis, s};
 use psf_types::StampInterpolation;
@@ -116,6 +118,37 @@ impl Kernel {
         }
     }
 
+    /// The derivatives of the [`weights`](Self::weights) with respect to `u`.
+    pub(crate) fn slopes(self, u: f64) -> [f64; MOST_TAPS] {
+        match self {
+            Self::CubicSpline { .. } => {
+                let v = 1.0 - u;
+                let [a, d] = [-0.5 * v * v, 0.5 * u * u];
+                [a, (1.5 * u - 2.0) * u, (2.0 - 1.5 * v) * v, d, 0.0, 0.0]
+            }
+            Self::Lanczos3 => {
+                // That of sinc(t).
+                let slope = |t: f64| {
+                    if t.abs() < 1e-4 {
+                        -PI * PI / 3.0 * t
+                    } else {
+                        ((PI * t).cos() - sinc(t)) / t
+                    }
+                };
+                let at = |tap: usize| u - (self.first_tap() + tap as i64) as f64;
+                let weight = |tap| sinc(at(tap)) * sinc(at(tap) / 3.0);
+                let of_weight = |tap| {
+                    let t = at(tap);
+                    slope(t) * sinc(t / 3.0) + sinc(t) * slope(t / 3.0) / 3.0
+                };
+                let sum: f64 = (0..MOST_TAPS).map(weight).sum();
+                let of_sum: f64 = (0..MOST_TAPS).map(of_weight).sum();
+                // The weights are divided by their sum.
+                std::array::from_fn(|tap| (of_weight(tap) - weight(tap) * of_sum / sum) / sum)
+            }
+        }
+    }
+
     /// The largest sum of the absolute weights, at any coordinate.
     pub(crate) fn largest_sum(self) -> f64 {
         self.weights(0.5).iter().map(|w| w.abs()).sum()
@@ -221,17 +254,37 @@ impl Taps {
         count: usize,
         coordinate: impl Fn(usize) -> f64,
     ) -> Self {
+        Self::of_values(kernel, count, |all, i| {
+            if width > 0.0 {
+                all.push_average(kernel, length, coordinate(i), width);
+            } else {
+                all.push_point(kernel, length, coordinate(i), 1.0, Kernel::weights);
+            }
+        })
+    }
+
+    /// The taps whose sums are the derivatives of values with respect to their coordinates, times `scale`.
+    pub(crate) fn slopes(
+        kernel: Kernel,
+        length: usize,
+        scale: f64,
+        count: usize,
+        coordinate: impl Fn(usize) -> f64,
+    ) -> Self {
+        Self::of_values(kernel, count, |all, i| {
+            all.push_point(kernel, length, coordinate(i), scale, Kernel::slopes);
+        })
+    }
+
+    /// The taps that `push` adds for each of `count` values.
+    fn of_values(kernel: Kernel, count: usize, push: impl Fn(&mut Self, usize)) -> Self {
         let mut all = Self {
             starts: Vec::with_capacity(count + 1),
             taps: Vec::with_capacity(count * kernel.tap_count()),
         };
         for i in 0..count {
             all.starts.push(all.taps.len());
-            if width > 0.0 {
-                all.push_average(kernel, length, coordinate(i), width);
-            } else {
-                all.push_point(kernel, length, coordinate(i), 1.0);
-            }
+            push(&mut all, i);
         }
         all.starts.push(all.taps.len());
         all
@@ -241,13 +294,20 @@ impl Taps {
         &self.taps[self.starts[value]..self.starts[value + 1]]
     }
 
-    fn push_point(&mut self, kernel: Kernel, length: usize, t: f64, scale: f64) {
+    fn push_point(
+        &mut self,
+        kernel: Kernel,
+        length: usize,
+        t: f64,
+        scale: f64,
+        weights: fn(Kernel, f64) -> [f64; MOST_TAPS],
+    ) {
         if !kernel.domain(length).contains(&t) {
             return;
         }
         let t = t.clamp(-kernel.reach(), (length - 1) as f64 + kernel.reach());
         let first = t.floor() as i64 + kernel.first_tap();
-        let weights = kernel.weights(t - t.floor());
+        let weights = weights(kernel, t - t.floor());
         for (tap, weight) in weights.iter().take(kernel.tap_count()).enumerate() {
             if let Some(index) = kernel.index(first + tap as i64, length) {
                 self.taps.push((index, weight * scale));
@@ -267,7 +327,8 @@ impl Taps {
             let end = (piece.floor() + 1.0).min(to);
             let part = end - piece;
             for (node, weight) in GAUSS {
-                self.push_point(kernel, length, piece + part * node, weight * part / width);
+                let scale = weight * part / width;
+                self.push_point(kernel, length, piece + part * node, scale, Kernel::weights);
             }
             piece = end;
         }
@@ -305,6 +366,22 @@ mod tests {
         }
         let at_pixel = Kernel::Lanczos3.weights(0.0);
         assert!((at_pixel[2] - 1.0).abs() < 1e-15 && at_pixel[3].abs() < 1e-15);
+    }
+
+    #[test]
+    fn slopes_are_the_derivatives_of_weights() {
+        for kernel in KERNELS {
+            for u in [0.0, 1e-5, 0.3, 0.77, 0.99999, 1.0] {
+                let step = 1e-3;
+                let at = |t: f64| kernel.weights(u + t * step);
+                let (far, near) = ([at(-2.0), at(2.0)], [at(-1.0), at(1.0)]);
+                for (tap, slope) in kernel.slopes(u).into_iter().enumerate() {
+                    let [far, near] = [&far, &near].map(|w| w[1][tap] - w[0][tap]);
+                    let difference = (8.0 * near - far) / (12.0 * step);
+                    assert!((slope - difference).abs() < 1e-9, "{kernel:?} {u} {tap}");
+                }
+            }
+        }
     }
 
     #[test]

@@ -100,7 +100,12 @@ impl StampInterpolator {
         };
         let taps_x = taps(target.nx(), ours.nx(), ours.centre_x(), target.centre_x(), dx);
         let taps_y = taps(target.ny(), ours.ny(), ours.centre_y(), target.centre_y(), dy);
-        let mut values = Array2::zeros(target.dim());
+        self.at_all(target.dim(), [&taps_x, &taps_y])
+    }
+
+    /// The values `[y, x]` at the points of a grid with these weights along x and y.
+    pub(crate) fn at_all(&self, shape: (usize, usize), [taps_x, taps_y]: [&Taps; 2]) -> Array2<f64> {
+        let mut values = Array2::zeros(shape);
         let mut line = vec![0.0; self.coefficients.ncols()];
         for (j, mut row) in values.outer_iter_mut().enumerate() {
             line.fill(0.0);

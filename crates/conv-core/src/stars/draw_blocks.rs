@@ -4,7 +4,7 @@
 use std::sync::Arc;
 
 use ndarray::{Array2, ArrayViewMut2, Axis, s};
-use psf_types::{PixelRegion, PointSource, Position, Progress, StampGrid};
+use psf_types::{PixelRegion, PointSource, Progress, StampGrid};
 use rayon::prelude::*;
 
 use super::draw::{DrawGroup, Group};
@@ -19,7 +19,7 @@ use crate::kept::Kept;
 use crate::overlap::{add_values, split};
 use crate::plan::PlanOptions;
 use crate::simd::{Lanes, WithIsa};
-use crate::sources::{BlockKey, SourcePsfs, block_of, region_of};
+use crate::sources::{BlockKey, PsfVectors, SourcePsfs, block_of, region_of};
 use crate::stamp_interpolator::StampInterpolator;
 use crate::working_range::{Rescaling, brightest_allowed};
 use crate::{ConvError, ConvReal};
@@ -106,7 +106,7 @@ pub(crate) struct StarsToDraw<'a> {
 }
 
 /// A star's block (row and column), and the star's index in the catalogue.
-type StarKey = ((i32, i32), usize);
+pub(super) type StarKey = ((i32, i32), usize);
 
 /// Stars of a block that are prepared together.
 const AT_ONCE: usize = 1 << 12;
@@ -175,7 +175,7 @@ impl<T: ConvReal> WithIsa<T> for DrawBlocks<'_, T> {
 impl<T: ConvReal> BlockDrawer<'_, T> {
     /// The stars whose light may reach the region, and all other stars of their blocks that reach the
     /// frame, sorted by block. So the stars of a block do not depend on the region.
-    fn sorted(&self) -> Vec<StarKey> {
+    pub(super) fn sorted(&self) -> Vec<StarKey> {
         let StarsToDraw { stars, frame, .. } = self.catalogue;
         let (side, whole) = (self.phased.spreader.side, frame.shape().region());
         let mut keys: Vec<StarKey> = stars
@@ -240,7 +240,7 @@ impl<T: ConvReal> BlockDrawer<'_, T> {
     }
 
     /// The local basis of a block.
-    fn block(&self, key: BlockKey) -> Arc<StarBlock<T>> {
+    pub(super) fn block(&self, key: BlockKey) -> Arc<StarBlock<T>> {
         let phased = self.phased;
         let region = region_of(key, phased.spreader.side as i64);
         let directions = (self.psfs.space(), &*phased.stamps);
@@ -363,12 +363,39 @@ impl<T: ConvReal> BlockDrawer<'_, T> {
         is_safe.then_some(limit)
     }
 
+    /// Computes the coefficients of the block's kernels for the PSF of a star, which `vectors` holds and `again`
+    /// sets again. Returns whether they represent it within the tolerance.
+    pub(super) fn project_within(
+        &self,
+        block: &StarBlock<T>,
+        star: &Star,
+        vectors: &mut PsfVectors<'_>,
+        coefficients: &mut Vec<f64>,
+        again: impl FnOnce(&mut PsfVectors<'_>) -> Result<(), ConvError>,
+    ) -> Result<bool, ConvError> {
+        let (phased, tolerance, shift) = (self.phased, self.phased.tolerance, star.shift);
+        let whole = vectors.norm();
+        vectors.project(&block.modes, coefficients);
+        if !vectors.is_within(tolerance, whole) {
+            return Ok(false);
+        }
+        let (error, along_mean) = (vectors.norm(), &block.along_mean);
+        let norms = &phased.norms;
+        if error <= phased.rounding * whole
+            || norms.is_surely_within(tolerance, shift, error, coefficients, along_mean)
+        {
+            return Ok(true);
+        }
+        let error = vectors.psf.clone();
+        again(vectors)?;
+        Ok(norms.is_within(tolerance, shift, error.view(), vectors.psf.view()))
+    }
+
     /// Computes the sub-pixel phases and the weights of some stars of a block. Leaves out stars that
     /// would exceed the tolerance, and returns the indices of those that reach the region.
     fn prepare(&self, block: &StarBlock<T>, stars: &[usize]) -> Result<(Group<T>, Vec<usize>), ConvError> {
         self.catalogue.progress.check_cancelled()?;
-        let (phased, axes) = (self.phased, &self.phased.axes);
-        let (norms, tolerance) = (&phased.norms, phased.tolerance);
+        let axes = &self.phased.axes;
         let mut vectors = self.psfs.vectors();
         let mut coefficients = Vec::with_capacity(block.modes.kernel_count());
         let taps = axes[1].kernel.tap_count();
@@ -379,32 +406,18 @@ impl<T: ConvReal> BlockDrawer<'_, T> {
             let Some([columns, rows]) = star.phases(axes) else {
                 continue;
             };
-            let (x, y) = star.position;
-            let position = Position::new(x, y).map_err(ConvError::Result)?;
+            let position = star.field_position()?;
             // Only stars that reach the region need a PSF.
             let is_needed = star.reaches(self.window, self.region);
             let scale = match vectors.set(position) {
                 Err(_) if !is_needed => continue,
                 scale => scale?,
             };
-            let whole = vectors.norm();
-            vectors.project(&block.modes, &mut coefficients);
-            let on_circles = vectors.is_within(tolerance, whole);
-            let error = vectors.norm();
-            let within = on_circles
-                && (error <= phased.rounding * whole
-                    || norms.is_surely_within(
-                        tolerance,
-                        star.shift,
-                        error,
-                        &coefficients,
-                        &block.along_mean,
-                    )
-                    || {
-                        let error = vectors.psf.clone();
-                        vectors.set(position)?;
-                        norms.is_within(tolerance, star.shift, error.view(), vectors.psf.view())
-                    });
+            let again = |vectors: &mut PsfVectors<'_>| {
+                vectors.set(position)?;
+                Ok(())
+            };
+            let within = self.project_within(block, &star, &mut vectors, &mut coefficients, again)?;
             if !within {
                 missed.extend(is_needed.then_some(index));
                 continue;

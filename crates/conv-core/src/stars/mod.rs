@@ -9,11 +9,13 @@
 //! coefficients apart and have equal weights. So coefficients are stored by their *residue*, which
 //! is their index modulo `s`. A row of a star is then a linear combination of contiguous values.
 //! The sum runs over the block's kernels, the rows of coefficients that contribute to the row of
-//! the star, and the taps along the row. Where stars are many, [`spread`] is faster. Stars of a PSF with wings
+//! the star, and the taps along the row. Where stars are many, [`spread`] is faster.
+//! Derivatives take the sums in the opposite order ([`gradients`]). Stars of a PSF with wings
 //! are drawn in two parts, the core and the [`wings`].
 
 mod draw;
 mod draw_blocks;
+mod gradients;
 mod painter;
 mod phase_norms;
 mod phased_stamps;

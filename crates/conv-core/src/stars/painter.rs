@@ -2,15 +2,15 @@
 
 use std::sync::{Arc, OnceLock};
 
-use ndarray::{Array1, Array2, Array3, ArrayViewMut2, Axis, s};
+use ndarray::{Array1, Array2, Array3, ArrayView2, ArrayViewMut2, Axis, s};
 use psf_types::{
     Anchor, DataError, PixelRegion, PointSource, Position, Progress, PsfModel, StampGrid, Uncounted,
 };
 use rayon::prelude::*;
 
 use super::phases::Star;
-use crate::overlap::{Piece, add_in_order};
-use crate::sources::check_stamps;
+use crate::overlap::{Piece, add_in_order, shared};
+use crate::sources::{check_stamps, with_slopes};
 use crate::stamp_interpolator::{Kernel, MOST_TAPS, StampInterpolator, Taps, edge_reach_of, grid_reaching};
 use crate::view::region;
 use crate::{ConvError, ConvReal};
@@ -281,37 +281,131 @@ impl<'a> StarPainter<'a> {
     /// The pixels that a source may light, and its light there `[y, x]`.
     fn paint(&self, source: &PointSource) -> Result<(PixelRegion, Array2<f64>), ConvError> {
         let (star, lit) = (Star::new(source, self.frame), self.lit(source));
-        let (kernel, target) = (self.stamps.kernel, self.stamps.target);
-        let interpolator = |stamp| StampInterpolator::with_kernel(stamp, self.model.grid(), kernel);
-        let mut values = if let Some(splines) = &self.stamps.splines {
-            let stamps = self.model.stamps();
-            let splines = splines.get_or_init(|| stamps.outer_iter().map(interpolator).collect());
-            // The coefficients of a pixel multiply neighbours in memory.
-            let mut planes = Array3::zeros((target.ny(), target.nx(), splines.len()));
-            for (mut plane, spline) in planes.axis_iter_mut(Axis(2)).zip(splines) {
-                plane.assign(&spline.resample(star.shift, target));
-            }
-            let mut coefficients = Array1::zeros(splines.len());
-            let mut values = Array2::zeros(target.dim());
-            for ((j, i), value) in values.indexed_iter_mut() {
-                let (x, y) = (lit.x0() + i as i64, lit.y0() + j as i64);
-                if self.frame.shape().region().contains(region(x, y, (1, 1))) {
-                    let into = coefficients.as_slice_mut().expect("contiguous");
-                    self.model
-                        .scaled_coefficients_into(Position::of_pixel(x, y), into)?;
-                    *value = planes.slice(s![j, i, ..]).dot(&coefficients);
-                }
-            }
+        let [x, y] = self.taps(&star, false);
+        let mut values = if self.splines().is_some() {
+            let [values] = self.gathered(lit, [[&x, &y]])?;
             values
         } else {
-            let (x, y) = star.position;
-            let psf = self
-                .model
-                .core_at(Position::new(x, y).map_err(ConvError::Result)?)?;
-            interpolator(psf.values()).resample(star.shift, target)
+            let psf = self.model.core_at(star.field_position()?)?;
+            let interpolator = self.interpolator(psf.values());
+            interpolator.at_all(self.stamps.target.dim(), [&x, &y])
         };
         values.mapv_inplace(|v| v * source.flux());
         Ok((lit, values))
+    }
+
+    /// The derivatives of `sum(image * light)` with respect to the flux, x and y of a source of flux 1. `image` holds
+    /// the pixels of `region`, which is in pixels of the frame.
+    pub(super) fn gradient<S: ConvReal>(
+        &self,
+        source: &PointSource,
+        region: PixelRegion,
+        image: ArrayView2<'_, S>,
+    ) -> Result<[f64; 3], ConvError> {
+        let (star, lit) = (Star::new(source, self.frame), self.lit(source));
+        let Some([(columns, on_columns), (rows, on_rows)]) = shared(lit, region) else {
+            return Ok([0.0; 3]);
+        };
+        let [x, y] = self.taps(&star, false);
+        let [slopes_x, slopes_y] = self.taps(&star, true);
+        let changes = [[&slopes_x, &y], [&x, &slopes_y]];
+        let light = if self.splines().is_some() {
+            self.gathered(lit, [[&x, &y], changes[0], changes[1]])?
+        } else {
+            let psfs = with_slopes(star.field_position()?, |position| {
+                let mut coefficients = Array1::zeros(self.model.stamp_count());
+                let into = coefficients.as_slice_mut().expect("contiguous");
+                self.model.scaled_coefficients_into(position, into)?;
+                Ok(coefficients)
+            })?;
+            let [psf, along_x, along_y] = psfs.map(|coefficients| {
+                let mut stamp = Array2::zeros(self.model.grid().dim());
+                for (&a, component) in coefficients.iter().zip(self.model.stamps().outer_iter()) {
+                    stamp.scaled_add(a, &component);
+                }
+                self.interpolator(stamp.view())
+            });
+            let at = |psf: &StampInterpolator, taps| psf.at_all(self.stamps.target.dim(), taps);
+            let moved = |field: &StampInterpolator, change| at(field, [&x, &y]) + at(&psf, change);
+            [
+                at(&psf, [&x, &y]),
+                moved(&along_x, changes[0]),
+                moved(&along_y, changes[1]),
+            ]
+        };
+        let image = image.slice(s![on_rows, on_columns]);
+        Ok(light.map(|light| {
+            let light = light.slice(s![rows.clone(), columns.clone()]);
+            light.iter().zip(image).map(|(v, g)| v * g.as_f64()).sum()
+        }))
+    }
+
+    fn interpolator(&self, stamp: ArrayView2<'_, f64>) -> StampInterpolator {
+        StampInterpolator::with_kernel(stamp, self.model.grid(), self.stamps.kernel)
+    }
+
+    /// The interpolators of all stamps, if each pixel has a PSF of its own.
+    fn splines(&self) -> Option<&[StampInterpolator]> {
+        let splines = self.stamps.splines.as_ref()?;
+        let stamps = self.model.stamps();
+        let make = || {
+            stamps
+                .outer_iter()
+                .map(|stamp| self.interpolator(stamp))
+                .collect()
+        };
+        Some(splines.get_or_init(make))
+    }
+
+    /// The taps, along x and y, of the pixels that a star may light, or those of their derivatives with respect to
+    /// the star's position.
+    fn taps(&self, star: &Star, slopes: bool) -> [Taps; 2] {
+        let (ours, target, kernel) = (self.model.grid(), self.stamps.target, self.stamps.kernel);
+        let s = ours.oversampling();
+        let of_axis = |count, length, centre: f64, target_centre: f64, shift: f64| {
+            let coordinate = |i: usize| centre + s * (i as f64 - target_centre - shift);
+            if slopes {
+                Taps::slopes(kernel, length, -s, count, coordinate)
+            } else {
+                Taps::new(kernel, length, 0.0, count, coordinate)
+            }
+        };
+        let (dx, dy) = star.shift;
+        [
+            of_axis(target.nx(), ours.nx(), ours.centre_x(), target.centre_x(), dx),
+            of_axis(target.ny(), ours.ny(), ours.centre_y(), target.centre_y(), dy),
+        ]
+    }
+
+    /// The light of a source of flux 1 on pixels that have PSFs of their own, once for each pair of taps (along x and y).
+    fn gathered<const N: usize>(
+        &self,
+        lit: PixelRegion,
+        taps: [[&Taps; 2]; N],
+    ) -> Result<[Array2<f64>; N], ConvError> {
+        let (target, splines) = (self.stamps.target, self.splines().unwrap_or_default());
+        let planes = taps.map(|taps| {
+            // The coefficients of a pixel multiply neighbours in memory.
+            let mut planes = Array3::zeros((target.ny(), target.nx(), splines.len()));
+            for (mut plane, spline) in planes.axis_iter_mut(Axis(2)).zip(splines) {
+                plane.assign(&spline.at_all(target.dim(), taps));
+            }
+            planes
+        });
+        let mut values = taps.map(|_| Array2::zeros(target.dim()));
+        let mut coefficients = Array1::zeros(splines.len());
+        for (j, i) in (0..target.ny()).flat_map(|j| (0..target.nx()).map(move |i| (j, i))) {
+            let (x, y) = (lit.x0() + i as i64, lit.y0() + j as i64);
+            if self.frame.shape().region().contains(region(x, y, (1, 1))) {
+                let into = coefficients.as_slice_mut().expect("contiguous");
+                self.model
+                    .scaled_coefficients_into(Position::of_pixel(x, y), into)?;
+                for (values, planes) in values.iter_mut().zip(&planes) {
+                    values[[j, i]] = planes.slice(s![j, i, ..]).dot(&coefficients);
+                }
+            }
+        }
+        Ok(values)
     }
 }
 

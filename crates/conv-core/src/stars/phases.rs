@@ -3,11 +3,11 @@
 
 use std::ops::{Range, RangeInclusive};
 
-use psf_types::{PixelRegion, PointSource, StampGrid};
+use psf_types::{PixelRegion, PointSource, Position, StampGrid};
 
-use crate::ConvReal;
 use crate::overlap::shared;
 use crate::stamp_interpolator::{Kernel, MOST_TAPS};
+use crate::{ConvError, ConvReal};
 
 /// A coordinate at most this far from a pixel of the stamp counts as on that pixel: the difference
 /// is rounding.
@@ -144,6 +144,12 @@ impl PhasedAxis {
             weights: self.kernel.weights(at - at.floor()),
         })
     }
+
+    /// The derivatives of the weights of a [`Phase`] with respect to the star's position in frame pixels.
+    pub(super) fn slopes(&self, shift: f64) -> [f64; MOST_TAPS] {
+        let (s, at) = (self.oversampling as f64, self.at(shift));
+        self.kernel.slopes(at - at.floor()).map(|slope| -s * slope)
+    }
 }
 
 impl Phase {
@@ -200,6 +206,11 @@ impl Star {
             position: (x, y),
             flux: source.flux(),
         }
+    }
+
+    /// Its field position, if it is finite.
+    pub(super) fn field_position(&self) -> Result<Position, ConvError> {
+        Position::new(self.position.0, self.position.1).map_err(ConvError::Result)
     }
 
     /// The pixels of the frame that the star may light. `window` is relative to the star's pixel.

@@ -20,7 +20,7 @@ use crate::{ConvError, ConvReal};
 pub(crate) struct StarDrawer<T> {
     stamps: Arc<StarStamps>,
     /// `None` if all stars are drawn from all components.
-    phased: Option<Arc<Phased<T>>>,
+    pub(super) phased: Option<Arc<Phased<T>>>,
 }
 
 impl<T: ConvReal> StarDrawer<T> {
@@ -101,7 +101,7 @@ impl<T: ConvReal> StarDrawer<T> {
         }
     }
 
-    fn block_drawer<'a>(
+    pub(super) fn block_drawer<'a>(
         &self,
         psfs: &'a SourcePsfs,
         phased: &'a Phased<T>,

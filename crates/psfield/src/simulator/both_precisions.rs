@@ -13,6 +13,8 @@ fn of<T: ConvReal>() {
     black_box(Simulator::<T>::simulate_into as fn(_, _, _, _) -> _);
     black_box(Simulator::<T>::simulate_many_into as fn(_, _, _, _) -> _);
     black_box(Simulator::<T>::adjoint as fn(_, _, _) -> _);
+    black_box(Simulator::<T>::gradients as fn(_, _, _, _, _) -> _);
+    black_box(Simulator::<T>::source_gradients as fn(_, _, _, _) -> _);
     black_box(Simulator::<T>::for_region as fn(_, _, _) -> _);
     black_box(Simulator::<T>::with_psf as fn(_, _, _) -> _);
     black_box(Simulator::<T>::prepare as fn(_, _, _) -> _);

@@ -105,6 +105,7 @@ impl<T: ConvReal> Simulator<T> {
     /// [`Psf::with_parameters`](crate::Psf::with_parameters)), with wings or with an interpolation of the
     /// caller's own, and for a PSF of several states. [`ErrorKind::Data`] for another number of images than of
     /// lights, and the errors of [`adjoint`](Self::adjoint).
+    #[inline(never)]
     pub fn gradients(
         &self,
         lights: &[ImageView<'_, T>],
