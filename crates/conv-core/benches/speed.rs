@@ -44,6 +44,9 @@ use sersic::SersicLight;
 const FRAME: usize = 512;
 /// A case may take this many times its ratio in `speed.toml`.
 const MARGIN: f64 = 1.5;
+/// The convolution with one PSF may take this many times its ratio to the transform: its tile is the whole frame,
+/// which the second-level cache of some machines does not hold. There it takes 7 transforms.
+const MARGIN_OF_LARGE_TILE: f64 = 3.0;
 /// The time of a measurement, and the number of turns that it has at least.
 const MEASUREMENT: (Duration, usize) = (Duration::from_secs(10), 5);
 /// A second measurement, which decides.
@@ -277,7 +280,13 @@ fn compare(cases: &[Case]) -> Result<Vec<String>, Box<dyn Error>> {
                 .and_then(toml::Value::as_float)
                 .ok_or_else(|| format!("{FILE} has no number {name}.{reference}: renew it"))?;
             print!("{:>20}", format!("{measured:.2} ({committed:.2})"));
-            let limit = MARGIN * committed;
+            let is_of_large_tile = [name, reference] == [REFERENCES[1], REFERENCES[0]];
+            let margin = if is_of_large_tile {
+                MARGIN_OF_LARGE_TILE
+            } else {
+                MARGIN
+            };
+            let limit = margin * committed;
             if measured > limit {
                 slow.push(format!(
                     "{name}: {measured:.2} times {reference}, committed {committed:.2}, limit {limit:.2}"
