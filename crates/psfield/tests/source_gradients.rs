@@ -60,7 +60,7 @@ fn derivatives_with_respect_to_galaxies() {
                 let mut profile = PROFILES[number];
                 profile[parameter] += step;
                 if profile[2] > 1.0 {
-                    // The same light, seen from the other axis.
+                    // The longer axis of this ellipse lies across the angle.
                     profile = [
                         profile[0] * profile[2],
                         profile[1],

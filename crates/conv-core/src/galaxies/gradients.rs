@@ -51,9 +51,10 @@ pub type Variations<'a> = &'a (dyn Fn(usize) -> Vec<Variation> + Sync);
 /// The products with a source on its window, and the lights outside it, if there is enough.
 type NearAndFar = (Products, Option<Vec<FarLight>>);
 
-/// Positions are moved by this number of pixels on either side: far from the centre, where light is smooth, and in
-/// double precision.
+/// The light outside a window is moved by this number of pixels to either side. It is smooth there, and
+/// computed in single precision.
 const FAR_STEP: f64 = 0.25;
+/// A window that is drawn with all components, in double precision, is moved by this number of pixels.
 const STEP: f64 = 1e-4;
 
 impl<T: ConvReal> GalaxyDrawer<T> {

@@ -47,8 +47,9 @@ impl Products {
         }
     }
 
-    /// Adds products with the light itself, with that moved by `step` to either side along x and y, and with that of each
-    /// variation after and before: the first, and the slopes of the others. All are multiplied by a sign.
+    /// Adds, times a sign, the first of some products, which is with the light itself, and the slopes of the
+    /// others: with the light moved by `step` to either side along x and along y, and with that of each
+    /// variation after and before.
     pub(super) fn add_differences(&mut self, sums: &[f64], sign: f64, step: f64) {
         let (moved, varied) = sums[1..].split_at(4);
         self.galaxy[0] += sign * sums[0];
